@@ -1,0 +1,102 @@
+"""Feet and ground in MuJoCo: which geoms they are, and what MuJoCo makes of the two in a contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ContactParameters:
+    """The effective parameters of the contact between two geoms.
+
+    Attributes:
+        condim: 1 frictionless, 3 sliding, 4 torsional, 6 rolling friction too.
+        friction: (5,) sliding (twice, -), torsional (m), rolling (twice, m).
+        solref: (2,) time constant (s) and damping ratio.
+        solimp: (5,) dmin, dmax, width (m), midpoint, power.
+    """
+
+    condim: int
+    friction: tuple[float, ...]
+    solref: tuple[float, ...]
+    solimp: tuple[float, ...]
+
+    @property
+    def sliding_friction(self) -> float:
+        """The coefficient of the friction cone."""
+        return self.friction[0] if self.condim > 1 else 0.0
+
+
+def combine(model: mujoco.MjModel, first: int, second: int) -> ContactParameters:
+    """Combines two geoms' parameters as MuJoCo does for a contact without a ``<pair>``.
+
+    The geom of higher priority wins. At equal priority: the greater condim, each greater friction
+    coefficient, and the mean of solref and solimp weighted by solmix (the lesser of each solref
+    where one is negative, that is, given as stiffness and damping).
+
+    Source: MuJoCo documentation, "Computation: Contact parameters".
+
+    Args:
+        model: The model.
+        first: A geom's id.
+        second: The other geom's id.
+    """
+    one, two = int(model.geom_priority[first]), int(model.geom_priority[second])
+    if one != two:
+        chosen = first if one > two else second
+        condim = int(model.geom_condim[chosen])
+        friction = model.geom_friction[chosen]
+        solref, solimp = model.geom_solref[chosen], model.geom_solimp[chosen]
+    else:
+        condim = int(max(model.geom_condim[first], model.geom_condim[second]))
+        friction = np.maximum(model.geom_friction[first], model.geom_friction[second])
+        weights = model.geom_solmix[[first, second]]
+        share = 0.5 if weights.sum() < mujoco.mjMINVAL else weights[0] / weights.sum()
+        solref = share * model.geom_solref[first] + (1 - share) * model.geom_solref[second]
+        if min(model.geom_solref[first, 0], model.geom_solref[second, 0]) <= 0:
+            solref = np.minimum(model.geom_solref[first], model.geom_solref[second])
+        solimp = share * model.geom_solimp[first] + (1 - share) * model.geom_solimp[second]
+    slide, spin, roll = (float(value) for value in friction)
+    return ContactParameters(
+        condim=condim,
+        friction=(slide, slide, spin, roll, roll),
+        solref=tuple(float(value) for value in solref),
+        solimp=tuple(float(value) for value in solimp),
+    )
+
+
+def ground_geom(model: mujoco.MjModel) -> int | None:
+    """Returns the id of the plane that is fixed to the world, or None."""
+    for geom in range(model.ngeom):
+        plane = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE.value
+        if plane and model.geom_bodyid[geom] == 0:
+            return geom
+    return None
+
+
+def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
+    """Returns the id of a body's sphere that touches things and is centred at ``position``.
+
+    Args:
+        model: The model.
+        body: The id of the body that carries the foot.
+        position: (3,) of the foot's frame, in the body's frame (m).
+
+    Returns:
+        The geom's id, or None if no such sphere is within 1 micrometre.
+    """
+    for geom in range(model.ngeom):
+        if (
+            model.geom_bodyid[geom] == body
+            and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE.value
+            and (model.geom_contype[geom] or model.geom_conaffinity[geom])
+            and np.linalg.norm(model.geom_pos[geom] - position) < 1e-6
+        ):
+            return geom
+    return None

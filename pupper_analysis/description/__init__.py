@@ -1,0 +1,93 @@
+"""The two model files of a robot, as text and spec; variants are derived from each on its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+
+from pupper_analysis.description import mjcf
+from pupper_analysis.variants import BASES, VariantSpec, model_folder, variant_spec
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """A robot's URDF and MJCF.
+
+    Attributes:
+        name: The robot's name.
+        urdf: The URDF's text.
+        urdf_source: The file it came from.
+        mjcf: The MJCF's spec, not to be changed (take ``mjcf.copy()``).
+        mjcf_source: The file it came from.
+        feet: For each foot, the URDF's link and the MJCF's site, body or geom.
+    """
+
+    name: str
+    urdf: str
+    urdf_source: Path
+    mjcf: mujoco.MjSpec
+    mjcf_source: Path
+    feet: Mapping[str, tuple[str, str]]
+
+
+def describe(variant: str | VariantSpec) -> Description:
+    """Derives a variant's URDF from the base URDF and its MJCF from the base MJCF, in memory.
+
+    The two derivations share no code but the numbers of the spec.
+
+    Raises:
+        VariantError: If the name is unknown.
+        ModelError: If a base file is missing or damaged.
+    """
+    spec = variant_spec(variant)
+    base = BASES[spec.base]
+    urdf_source = model_folder("urdf") / base.urdf
+    mjcf_source = model_folder("mjcf") / base.mjcf
+    urdf_text = urdf_source.read_text()
+    scaled = spec.leg_scale != 1.0 or spec.torso_mass_scale != 1.0
+    if scaled:
+        from pupper_analysis.description import urdf  # yourdfpy is slow to import
+
+        urdf_text = urdf.derive(urdf_text, spec, source=urdf_source)
+    mjcf_spec = mjcf.load(mjcf_source)
+    if scaled:
+        mjcf.derive(mjcf_spec, spec)
+    return Description(
+        name=spec.name,
+        urdf=urdf_text,
+        urdf_source=urdf_source,
+        mjcf=mjcf_spec,
+        mjcf_source=mjcf_source,
+        feet={foot: (frame, frame) for foot, frame in base.feet.items()},
+    )
+
+
+def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path, Path]:
+    """Writes a variant's files, with the meshes they use, so that any viewer can open them.
+
+    Args:
+        variant: A name or a spec.
+        folder: Gets ``urdf/NAME.urdf``, ``mjcf/NAME.xml`` and ``mjcf/meshes/``.
+
+    Returns:
+        The paths of the URDF and of the MJCF.
+    """
+    description = describe(variant)
+    folder = Path(folder)
+    urdf_path = folder / "urdf" / f"{description.name}.urdf"
+    mjcf_path = folder / "mjcf" / f"{description.name}.xml"
+    mjcf_text = mjcf.to_xml(description.mjcf)
+    meshes = {mesh.file for mesh in description.mjcf.meshes}
+    meshdir = description.mjcf.compiler.meshdir
+    for path in (urdf_path, mjcf_path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    for mesh in sorted(meshes):
+        target = mjcf_path.parent / meshdir / mesh
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes((description.mjcf_source.parent / meshdir / mesh).read_bytes())
+    urdf_path.write_text(description.urdf)
+    mjcf_path.write_text(mjcf_text)
+    return urdf_path, mjcf_path

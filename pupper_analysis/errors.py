@@ -1,0 +1,126 @@
+"""Typed errors: one base class; each names what is wrong and what would be valid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import Enum
+from os import PathLike
+
+
+class PupperAnalysisError(Exception):
+    """Base class of every error that the package raises on purpose."""
+
+
+class VariantError(PupperAnalysisError):
+    """A variant's name or scale is not valid.
+
+    Attributes:
+        field: What was given (``"name"``, ``"base"``, ``"leg_scale"``, ``"torso_mass_scale"``).
+        value: The offending value.
+    """
+
+    def __init__(self, field: str, value: object, valid: str) -> None:
+        self.field = field
+        self.value = value
+        super().__init__(f"{field} {value!r} is not valid; {valid}")
+
+
+class ModelError(PupperAnalysisError):
+    """A model file cannot be used.
+
+    Attributes:
+        source: The file (or the model) at fault.
+        problem: What is wrong, and what would be valid.
+    """
+
+    def __init__(self, source: str | PathLike[str], problem: str) -> None:
+        self.source = str(source)
+        self.problem = problem
+        super().__init__(f"{self.source}: {problem}")
+
+
+class UnknownNameError(ModelError):
+    """A name is not in the model.
+
+    Attributes:
+        kind: ``"joint"``, ``"frame"``, ``"foot"``, ``"body"`` ...
+        name: The unknown name.
+        known: The names that would have been valid.
+    """
+
+    def __init__(
+        self, source: str | PathLike[str], kind: str, name: str, known: Iterable[str]
+    ) -> None:
+        self.kind = kind
+        self.name = name
+        self.known = tuple(known)
+        super().__init__(source, f"no {kind} {name!r}; there are: {', '.join(self.known) or '-'}")
+
+
+class ConfigurationError(PupperAnalysisError):
+    """A coordinate vector, or a value of a request, has a wrong shape or is out of its bounds.
+
+    Attributes:
+        field: The name of the argument.
+    """
+
+    def __init__(self, field: str, problem: str) -> None:
+        self.field = field
+        super().__init__(f"{field}: {problem}")
+
+
+class StanceUnreachableError(PupperAnalysisError):
+    """No configuration inside the joint limits satisfies a stand task.
+
+    Attributes:
+        shortfall: How far each foot that cannot be planted ends from its target, in metres.
+        at_limit: Joints that are at a limit in the best configuration found, with the limit (rad).
+    """
+
+    def __init__(
+        self, task: str, shortfall: Mapping[str, float], at_limit: Mapping[str, float]
+    ) -> None:
+        self.shortfall = dict(shortfall)
+        self.at_limit = dict(at_limit)
+        feet = ", ".join(f"{foot} by {1e3 * gap:.1f} mm" for foot, gap in self.shortfall.items())
+        text = f"stance out of reach ({task}): the feet miss their targets: {feet}"
+        if self.at_limit:
+            joints = ", ".join(f"{name} ({limit:+.2f} rad)" for name, limit in self.at_limit.items())
+            text += f"; joints at a limit: {joints}"
+        super().__init__(f"{text}. Try another height, or less roll, pitch or yaw.")
+
+
+class Infeasibility(str, Enum):
+    """Why no set of contact forces keeps a robot in balance."""
+
+    NO_CONTACT = "no contact"
+    COM_OUTSIDE = "com outside the support polygon"
+    FRICTION = "friction too low"
+    PULL = "a foot would have to pull"
+
+
+class StaticsInfeasibleError(PupperAnalysisError):
+    """No unilateral contact forces inside the friction cones balance the robot.
+
+    Attributes:
+        reason: The cause.
+        margin: Signed distance of the com's projection to the support polygon's edge, in metres
+            (negative: outside).
+        friction_needed: The least friction coefficient that would do, or None where none would.
+        feet: The feet concerned.
+    """
+
+    def __init__(
+        self,
+        reason: Infeasibility,
+        detail: str,
+        *,
+        margin: float,
+        friction_needed: float | None = None,
+        feet: Iterable[str] = (),
+    ) -> None:
+        self.reason = reason
+        self.margin = margin
+        self.friction_needed = friction_needed
+        self.feet = tuple(feet)
+        super().__init__(f"no static balance: {reason.value}: {detail}")

@@ -1,0 +1,413 @@
+"""One robot, two models: Pinocchio's from the URDF, MuJoCo's from the MJCF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis import contact
+from pupper_analysis.contact import ContactParameters
+from pupper_analysis.convention import MujocoConvention, PinocchioConvention
+from pupper_analysis.description import Description, describe
+from pupper_analysis.description import mjcf as mjcf_description
+from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.variants import BASES, VariantSpec, variant_spec
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A robot given by a URDF and an MJCF, with the maps between the two models.
+
+    Attributes:
+        name: The robot's name.
+        description: The files' contents.
+        pin_model: Pinocchio's model of the URDF. Its armature is the MJCF's.
+        mj_model: MuJoCo's model of the MJCF.
+        floating: Whether the base is free to move.
+        base: The name of the base's link (URDF).
+        mj_base: The name of the base's body (MJCF).
+        joint_names: In actuator order.
+        feet: The names of the feet: the keys of every per-foot dictionary.
+        foot_frames: The name of each foot's frame in the URDF.
+        foot_radius: The radius of each foot's sphere (m).
+        contacts: The effective parameters of each foot's contact with the ground.
+        home: (nq,) the MJCF's keyframe ``home`` (or its first, or its zero configuration).
+        stand_height: Height of the base above the ground in the nominal stand (m).
+        imu: The frame that carries gyro and accelerometer, if there is one.
+        notes: What was assumed or added on loading, in plain words.
+    """
+
+    name: str
+    description: Description
+    pin_model: pin.Model
+    mj_model: mujoco.MjModel
+    floating: bool
+    base: str
+    mj_base: str
+    joint_names: tuple[str, ...]
+    feet: tuple[str, ...]
+    foot_frames: Mapping[str, str]
+    foot_radius: Mapping[str, float]
+    contacts: Mapping[str, ContactParameters]
+    home: Array
+    stand_height: float
+    imu: str | None
+    pin_convention: PinocchioConvention
+    mj_convention: MujocoConvention
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def nq(self) -> int:
+        """Size of the public qpos."""
+        return len(self.joint_names) + (7 if self.floating else 0)
+
+    @property
+    def nv(self) -> int:
+        """Size of the public qvel."""
+        return len(self.joint_names) + (6 if self.floating else 0)
+
+    @property
+    def nu(self) -> int:
+        """Number of joints, each with one motor."""
+        return len(self.joint_names)
+
+    @property
+    def gravity(self) -> Array:
+        """(3,) acceleration of gravity in the world (m/s^2)."""
+        return np.array(self.mj_model.opt.gravity)
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of the URDF's model (kg)."""
+        return float(sum(inertia.mass for inertia in self.pin_model.inertias))
+
+    @property
+    def lower_limits(self) -> Array:
+        """(nu,) lower joint limits of the URDF (rad); -inf for a continuous joint."""
+        return self._positional(self.pin_model.lowerPositionLimit, -np.inf)
+
+    @property
+    def upper_limits(self) -> Array:
+        """(nu,) upper joint limits of the URDF (rad); inf for a continuous joint."""
+        return self._positional(self.pin_model.upperPositionLimit, np.inf)
+
+    @property
+    def effort_limits(self) -> Array:
+        """(nu,) effort limits of the URDF (N m)."""
+        return np.array(self.pin_model.effortLimit[self.pin_convention.v_index])
+
+    def _positional(self, values: Array, unbounded: float) -> Array:
+        limits = np.array(values[self.pin_convention.q_index])
+        limits[self.pin_convention.unbounded] = unbounded
+        return limits
+
+    def check_foot(self, foot: str) -> str:
+        """Returns the name of a foot, if it is one.
+
+        Raises:
+            UnknownNameError: If it is not; the message lists the feet.
+        """
+        if foot not in self.foot_frames:
+            raise UnknownNameError(self.name, "foot", foot, self.feet)
+        return foot
+
+    def neutral(self) -> Array:
+        """Returns the qpos (nq,) with the base at the origin and every joint at zero."""
+        qpos = np.zeros(self.nq)
+        if self.floating:
+            qpos[3] = 1.0
+        return qpos
+
+
+def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Robot:
+    """Loads one of the package's variants, or any other one.
+
+    Args:
+        variant: A name from ``VARIANTS``, or a ``VariantSpec``.
+        fixed_base: Fix the base in the world, at the height that the MJCF gives it.
+
+    Returns:
+        The robot.
+
+    Raises:
+        VariantError: If the name is unknown.
+        ModelError: If a model file is missing or damaged.
+    """
+    spec = variant_spec(variant)
+    base = BASES[spec.base]
+    return _build(describe(spec), fixed_base=fixed_base, foot_depth=base.foot_depth(spec.leg_scale))
+
+
+def load_robot(
+    *,
+    urdf: str | Path,
+    mjcf: str | Path,
+    feet: Sequence[str] | Mapping[str, str],
+    fixed_base: bool = False,
+    name: str | None = None,
+) -> Robot:
+    """Loads a robot from a URDF and an MJCF.
+
+    Joints are matched by name. The feet are frames that both files have: a link in the URDF, and a
+    site, body or geom in the MJCF, each at the centre of a sphere that touches the ground.
+
+    Args:
+        urdf: Path of the URDF.
+        mjcf: Path of the MJCF.
+        feet: The feet's frames, or a mapping from the feet's names to their frames.
+        fixed_base: Fix the base in the world, at the pose that the MJCF gives it.
+        name: The robot's name; by default the MJCF's.
+
+    Returns:
+        The robot.
+
+    Raises:
+        ModelError: If a file cannot be read, or the two do not describe the same joints.
+        UnknownNameError: If a foot is not in a file; the message lists what is.
+    """
+    frames = dict(feet) if isinstance(feet, Mapping) else {foot: foot for foot in feet}
+    urdf_path, mjcf_path = Path(urdf), Path(mjcf)
+    try:
+        text = urdf_path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelError(urdf_path, f"cannot be read: {error}") from error
+    spec = mjcf_description.load(mjcf_path)
+    description = Description(
+        name=name or spec.modelname,
+        urdf=text,
+        urdf_source=urdf_path,
+        mjcf=spec,
+        mjcf_source=mjcf_path,
+        feet={foot: (frame, frame) for foot, frame in frames.items()},
+    )
+    return _build(description, fixed_base=fixed_base, foot_depth=None)
+
+
+def _build(description: Description, *, fixed_base: bool, foot_depth: float | None) -> Robot:
+    notes: list[str] = []
+    mj_model, keyframe = _mujoco_model(description, fixed_base, notes)
+    floating = bool((mj_model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any())
+    joint_names = _actuator_order(mj_model, description.mjcf_source)
+    mj_base = _base_body(mj_model, floating, joint_names)
+    mj_convention = MujocoConvention.of(mj_model, joint_names)
+    pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
+    pin_convention = PinocchioConvention.of(pin_model, joint_names)
+    armature = np.zeros(pin_model.nv)
+    dofs = mj_convention.qvel_index[pin_convention.base_nv :]
+    armature[pin_convention.v_index] = mj_model.dof_armature[dofs]
+    pin_model.armature = armature
+    if armature.any():
+        notes.append("armature is the MJCF's: URDF cannot carry it")
+    foot_frames = {foot: frames[0] for foot, frames in description.feet.items()}
+    for frame in foot_frames.values():
+        if not pin_model.existFrame(frame, pin.FrameType.BODY):
+            links = [f.name for f in pin_model.frames if f.type == pin.FrameType.BODY]
+            raise UnknownNameError(description.urdf_source, "link (for a foot)", frame, links)
+    radius, contacts = _feet(description, mj_model, notes)
+    # The keyframe may be that of the model with a free base.
+    home = keyframe[len(keyframe) - mj_model.nq + mj_convention.qpos_index]
+    return Robot(
+        name=description.name,
+        description=description,
+        pin_model=pin_model,
+        mj_model=mj_model,
+        floating=floating,
+        base=_root_link(pin_model),
+        mj_base=mj_base,
+        joint_names=joint_names,
+        feet=tuple(description.feet),
+        foot_frames=MappingProxyType(foot_frames),
+        foot_radius=MappingProxyType(radius),
+        contacts=MappingProxyType(contacts),
+        home=home,
+        stand_height=_stand_height(description, mj_model, mj_base, radius, keyframe, foot_depth),
+        imu=_imu(mj_model, pin_model),
+        pin_convention=pin_convention,
+        mj_convention=mj_convention,
+        notes=tuple(notes),
+    )
+
+
+# ------------------------------------------------------------------------------------- MuJoCo
+
+
+def _mujoco_model(
+    description: Description, fixed_base: bool, notes: list[str]
+) -> tuple[mujoco.MjModel, Array]:
+    """Compiles the MJCF, and returns it with the qpos of its keyframe ``home``."""
+    spec = description.mjcf.copy()
+    keys = sorted(spec.keys, key=lambda key: key.name != "home")
+    keyframe = np.array(keys[0].qpos) if keys else np.zeros(0)
+    free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    if fixed_base:
+        for element in (*free, *spec.keys):
+            spec.delete(element)
+    elif free and not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
+        plane = mujoco.mjtGeom.mjGEOM_PLANE
+        spec.worldbody.add_geom(name="floor", type=plane, size=(0, 0, 0.05))
+        notes.append("the MJCF has no ground: a plane with MuJoCo's default contact was added")
+    model = mjcf_description.compile_spec(spec, description.mjcf_source)
+    return model, keyframe if len(keyframe) else np.array(model.qpos0)
+
+
+def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
+    """Returns the joints' names in the order of the actuators, then those without, as in the tree."""
+    known: list[str] = []
+    for joint in range(model.njnt):
+        kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
+        if kind == mujoco.mjtJoint.mjJNT_BALL:
+            raise ModelError(source, f"joint {model.joint(joint).name!r} is a ball joint; hinge and "
+                             "slide joints, and one free joint at the base, can be analysed")
+        if kind != mujoco.mjtJoint.mjJNT_FREE:
+            known.append(model.joint(joint).name)
+    driven = [
+        model.joint(int(model.actuator_trnid[actuator, 0])).name
+        for actuator in range(model.nu)
+        if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
+    ]
+    return tuple(dict.fromkeys([*driven, *known]))
+
+
+def _base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]) -> str:
+    """Returns the body with the free joint, or else the one that carries the first joint's body."""
+    if floating:
+        free = int(np.argmax(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value))
+        return str(model.body(int(model.jnt_bodyid[free])).name)
+    first = int(model.jnt_bodyid[model.joint(joint_names[0]).id])
+    return str(model.body(int(model.body_parentid[first])).name)
+
+
+def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[int, Array]:
+    """Finds a foot's frame in a MuJoCo model: a site, body or geom of that name.
+
+    Returns:
+        The id of the body that carries it, and its position (3,) in that body's frame (m).
+
+    Raises:
+        UnknownNameError: If there is none; the message lists the sites.
+    """
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, frame)
+    if site >= 0:
+        return int(model.site_bodyid[site]), np.array(model.site_pos[site])
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, frame)
+    if body >= 0:
+        return body, np.zeros(3)
+    geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, frame)
+    if geom >= 0:
+        return int(model.geom_bodyid[geom]), np.array(model.geom_pos[geom])
+    sites = [model.site(index).name for index in range(model.nsite)]
+    raise UnknownNameError(source, "site, body or geom (for a foot)", frame, sites)
+
+
+def _feet(
+    description: Description, model: mujoco.MjModel, notes: list[str]
+) -> tuple[dict[str, float], dict[str, ContactParameters]]:
+    """Finds the feet's spheres, and their contacts with the ground."""
+    ground = contact.ground_geom(model)
+    radius: dict[str, float] = {}
+    contacts: dict[str, ContactParameters] = {}
+    for foot, (_, frame) in description.feet.items():
+        body, position = foot_site(model, frame, description.mjcf_source)
+        sphere = contact.foot_geom(model, body, position)
+        if sphere is None:
+            raise ModelError(
+                description.mjcf_source,
+                f"foot {foot!r}: body {model.body(body).name!r} has no sphere for contact centred at "
+                f"{frame!r}; name a frame at the centre of the foot's sphere",
+            )
+        radius[foot] = float(model.geom_size[sphere, 0])
+        if ground is not None:
+            contacts[foot] = contact.combine(model, sphere, ground)
+    return radius, contacts
+
+
+def _imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
+    """Returns the site with a gyro and an accelerometer that is a frame of the URDF as well."""
+    gyro, accelerometer = mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER
+    sites = [
+        {int(model.sensor_objid[i]) for i in np.flatnonzero(model.sensor_type == kind.value)}
+        for kind in (gyro, accelerometer)
+    ]
+    names = [str(model.site(site).name) for site in sorted(sites[0] & sites[1])]
+    return next((name for name in names if name and pin_model.existFrame(name, pin.FrameType.BODY)), None)
+
+
+def _stand_height(
+    description: Description,
+    model: mujoco.MjModel,
+    base: str,
+    radius: Mapping[str, float],
+    keyframe: Array,
+    foot_depth: float | None,
+) -> float:
+    """Returns the base's height (m) in the nominal stand.
+
+    With ``foot_depth``, the feet's centres are that far below the hips (the legs' first bodies);
+    otherwise the lowest foot touches the ground with the keyframe's joint positions.
+    """
+    data = mujoco.MjData(model)
+    if foot_depth is None:
+        data.qpos[:] = keyframe[len(keyframe) - model.nq :]
+    mujoco.mj_kinematics(model, data)
+    base_id = model.body(base).id
+    rotation = data.xmat[base_id].reshape(3, 3)
+    below: list[float] = []
+    for foot, (_, frame) in description.feet.items():
+        body, position = foot_site(model, frame, description.mjcf_source)
+        if foot_depth is None:
+            at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+        else:
+            while model.body_parentid[body] not in (base_id, 0):
+                body = int(model.body_parentid[body])
+            at = data.xpos[body] - foot_depth * rotation[:, 2]
+        below.append(float(rotation[:, 2] @ (data.xpos[base_id] - at)) + radius[foot])
+    return max(below)
+
+
+# ------------------------------------------------------------------------------------- Pinocchio
+
+
+def _pinocchio_model(
+    description: Description,
+    mj_model: mujoco.MjModel,
+    mj_base: str,
+    joint_names: Sequence[str],
+    floating: bool,
+) -> pin.Model:
+    """Builds the URDF's model, its base free or fixed where the MJCF has it."""
+    source = description.urdf_source
+    try:
+        model = pin.buildModelFromXML(description.urdf, pin.JointModelFreeFlyer())
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(source, f"not a valid URDF: {' '.join(str(error).split())}") from error
+    joints = set(list(model.names)[2:])
+    for missing, where, there in (
+        (joints - set(joint_names), description.mjcf_source, source),
+        (set(joint_names) - joints, source, description.mjcf_source),
+    ):
+        if missing:
+            raise ModelError(where, f"no joint {', '.join(sorted(missing))}, which {there} has")
+    if not floating:
+        data = mujoco.MjData(mj_model)
+        mujoco.mj_kinematics(mj_model, data)
+        body = mj_model.body(mj_base).id
+        q = pin.neutral(model)
+        q[:3] = data.xpos[body]
+        q[3:7] = data.xquat[body][[1, 2, 3, 0]]
+        model = pin.buildReducedModel(model, [1], q)
+    model.gravity = pin.Motion(np.array(mj_model.opt.gravity), np.zeros(3))
+    return model
+
+
+def _root_link(model: pin.Model) -> str:
+    """Returns the name of the URDF's root link."""
+    return str(next(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY))

@@ -1,0 +1,474 @@
+"""Build the STL parts that draw Pupper v3: torso, hip, thigh and calf.
+
+The parts are our own drawing of the robot, made from a few numbers: they carry no mass and touch
+nothing. Every other number here is a choice of looks; the ones below that place a joint, a motor
+or a foot come from the Pupper v3 model (MJCF/URDF ``pupper_v3``), with the angles at zero:
+
+* hip centres: position of the ``leg_*_1`` bodies in the base frame;
+* knee: offset of the ``leg_*_3`` body, (0, -0.0494, 0.0685) m in the ``leg_*_2`` frame;
+* knee housing: collision cylinder of ``leg_*_2``;
+* foot: collision sphere of ``leg_*_3``, (0.06231, -0.06216, 0.018) m in that frame;
+* torso box: collision box of ``base_link``.
+
+Frames [m]:
+    torso: the base frame (x forward, y left, z up).
+    hip: origin at the hip centre of a right leg, axes parallel to the base frame.
+    thigh: origin at the hip centre of a right leg, z towards the knee, y away from the robot.
+    calf: origin at the knee of a right leg, z towards the foot in the plane of the leg, y away
+        from the robot; the foot's ball, drawn as a sphere, lies at y = 0.018.
+
+A left leg draws the same files with ``scale="1 -1 1"``.
+"""
+
+# trimesh is typed in part, shapely and manifold3d not at all.
+# mypy: disable-error-code="import-not-found, import-untyped, no-untyped-call, no-any-return"
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import click
+import numpy as np
+import trimesh
+from manifold3d import Manifold, Mesh
+from numpy.typing import ArrayLike
+from shapely import LineString, Point, Polygon, box
+from trimesh import Trimesh
+from trimesh.boolean import difference, intersection, union
+from trimesh.creation import cylinder, extrude_polygon, icosphere, revolve
+from trimesh.geometry import align_vectors
+from trimesh.transformations import translation_matrix
+
+DEFAULT_OUTPUT = Path(__file__).resolve().parents[1] / "mjcf" / "meshes"
+
+
+class BoltCircle(NamedTuple):
+    """Bolt holes in the face of a motor, around a shallow recess.
+
+    Attributes:
+        number: How many bolts.
+        circle: Radius of the circle on which their axes lie [m].
+        recess: Radius of the recess, 0 for none [m].
+    """
+
+    number: int
+    circle: float
+    recess: float = 0.0
+
+
+X = np.array([1.0, 0.0, 0.0])
+Y = np.array([0.0, 1.0, 0.0])
+Z = np.array([0.0, 0.0, 1.0])
+
+# --- From the Pupper v3 model ------------------------------------------------------------- [m]
+TORSO_BOX_CENTRE = np.array([0.02146, 0.0, 0.03345])
+TORSO_BOX_HALF_SIZE = np.array([0.129715, 0.06379, 0.04507])
+HIP_CENTRES_LEFT = np.array([[0.075, 0.0835, 0.0], [-0.075, 0.0725, 0.0]])
+KNEE_BACK, KNEE_DOWN = 0.0685, 0.0494  # knee from hip centre, base frame, angles at zero
+KNEE_HOUSING_RADIUS = 0.025
+KNEE_HOUSING_HALF_LENGTH = 0.015
+FOOT_OUTWARD = 0.018
+FOOT_DISTANCE = float(np.hypot(0.06231, 0.06216))
+FOOT_RADIUS = 0.01995
+
+THIGH_LENGTH = float(np.hypot(KNEE_BACK, KNEE_DOWN))
+# Unit vectors of the base frame seen from the thigh frame: the second motor's axis, which points
+# back from the hip to the thigh, and "up".
+THIGH_BACK = np.array([-KNEE_DOWN, 0.0, KNEE_BACK]) / THIGH_LENGTH
+THIGH_UP = np.array([-KNEE_BACK, 0.0, -KNEE_DOWN]) / THIGH_LENGTH
+
+# --- Fineness ---------------------------------------------------------------------------------
+SECTIONS = 30  # facets around a motor can
+RECESS_SECTIONS = 18  # facets around the recess in a motor's face
+BOLT_SECTIONS = 6  # facets around a bolt hole
+FINE_BALL_RADIUS = 0.0055  # [m] from which a hull's edges are rounded more finely
+ARC_SEGMENTS = 2  # facets in a quarter of a rounded outline corner
+TOLERANCE = 0.0001  # [m] by which a surface may change to save triangles
+FAR = 0.1  # [m] beyond every part, for cutters that go right through
+OVERSHOOT = 0.001  # [m] by which a cutter sticks out of what it cuts
+
+# --- Motor cans --------------------------------------------------------------------------- [m]
+CHAMFER = 0.0015
+FIN_GROOVE_WIDTH = 0.0020
+FIN_GROOVE_DEPTH = 0.0020
+BOLT_RADIUS = 0.0014
+BOLT_DEPTH = 0.0018
+
+# --- Torso -------------------------------------------------------------------------------- [m]
+SHELL_RADIUS = 0.012
+# Ball centres of the shell: (x, y, z), each also at -y; rear, haunch, shoulder, chest.
+SHELL_BALLS = np.array(
+    [
+        [-0.0955, 0.030, 0.012], [-0.0955, 0.034, 0.028], [-0.0920, 0.022, 0.039],
+        [-0.0600, 0.038, 0.001], [-0.0600, 0.049, 0.030], [-0.0550, 0.028, 0.046],
+        [0.0750, 0.041, 0.001], [0.0750, 0.051, 0.030], [0.0700, 0.029, 0.046],
+        [0.0980, 0.026, 0.009], [0.1000, 0.034, 0.026], [0.0960, 0.022, 0.040],
+    ]
+)  # fmt: skip
+SEAM_XS = (-0.038, 0.038)  # panel lines between haunches, belly and shoulders
+SEAM_WIDTH = 0.0014
+SEAM_DEPTH = 0.0012
+VENT_XS = (-0.0165, -0.0055, 0.0055, 0.0165)
+VENT_RADIUS = 0.0022
+VENT_Z = 0.0245  # of the middle of a vent
+VENT_REACH, VENT_LEAN = 0.011, 0.0035  # from there to its upper end, along z and x
+VENT_DEPTH = 0.004
+ARCH_RADIUS = 0.0295  # room around a hip can
+BOSS_RADIUS = 0.0235  # the collar a hip can turns on
+
+HEAD_RADIUS = 0.010
+HEAD_BALLS = np.array(
+    [
+        [0.0940, 0.029, 0.028], [0.0940, 0.029, 0.056],
+        [0.1310, 0.032, 0.020], [0.1260, 0.032, 0.059],
+    ]
+)  # fmt: skip
+DISPLAY_WIDTH, DISPLAY_HEIGHT, DISPLAY_CORNER = 0.060, 0.029, 0.010
+DISPLAY_RISE = 0.007  # of the display's centre over the face's
+DISPLAY_DEPTH = 0.0025
+EYE_APART, EYE_RADIUS, EYE_HEIGHT = 0.0155, 0.0088, 0.0022
+PUPIL_RADIUS, PUPIL_RISE = 0.0045, 0.0015
+SNOUT_RADIUS = 0.0054
+SNOUT_HALF_WIDTH = 0.009
+SNOUT_DROP = 0.0165  # of the snout's centre below the face's
+SNOUT_REACH = 0.0045
+LENS_RADIUS, LENS_DEPTH = 0.0036, 0.0015
+EAR_RADIUS = 0.0025
+EAR_BALLS = np.array([[0.100, 0.036, 0.060], [0.122, 0.036, 0.062], [0.104, 0.031, 0.0755]])
+
+PAD_RADIUS = 0.004  # battery cover on the back
+PAD_BALLS = np.array([[-0.078, 0.020, 0.046], [-0.074, 0.018, 0.058],
+                      [0.062, 0.020, 0.046], [0.058, 0.018, 0.058]])  # fmt: skip
+# Rows as in rounded_bar.
+HANDLE_PATH = (
+    (-0.0600, 0.0, 0.0560, 0.0042, 0.007),
+    (-0.0460, 0.0, 0.0742, 0.0042, 0.007),
+    (0.0260, 0.0, 0.0742, 0.0042, 0.007),
+    (0.0440, 0.0, 0.0560, 0.0042, 0.007),
+)
+TAIL_PATH = (
+    (-0.0860, 0.0, 0.0420, 0.0054, 0.0),
+    (-0.0985, 0.0, 0.0560, 0.005, 0.0),
+    (-0.1020, 0.0, 0.0725, 0.004, 0.0),
+)
+
+# --- Hip ---------------------------------------------------------------------------------- [m]
+HIP_CAN_RADIUS = 0.026
+HIP_CAN_INWARD = 0.022  # how far the can reaches towards the torso
+HIP_CAN_OUTWARD = 0.020
+HIP_FINS = (0.0165, 0.0215, 0.0265)
+HIP_BOLTS = BoltCircle(8, 0.0195, 0.012)
+HIP_BADGE_RADIUS, HIP_BADGE_SUNK = 0.009, 0.0006  # the disc in the recess
+ROLL_CAN_RADIUS = 0.019
+ROLL_CAN_HALF_LENGTH = 0.030
+ROLL_BOLTS = BoltCircle(6, 0.013, 0.007)
+
+# --- Thigh -------------------------------------------------------------------------------- [m]
+AXLE_RADIUS = 0.013  # bridges the hip and the cap, also when the thigh is stretched
+CAP_NEAR, CAP_FAR = 0.0305, 0.040  # along the second motor's axis
+CAP_RADIUS = 0.0185
+CAP_BOLTS = BoltCircle(6, 0.0135)
+KNEE_FINS = (0.0102, 0.015, 0.0198)
+KNEE_BOLTS = BoltCircle(6, 0.018, 0.0115)
+BAR_RADIUS = 0.005
+BAR_HALF_WIDTH = 0.011
+BAR_KNEE_CORNERS = ((-0.017, 0.0), (0.016, 0.008))  # back and up from the knee, angles at zero
+POCKET_DEPTH = 0.0035
+POCKET_RIM = 0.0045
+POCKET_GAP = 0.003  # between the pocket and the knee housing
+POCKET_CORNER = 0.003
+HOLE_RIM = 0.0025  # of the pocket around the hole through the bar
+
+# --- Calf --------------------------------------------------------------------------------- [m]
+DISC_RADIUS = 0.0225
+DISC_BOLTS = BoltCircle(6, 0.0165, 0.0095)
+DISC_NEAR, DISC_FAR = 0.0135, 0.0255  # y; the knee housing ends at 0.015
+# Rows as in rounded_bar, from the knee to the middle of the foot; the shank bows backwards.
+SHANK_PATH = (
+    (0.0000, 0.0190, 0.0000, 0.0046, 0.0155),
+    (-0.0045, 0.0190, 0.0260, 0.0046, 0.0085),
+    (-0.0045, 0.0186, 0.0440, 0.0046, 0.0050),
+    (-0.0015, FOOT_OUTWARD, 0.0640, 0.0050, 0.0030),
+    (0.0000, FOOT_OUTWARD, FOOT_DISTANCE - 0.0050, 0.0050, 0.0020),
+)
+SLOT = ((-0.0046, 0.0265), (-0.0046, 0.0420))  # (x, z) of its ends
+SLOT_RADIUS = 0.0034
+# Along z; the collar lies across the surface of the ball.
+COLLAR_NEAR, COLLAR_FAR = FOOT_DISTANCE - 1.25 * FOOT_RADIUS, FOOT_DISTANCE - 0.7 * FOOT_RADIUS
+COLLAR_RADIUS = 0.0115
+
+
+def place(mesh: Trimesh, axis: ArrayLike, at: ArrayLike = (0.0, 0.0, 0.0)) -> Trimesh:
+    """Turn a mesh's z axis to `axis`, then move its origin to `at` [m]; returns the mesh."""
+    return mesh.apply_transform(translation_matrix(at) @ align_vectors(Z, axis))
+
+
+def rounded_hull(balls: ArrayLike, radius: ArrayLike) -> Trimesh:
+    """Convex hull of balls: a box-like shape with round edges.
+
+    Args:
+        balls: Centres of the balls, shape (n, 3) [m].
+        radius: Their radius, one for all or one for each [m].
+    """
+    sphere = icosphere(subdivisions=2 if np.max(radius) >= FINE_BALL_RADIUS else 1).vertices
+    surface = np.asarray(balls)[:, None] + np.reshape(radius, (-1, 1, 1)) * sphere
+    return trimesh.convex.convex_hull(surface.reshape(-1, 3))
+
+
+def both_sides(points: ArrayLike) -> np.ndarray:
+    """The points and their mirror images in the plane y = 0, shape (2 n, 3) [m]."""
+    right = np.asarray(points)
+    return np.vstack([right, right * [1, -1, 1]])
+
+
+def rounded_bar(path: ArrayLike, across: np.ndarray) -> Trimesh:
+    """A bar with round edges along a chain of points.
+
+    Args:
+        path: One row (x, y, z, radius, half width) for each point of the bar's middle: the radius
+            is that of the edges, the half width runs from edge to edge without it [m].
+        across: Unit vector of the width.
+    """
+    middle, radius, half_width = np.split(np.asarray(path, dtype=float), [3, 4], axis=1)
+    edges = np.stack([middle - half_width * across, middle + half_width * across], axis=1)
+    radii = np.repeat(radius, 2, axis=1)
+    links = [slice(start, start + 2) for start in range(len(edges) - 1)]
+    return union([rounded_hull(edges[link].reshape(-1, 3), radii[link]) for link in links])
+
+
+def motor_can(radius: float, length: float, fins: Iterable[float] = ()) -> Trimesh:
+    """A motor housing along z from 0 to `length`, with chamfered rims and cooling grooves.
+
+    Args:
+        radius: Outer radius [m].
+        length: Length along z [m].
+        fins: Where along z the middles of the grooves lie, in rising order [m].
+    """
+    profile = [(0.0, 0.0), (radius - CHAMFER, 0.0), (radius, CHAMFER)]
+    for middle in fins:
+        profile += [
+            (radius, middle - FIN_GROOVE_WIDTH / 2),
+            (radius - FIN_GROOVE_DEPTH, middle),
+            (radius, middle + FIN_GROOVE_WIDTH / 2),
+        ]
+    profile += [(radius, length - CHAMFER), (radius - CHAMFER, length), (0.0, length)]
+    return revolve(profile, sections=SECTIONS)
+
+
+def bolt_holes(bolts: BoltCircle, top: float) -> Trimesh:
+    """Cutter for a bolt circle in a face that looks along z, at the height `top` [m]."""
+    ends = np.array([[0, 0, top - BOLT_DEPTH], [0, 0, top + OVERSHOOT]])
+    angles = 2 * np.pi * (np.arange(bolts.number) + 0.5) / bolts.number
+    axes = bolts.circle * np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
+    cutters = [cylinder(BOLT_RADIUS, segment=ends + at, sections=BOLT_SECTIONS) for at in axes]
+    if bolts.recess:
+        cutters.append(cylinder(bolts.recess, segment=ends, sections=RECESS_SECTIONS))
+    return union(cutters)
+
+
+def prism(outline: Polygon, low: float, high: float) -> Trimesh:
+    """Extrude an outline drawn in (x, z) along y, from `low` to `high` [m]."""
+    solid = extrude_polygon(outline, high - low)  # (u, v) in x and y, thickness along z
+    # (u, v, w) -> (u, high - w, v) turns the drawing upright without mirroring it.
+    upright = np.array([[1, 0, 0, 0], [0, 0, -1, high], [0, 1, 0, 0], [0, 0, 0, 1]])
+    return solid.apply_transform(upright)
+
+
+def tidied(mesh: Trimesh) -> Trimesh:
+    """The mesh without the slivers that booleans leave; no surface moves more than TOLERANCE."""
+    solid = Manifold(Mesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)))
+    slim = solid.simplify(TOLERANCE).to_mesh()
+    return Trimesh(slim.vert_properties, slim.tri_verts, process=False)
+
+
+def build_shell() -> Trimesh:
+    """Torso shell with seams, vents, wheel arches around the hips and collars for them."""
+    shell = rounded_hull(both_sides(SHELL_BALLS), SHELL_RADIUS)
+    # What lies under a groove of some depth: the same shell with smaller balls.
+    under_seams, under_vents = (
+        rounded_hull(both_sides(SHELL_BALLS), SHELL_RADIUS - depth)
+        for depth in (SEAM_DEPTH, VENT_DEPTH)
+    )
+    seams = union(
+        [
+            trimesh.creation.box((SEAM_WIDTH, 2 * FAR, 2 * FAR), translation_matrix([x, 0, 0]))
+            for x in SEAM_XS
+        ]
+    )
+    slots = [
+        LineString([(x + lean * VENT_LEAN, VENT_Z + lean * VENT_REACH) for lean in (-1, 1)])
+        for x in VENT_XS
+    ]
+    vents = union(
+        [prism(slot.buffer(VENT_RADIUS, quad_segs=ARC_SEGMENTS), -FAR, FAR) for slot in slots]
+    )
+    arches, bosses = [], []
+    for x, y, z in HIP_CENTRES_LEFT:
+        flank = y - HIP_CAN_INWARD
+        for side in (-1, 1):
+            ends = [[x, side * flank, z], [x, side * FAR, z]]
+            arches.append(cylinder(ARCH_RADIUS, segment=ends, sections=SECTIONS))
+        ends = [[x, -flank, z], [x, flank, z]]
+        bosses.append(cylinder(BOSS_RADIUS, segment=ends, sections=SECTIONS))
+    shell = difference(
+        [shell, difference([seams, under_seams]), difference([vents, under_vents]), *arches]
+    )
+    return union([shell, *bosses])
+
+
+def build_head() -> Trimesh:
+    """Head with a display face, two eyes, a snout with a camera, and ears."""
+    head = rounded_hull(both_sides(HEAD_BALLS), HEAD_RADIUS)
+    # The face's plane: y is its first direction, `up` its second and `out` its normal.
+    up = HEAD_BALLS[3] * [1, 0, 1] - HEAD_BALLS[2] * [1, 0, 1]
+    up /= np.linalg.norm(up)
+    out = np.cross(Y, up)
+    middle = (HEAD_BALLS[2] + HEAD_BALLS[3]) / 2 * [1, 0, 1] + HEAD_RADIUS * out
+    face = np.eye(4)
+    face[:3, :] = np.column_stack([Y, up, out, middle])
+
+    def on_face(mesh: Trimesh, right: float, rise: float, lift: float) -> Trimesh:
+        return mesh.apply_transform(face @ translation_matrix([right, rise, lift]))
+
+    window = box(-DISPLAY_WIDTH / 2, -DISPLAY_HEIGHT / 2, DISPLAY_WIDTH / 2, DISPLAY_HEIGHT / 2)
+    window = window.buffer(-DISPLAY_CORNER).buffer(DISPLAY_CORNER, quad_segs=ARC_SEGMENTS)
+    display = on_face(extrude_polygon(window, FAR), 0, DISPLAY_RISE, -DISPLAY_DEPTH)
+    head = difference([head, display])
+    iris = Point(0, 0).buffer(EYE_RADIUS, quad_segs=5)
+    pupil = Point(0, PUPIL_RISE).buffer(PUPIL_RADIUS, quad_segs=4)
+    eye = extrude_polygon(iris.difference(pupil), EYE_HEIGHT + OVERSHOOT)
+    sunk = -DISPLAY_DEPTH - OVERSHOOT
+    eyes = [on_face(eye.copy(), side * EYE_APART, DISPLAY_RISE, sunk) for side in (-1, 1)]
+    nose = middle - SNOUT_DROP * up
+    snout = rounded_hull(
+        both_sides(
+            [nose + reach * out + SNOUT_HALF_WIDTH * Y for reach in (-SNOUT_RADIUS, SNOUT_REACH)]
+        ),
+        SNOUT_RADIUS,
+    )
+    tip = SNOUT_REACH + SNOUT_RADIUS
+    lens = extrude_polygon(Point(0, 0).buffer(LENS_RADIUS, quad_segs=4), FAR)
+    snout = difference([snout, on_face(lens, 0, -SNOUT_DROP, tip - LENS_DEPTH)])
+    ears = [rounded_hull(EAR_BALLS * [1, side, 1], EAR_RADIUS) for side in (-1, 1)]
+    return union([head, *eyes, snout, *ears])
+
+
+def build_torso() -> Trimesh:
+    """Torso with head, battery cover, handle and tail, cut to the torso's collision box."""
+    pad = rounded_hull(both_sides(PAD_BALLS), PAD_RADIUS)
+    handle = rounded_bar(HANDLE_PATH, Y)
+    tail = rounded_bar(TAIL_PATH, Y)
+    bounds = trimesh.creation.box(2 * TORSO_BOX_HALF_SIZE, translation_matrix(TORSO_BOX_CENTRE))
+    return tidied(intersection([union([build_shell(), build_head(), pad, handle, tail]), bounds]))
+
+
+def build_hip() -> Trimesh:
+    """Right hip: the can of the first motor along y, crossed by the second motor's along x."""
+    length = HIP_CAN_INWARD + HIP_CAN_OUTWARD
+    can = motor_can(HIP_CAN_RADIUS, length, HIP_FINS)
+    badge = cylinder(
+        HIP_BADGE_RADIUS,
+        segment=[[0, 0, length / 2], [0, 0, length - HIP_BADGE_SUNK]],
+        sections=RECESS_SECTIONS,
+    )
+    can = union([difference([can, bolt_holes(HIP_BOLTS, length)]), badge])
+    place(can, -Y, at=HIP_CAN_INWARD * Y)
+    roll = motor_can(ROLL_CAN_RADIUS, 2 * ROLL_CAN_HALF_LENGTH)
+    roll = difference([roll, bolt_holes(ROLL_BOLTS, 2 * ROLL_CAN_HALF_LENGTH)])
+    return tidied(union([can, place(roll, X, at=-ROLL_CAN_HALF_LENGTH * X)]))
+
+
+def build_thigh() -> Trimesh:
+    """Right thigh: a cap on the second motor, a pocketed bar, and the third motor's housing."""
+    knee = THIGH_LENGTH * Z
+    cap = motor_can(CAP_RADIUS, CAP_FAR - CAP_NEAR)
+    cap = difference([cap, bolt_holes(CAP_BOLTS, CAP_FAR - CAP_NEAR)])
+    place(cap, THIGH_BACK, at=CAP_NEAR * THIGH_BACK)
+    axle_end = (CAP_NEAR + CAP_FAR) / 2 * THIGH_BACK
+    axle = cylinder(AXLE_RADIUS, segment=[0 * Z, axle_end], sections=RECESS_SECTIONS)
+    housing = motor_can(KNEE_HOUSING_RADIUS, 2 * KNEE_HOUSING_HALF_LENGTH, KNEE_FINS)
+    housing = difference([housing, bolt_holes(KNEE_BOLTS, 2 * KNEE_HOUSING_HALF_LENGTH)])
+    place(housing, -Y, at=knee + KNEE_HOUSING_HALF_LENGTH * Y)
+
+    near, reach = CAP_NEAR + BAR_RADIUS, CAP_RADIUS - BAR_RADIUS
+    corners = np.array(
+        [
+            near * THIGH_BACK + reach * THIGH_UP,
+            near * THIGH_BACK - reach * THIGH_UP,
+            *(knee + back * THIGH_BACK + up * THIGH_UP for back, up in BAR_KNEE_CORNERS),
+        ]
+    )
+    sideways = (BAR_HALF_WIDTH - BAR_RADIUS) * Y
+    bar = rounded_hull(both_sides(corners + sideways), BAR_RADIUS)
+    outline = Polygon(corners[:, [0, 2]])
+    around_knee = Point(0, THIGH_LENGTH).buffer(KNEE_HOUSING_RADIUS + POCKET_GAP, quad_segs=8)
+    pocket = outline.buffer(BAR_RADIUS - POCKET_RIM).difference(around_knee)
+    pocket = pocket.buffer(-POCKET_CORNER).buffer(POCKET_CORNER, quad_segs=ARC_SEGMENTS)
+    hole = pocket.buffer(-HOLE_RIM)
+    bar = difference(
+        [
+            bar,
+            prism(pocket, BAR_HALF_WIDTH - POCKET_DEPTH, FAR),
+            prism(pocket, -FAR, POCKET_DEPTH - BAR_HALF_WIDTH),
+            prism(hole, -FAR, FAR),
+        ]
+    )
+    return tidied(union([axle, cap, bar, housing]))
+
+
+def build_calf() -> Trimesh:
+    """Right calf: the knee's disc, a tapered and bowed shank, and a collar on the foot's ball."""
+    disc = motor_can(DISC_RADIUS, DISC_FAR - DISC_NEAR)
+    disc = difference([disc, bolt_holes(DISC_BOLTS, DISC_FAR - DISC_NEAR)])
+    place(disc, Y, at=DISC_NEAR * Y)
+    slot = LineString(SLOT).buffer(SLOT_RADIUS, quad_segs=ARC_SEGMENTS)
+    shank = difference([rounded_bar(SHANK_PATH, X), prism(slot, 0.0, FAR)])
+    collar = motor_can(COLLAR_RADIUS, COLLAR_FAR - COLLAR_NEAR)
+    place(collar, Z, at=FOOT_OUTWARD * Y + COLLAR_NEAR * Z)
+    return tidied(union([disc, shank, collar]))
+
+
+PARTS: dict[str, Callable[[], Trimesh]] = {
+    "torso": build_torso,
+    "hip": build_hip,
+    "thigh": build_thigh,
+    "calf": build_calf,
+}
+
+
+@click.command()
+@click.option(
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=DEFAULT_OUTPUT,
+    show_default="mjcf/meshes of this repository",
+    help="Folder to write torso.stl, hip.stl, thigh.stl and calf.stl into; made if missing.",
+)
+def main(output: Path) -> None:
+    """Build the STL parts that draw Pupper v3.
+
+    Four binary STL files in metres, each one closed solid: the torso in the base frame, and hip,
+    thigh and calf of a right leg (a left leg mirrors them: scale="1 -1 1"). The models only draw
+    them; mass and contact come from the numbers in the URDF and MJCF. The same library versions
+    give the same bytes on every run, so build, look and commit:
+
+        python scripts/build_meshes.py
+
+    Look at a changed part before committing it, without touching the repository's:
+
+        python scripts/build_meshes.py --output /tmp/meshes
+
+    To change the looks, edit the named constants at the top of this file. Those marked "from the
+    Pupper v3 model" place joints, motors and feet: leave them alone.
+    """
+    output.mkdir(parents=True, exist_ok=True)
+    for name, build in PARTS.items():
+        part = build()
+        path = output / f"{name}.stl"
+        part.export(path)
+        size = path.stat().st_size
+        click.echo(f"{path}: {len(part.faces)} triangles, {size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
