@@ -268,7 +268,8 @@ def bolt_holes(bolts: BoltCircle, top: float) -> Trimesh:
 
 def prism(outline: Polygon, low: float, high: float) -> Trimesh:
     """Extrude an outline drawn in (x, z) along y, from `low` to `high` [m]."""
-    solid = extrude_polygon(outline, high - low)  # (u, v) in x and y, thickness along z
+    # Outline in x and y, thickness along z.
+    solid = extrude_polygon(outline, high - low, engine="manifold")
     # (u, v, w) -> (u, high - w, v) turns the drawing upright without mirroring it.
     upright = np.array([[1, 0, 0, 0], [0, 0, -1, high], [0, 1, 0, 0], [0, 0, 0, 1]])
     return solid.apply_transform(upright)
@@ -331,12 +332,14 @@ def build_head() -> Trimesh:
         return mesh.apply_transform(face @ translation_matrix([right, rise, lift]))
 
     window = box(-DISPLAY_WIDTH / 2, -DISPLAY_HEIGHT / 2, DISPLAY_WIDTH / 2, DISPLAY_HEIGHT / 2)
-    window = window.buffer(-DISPLAY_CORNER).buffer(DISPLAY_CORNER, quad_segs=ARC_SEGMENTS)
-    display = on_face(extrude_polygon(window, FAR), 0, DISPLAY_RISE, -DISPLAY_DEPTH)
+    window = window.buffer(-DISPLAY_CORNER).buffer(DISPLAY_CORNER, quad_segs=2 * ARC_SEGMENTS)
+    display = on_face(
+        extrude_polygon(window, FAR, engine="manifold"), 0, DISPLAY_RISE, -DISPLAY_DEPTH
+    )
     head = difference([head, display])
     iris = Point(0, 0).buffer(EYE_RADIUS, quad_segs=5)
     pupil = Point(0, PUPIL_RISE).buffer(PUPIL_RADIUS, quad_segs=4)
-    eye = extrude_polygon(iris.difference(pupil), EYE_HEIGHT + OVERSHOOT)
+    eye = extrude_polygon(iris.difference(pupil), EYE_HEIGHT + OVERSHOOT, engine="manifold")
     sunk = -DISPLAY_DEPTH - OVERSHOOT
     eyes = [on_face(eye.copy(), side * EYE_APART, DISPLAY_RISE, sunk) for side in (-1, 1)]
     nose = middle - SNOUT_DROP * up
@@ -347,7 +350,7 @@ def build_head() -> Trimesh:
         SNOUT_RADIUS,
     )
     tip = SNOUT_REACH + SNOUT_RADIUS
-    lens = extrude_polygon(Point(0, 0).buffer(LENS_RADIUS, quad_segs=4), FAR)
+    lens = extrude_polygon(Point(0, 0).buffer(LENS_RADIUS, quad_segs=4), FAR, engine="manifold")
     snout = difference([snout, on_face(lens, 0, -SNOUT_DROP, tip - LENS_DEPTH)])
     ears = [rounded_hull(EAR_BALLS * [1, side, 1], EAR_RADIUS) for side in (-1, 1)]
     return union([head, *eyes, snout, *ears])

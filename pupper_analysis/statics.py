@@ -1,0 +1,324 @@
+"""What the motors hold: gravity compensation of a standing, or hanging, robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg, sparse
+
+from pupper_analysis.configuration import UP, Configuration
+from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
+from pupper_analysis.results import Result
+
+Array = NDArray[np.float64]
+
+BALANCE_TOLERANCE = 1e-9
+"""Residual of the static balance that counts as zero, relative to the weight."""
+
+_INSIDE = 1e-6
+"""The cones are narrowed by this much for the solver, so that its rounding stays inside them."""
+
+_NO_SLIDING = 1e4
+"""A friction coefficient that stands for a foot that cannot slide."""
+
+
+@dataclass(frozen=True, eq=False)
+class GravityCompensation(Result):
+    """The static equilibrium of a robot.
+
+    Attributes:
+        joint_names: Names of the joints, in actuator order.
+        joint_torques: (nu,) what the motors hold (N m).
+        motor_utilisation: (nu,) torque / effort limit, absolute.
+        contact_forces: {foot: (3,)} force of the ground on the foot, in world axes (N).
+        contact_points: {foot: (3,)} where it acts, in the world (m).
+        friction_utilisation: {foot: tangential force / (friction coefficient x normal force)}.
+        base_wrench: (6,) what holds the base from outside: force in world axes (N), torque in base
+            axes (N m). Zero for a standing robot.
+        center_of_mass: (3,) in the world (m).
+        com_margin: Distance from the com's vertical projection to the edge of the support polygon
+            (m), positive inside; None without contacts.
+        residual_force: Norm of what is left of the balance of forces (N).
+        residual_torque: Norm of what is left of the balance of moments and joint torques (N m).
+    """
+
+    joint_names: tuple[str, ...]
+    joint_torques: Array
+    motor_utilisation: Array
+    contact_forces: dict[str, Array]
+    contact_points: dict[str, Array]
+    friction_utilisation: dict[str, float]
+    base_wrench: Array
+    center_of_mass: Array
+    com_margin: float | None
+    residual_force: float
+    residual_torque: float
+
+
+def gravity_compensation(
+    config: Configuration,
+    contacts: Iterable[str] | None = None,
+    *,
+    friction: float | Mapping[str, float] | None = None,
+    normals: Mapping[str, ArrayLike] | None = None,
+) -> GravityCompensation:
+    """Computes motor torques and contact forces that hold a robot still.
+
+    With S selecting the joints and J the Jacobians of the contact points, balance means
+    g(q) = J^T f + S^T tau. Its six base rows fix the total wrench of the contact forces f; among
+    the f inside the friction cones that give it, the one with the least sum of squared torques is
+    returned. (Without contacts the base is held from outside, and tau is the joint part of g.)
+
+    The problem is a second-order cone programme in the coordinates of the null space of the base
+    rows, so that balance holds to rounding whatever the solver's tolerance.
+
+    Args:
+        config: Where the robot is. Its velocity does not matter.
+        contacts: The feet that carry; all by default, none for a fixed base.
+        friction: Friction coefficient, for all or per foot; by default that of MuJoCo's contact.
+        normals: Per foot, the direction (3,) in the world out of the ground; up where not given.
+
+    Returns:
+        The equilibrium.
+
+    Raises:
+        UnknownNameError: If a foot is unknown.
+        ConfigurationError: If a friction coefficient or a normal is no such thing, or a robot with
+            a fixed base is given contacts.
+        StaticsInfeasibleError: If no forces do; it says why.
+    """
+    robot = config.robot
+    feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
+    for foot in feet:
+        robot.check_foot(foot)
+    if len(set(feet)) != len(feet):
+        raise ConfigurationError("contacts", f"a foot is named twice in {', '.join(feet)}")
+    if feet and not robot.floating:
+        raise ConfigurationError("contacts", f"{robot.name} has a fixed base, which carries it")
+    gravity = config.gravity()
+    base_rows = robot.nv - robot.nu
+    if not feet:
+        return _result(config, {}, {}, {}, {}, gravity[:base_rows])
+
+    directions = {foot: _normal(foot, (normals or {}).get(foot, UP)) for foot in feet}
+    coefficients = {foot: _friction(config, foot, friction) for foot in feet}
+    points, jacobians = {}, []
+    for foot in feet:
+        offset = -robot.foot_radius[foot] * directions[foot]
+        frame = robot.foot_frames[foot]
+        points[foot] = config.frame_position(frame) + offset
+        jacobians.append(config.frame_jacobian(frame, offset)[:3])
+    stacked = np.concatenate(jacobians).T  # (nv, 3 n)
+    problem = _Balance(
+        base=stacked[:base_rows],
+        weight=gravity[:base_rows],
+        joints=stacked[base_rows:],
+        torques=gravity[base_rows:],
+        normals=np.array(list(directions.values())),
+    )
+    forces = problem.solve(np.array(list(coefficients.values())))
+    if forces is None:
+        raise _explain(config, problem, points, coefficients)
+    per_foot = dict(zip(feet, forces.reshape(-1, 3), strict=True))
+    return _result(config, per_foot, points, directions, coefficients, np.zeros(base_rows))
+
+
+@dataclass(frozen=True, eq=False)
+class _Balance:
+    """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,)."""
+
+    base: Array
+    weight: Array
+    joints: Array
+    torques: Array
+    normals: Array
+
+    def solve(self, friction: Array) -> Array | None:
+        """Returns the f (3 n,) of least torque, or None if there is none."""
+        particular = np.linalg.lstsq(self.base, self.weight, rcond=1e-12)[0]
+        if not self._balances(particular):
+            return None
+        free = linalg.null_space(self.base, rcond=1e-12)
+        best = np.linalg.lstsq(self.joints @ free, self.torques - self.joints @ particular)[0]
+        forces = particular + free @ best
+        if self._violation(forces, friction) > 0:
+            coordinates = self._solve_cones(particular, free, friction)
+            if coordinates is None:
+                return None
+            forces = particular + free @ coordinates
+        return forces
+
+    def _balances(self, forces: Array) -> bool:
+        error = np.abs(self.base @ forces - self.weight).max()
+        return bool(error < BALANCE_TOLERANCE * np.abs(self.weight).max())
+
+    def _violation(self, forces: Array, friction: Array) -> float:
+        per_foot = forces.reshape(-1, 3)
+        normal = np.sum(per_foot * self.normals, axis=1)
+        sliding = np.linalg.norm(per_foot - normal[:, None] * self.normals, axis=1)
+        return float(np.max(sliding - friction * normal))
+
+    def _solve_cones(self, particular: Array, free: Array, friction: Array) -> Array | None:
+        """Minimises |joints f - torques|^2 over f = particular + free z, f in the cones."""
+        scale = np.linalg.norm(self.weight[:3])
+        n_feet = len(self.normals)
+        rows = np.zeros((4 * n_feet, 3 * n_feet))  # (mu f_n, f_t) per foot, to be in the cone
+        for index, (normal, coefficient) in enumerate(zip(self.normals, friction, strict=True)):
+            block = slice(3 * index, 3 * index + 3)
+            rows[4 * index, block] = coefficient * (1 - _INSIDE) * normal
+            rows[4 * index + 1 : 4 * index + 4, block] = np.eye(3) - np.outer(normal, normal)
+        cost = self.joints @ free
+        quadratic = cost.T @ cost
+        # Where legs are singular some forces cost no torque: the smallest of those.
+        quadratic += 1e-10 * np.trace(quadratic) * np.eye(len(quadratic))
+        linear = cost.T @ (self.joints @ particular - self.torques) / scale
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
+        solver = clarabel.DefaultSolver(
+            sparse.csc_matrix(np.triu(quadratic)),
+            linear,
+            sparse.csc_matrix(-rows @ free),
+            rows @ particular / scale,
+            [clarabel.SecondOrderConeT(4)] * n_feet,
+            settings,
+        )
+        coordinates = np.array(solver.solve().x) * scale
+        # Judge the answer itself, not the solver's opinion of it.
+        excess = self._violation(particular + free @ coordinates, friction)
+        return coordinates if excess <= 1e-9 * scale else None
+
+
+def _explain(
+    config: Configuration,
+    problem: _Balance,
+    points: Mapping[str, Array],
+    friction: Mapping[str, float],
+) -> StaticsInfeasibleError:
+    """Finds out why no forces do."""
+    feet = tuple(points)
+    margin = com_margin(config.center_of_mass(), points)
+    if problem.solve(np.full(len(feet), _NO_SLIDING)) is not None:
+        low, high = 0.0, _NO_SLIDING
+        while high - low > 1e-6 * high:
+            middle = (low * high) ** 0.5 if low > 0 else high / 2
+            if problem.solve(np.full(len(feet), middle)) is None:
+                low = middle
+            else:
+                high = middle
+            if high < 1e-6:
+                break
+        least = min(friction.values())
+        return StaticsInfeasibleError(
+            Infeasibility.FRICTION,
+            f"the coefficient is {least:.3f}, and {high:.3f} is needed",
+            margin=margin,
+            friction_needed=high,
+            feet=feet,
+        )
+    bilateral = np.linalg.lstsq(problem.base, problem.weight, rcond=1e-12)[0].reshape(-1, 3)
+    pulls = {
+        foot: float(force @ normal)
+        for foot, force, normal in zip(feet, bilateral, problem.normals, strict=True)
+        if force @ normal < 0
+    }
+    pulling = ", ".join(f"{foot} with {-force:.2f} N" for foot, force in pulls.items())
+    if margin < 0:
+        detail = f"its projection is {-1e3 * margin:.1f} mm outside that of {', '.join(feet)}"
+        if pulls:
+            detail += f"; {pulling} would have to pull"
+        return StaticsInfeasibleError(
+            Infeasibility.COM_OUTSIDE, detail, margin=margin, feet=pulls or feet
+        )
+    return StaticsInfeasibleError(
+        Infeasibility.PULL, pulling or ", ".join(feet), margin=margin, feet=pulls or feet
+    )
+
+
+def com_margin(com: Array, points: Mapping[str, Array]) -> float:
+    """Returns the distance (m) from a com's projection to the edge of the support polygon.
+
+    Args:
+        com: (3,) centre of mass (m).
+        points: The contact points {foot: (3,)} (m); the polygon is the convex hull of their
+            vertical projection.
+
+    Returns:
+        The distance; positive inside, negative outside.
+    """
+    polygon = shapely.MultiPoint([point[:2] for point in points.values()]).convex_hull
+    projection = shapely.Point(com[:2])
+    if polygon.geom_type == "Polygon" and polygon.contains(projection):
+        return float(polygon.exterior.distance(projection))
+    return -float(polygon.distance(projection))
+
+
+def _result(
+    config: Configuration,
+    forces: dict[str, Array],
+    points: dict[str, Array],
+    normals: Mapping[str, Array],
+    friction: Mapping[str, float],
+    base_wrench: Array,
+) -> GravityCompensation:
+    robot = config.robot
+    base_rows = robot.nv - robot.nu
+    remainder = config.gravity()
+    for foot, force in forces.items():
+        frame = robot.foot_frames[foot]
+        offset = points[foot] - config.frame_position(frame)
+        remainder -= config.frame_jacobian(frame, offset)[:3].T @ force
+    torques = remainder[base_rows:].copy()
+    remainder[base_rows:] -= torques
+    remainder[:base_rows] -= base_wrench
+    with np.errstate(divide="ignore", invalid="ignore"):
+        utilisation = np.abs(torques) / robot.effort_limits
+    sliding: dict[str, float] = {}
+    for foot, force in forces.items():
+        normal = float(force @ normals[foot])
+        tangential = float(np.linalg.norm(force - normal * normals[foot]))
+        if tangential < BALANCE_TOLERANCE * np.linalg.norm(config.gravity()[:3]):
+            sliding[foot] = 0.0
+        else:
+            sliding[foot] = tangential / (friction[foot] * normal)
+    com = config.center_of_mass()
+    return GravityCompensation(
+        joint_names=robot.joint_names,
+        joint_torques=torques,
+        motor_utilisation=utilisation,
+        contact_forces=forces,
+        contact_points=points,
+        friction_utilisation=sliding,
+        base_wrench=base_wrench,
+        center_of_mass=com,
+        com_margin=com_margin(com, points) if points else None,
+        residual_force=float(np.linalg.norm(remainder[:3])) if base_rows else 0.0,
+        residual_torque=float(np.linalg.norm(remainder[3:])),
+    )
+
+
+def _normal(foot: str, normal: ArrayLike) -> Array:
+    vector = np.array(normal, dtype=float)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise ConfigurationError("normals", f"{foot}: {normal} is not a direction (3,)")
+    unit: Array = vector / np.linalg.norm(vector)
+    return unit
+
+
+def _friction(
+    config: Configuration, foot: str, friction: float | Mapping[str, float] | None
+) -> float:
+    robot = config.robot
+    if friction is None:
+        if foot not in robot.contacts:
+            raise ConfigurationError("friction", f"{robot.name} has no ground; give a coefficient")
+        return robot.contacts[foot].sliding_friction
+    value = friction.get(foot) if isinstance(friction, Mapping) else friction
+    if value is None or not np.isfinite(value) or value < 0:
+        raise ConfigurationError("friction", f"{foot}: {value} is no coefficient; it must be >= 0")
+    return float(value)
