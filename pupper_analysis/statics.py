@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 
 import clarabel
 import numpy as np
@@ -25,6 +26,19 @@ _INSIDE = 1e-6
 
 _NO_SLIDING = 1e4
 """A friction coefficient that stands for a foot that cannot slide."""
+
+
+class LoadSharing(str, Enum):
+    """Which of the feasible contact forces is meant, where balance leaves a choice.
+
+    LEAST_TORQUE has the least sum of squared motor torques: the best that the motors can do.
+    EVEN has the least sum of squared contact forces: how the feet share the load on ground that is
+    equally soft under each. On level ground its forces are vertical; these are what a simulator
+    holds for good, because its regularised friction lets tangential forces creep away.
+    """
+
+    LEAST_TORQUE = "least torque"
+    EVEN = "even"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +80,14 @@ def gravity_compensation(
     *,
     friction: float | Mapping[str, float] | None = None,
     normals: Mapping[str, ArrayLike] | None = None,
+    sharing: LoadSharing = LoadSharing.LEAST_TORQUE,
 ) -> GravityCompensation:
     """Computes motor torques and contact forces that hold a robot still.
 
     With S selecting the joints and J the Jacobians of the contact points, balance means
     g(q) = J^T f + S^T tau. Its six base rows fix the total wrench of the contact forces f; among
-    the f inside the friction cones that give it, the one with the least sum of squared torques is
-    returned. (Without contacts the base is held from outside, and tau is the joint part of g.)
+    the f inside the friction cones that give it, ``sharing`` chooses one. (Without contacts the
+    base is held from outside, and tau is the joint part of g.)
 
     The problem is a second-order cone programme in the coordinates of the null space of the base
     rows, so that balance holds to rounding whatever the solver's tolerance.
@@ -82,6 +97,7 @@ def gravity_compensation(
         contacts: The feet that carry; all by default, none for a fixed base.
         friction: Friction coefficient, for all or per foot; by default that of MuJoCo's contact.
         normals: Per foot, the direction (3,) in the world out of the ground; up where not given.
+        sharing: Which of the feasible forces: by default those of least torque.
 
     Returns:
         The equilibrium.
@@ -120,6 +136,7 @@ def gravity_compensation(
         joints=stacked[base_rows:],
         torques=gravity[base_rows:],
         normals=np.array(list(directions.values())),
+        sharing=sharing,
     )
     forces = problem.solve(np.array(list(coefficients.values())))
     if forces is None:
@@ -137,17 +154,22 @@ class _Balance:
     joints: Array
     torques: Array
     normals: Array
+    sharing: LoadSharing
 
     def solve(self, friction: Array) -> Array | None:
-        """Returns the f (3 n,) of least torque, or None if there is none."""
+        """Returns the best f (3 n,), or None if there is none."""
         particular = np.linalg.lstsq(self.base, self.weight, rcond=1e-12)[0]
         if not self._balances(particular):
             return None
         free = linalg.null_space(self.base, rcond=1e-12)
-        best = np.linalg.lstsq(self.joints @ free, self.torques - self.joints @ particular)[0]
-        forces = particular + free @ best
+        # The objective is |cost f - target|^2, over f = particular + free z.
+        if self.sharing is LoadSharing.LEAST_TORQUE:
+            cost, target = self.joints @ free, self.torques - self.joints @ particular
+        else:
+            cost, target = free, -particular
+        forces = particular + free @ np.linalg.lstsq(cost, target)[0]
         if self._violation(forces, friction) > 0:
-            coordinates = self._solve_cones(particular, free, friction)
+            coordinates = self._solve_cones(particular, free, cost, target, friction)
             if coordinates is None:
                 return None
             forces = particular + free @ coordinates
@@ -163,8 +185,10 @@ class _Balance:
         sliding = np.linalg.norm(per_foot - normal[:, None] * self.normals, axis=1)
         return float(np.max(sliding - friction * normal))
 
-    def _solve_cones(self, particular: Array, free: Array, friction: Array) -> Array | None:
-        """Minimises |joints f - torques|^2 over f = particular + free z, f in the cones."""
+    def _solve_cones(
+        self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
+    ) -> Array | None:
+        """Minimises |cost z - target|^2 over the z with particular + free z in the cones."""
         scale = np.linalg.norm(self.weight[:3])
         n_feet = len(self.normals)
         rows = np.zeros((4 * n_feet, 3 * n_feet))  # (mu f_n, f_t) per foot, to be in the cone
@@ -172,11 +196,10 @@ class _Balance:
             block = slice(3 * index, 3 * index + 3)
             rows[4 * index, block] = coefficient * (1 - _INSIDE) * normal
             rows[4 * index + 1 : 4 * index + 4, block] = np.eye(3) - np.outer(normal, normal)
-        cost = self.joints @ free
         quadratic = cost.T @ cost
         # Where legs are singular some forces cost no torque: the smallest of those.
         quadratic += 1e-10 * np.trace(quadratic) * np.eye(len(quadratic))
-        linear = cost.T @ (self.joints @ particular - self.torques) / scale
+        linear = -cost.T @ target / scale
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
