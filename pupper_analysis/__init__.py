@@ -1,0 +1,122 @@
+"""Checks a legged robot's URDF and MJCF against each other, and predicts how it stands.
+
+    import pupper_analysis as pa
+
+    robot = pa.load_variant("long-leg")
+    stand = pa.solve_stand(robot)
+    torques = pa.gravity_compensation(pa.Configuration(robot, stand.qpos)).joint_torques
+    report = pa.verify_stand(robot, stand)
+
+Everything public speaks MuJoCo's qpos and qvel, with the joints in actuator order; see
+``pupper_analysis.convention``. Names are imported when they are first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pupper_analysis.analysis import Analysis, analyze_variant
+    from pupper_analysis.configuration import Configuration
+    from pupper_analysis.crosscheck import CrossCheck, cross_check
+    from pupper_analysis.description import write_variant
+    from pupper_analysis.errors import (
+        ConfigurationError,
+        Infeasibility,
+        ModelError,
+        PupperAnalysisError,
+        StanceUnreachableError,
+        StaticsInfeasibleError,
+        UnknownNameError,
+        VariantError,
+    )
+    from pupper_analysis.results import to_json
+    from pupper_analysis.robot import Robot, load_robot, load_variant
+    from pupper_analysis.simulation import (
+        GainSweep,
+        StandVerification,
+        sweep_gains,
+        verify_stand,
+    )
+    from pupper_analysis.stand import Stand, StandTask, solve_stand
+    from pupper_analysis.statics import GravityCompensation, LoadSharing, gravity_compensation
+    from pupper_analysis.variants import VARIANTS, VariantSpec
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Analysis": "analysis",
+    "analyze_variant": "analysis",
+    "Configuration": "configuration",
+    "CrossCheck": "crosscheck",
+    "cross_check": "crosscheck",
+    "write_variant": "description",
+    "ConfigurationError": "errors",
+    "Infeasibility": "errors",
+    "ModelError": "errors",
+    "PupperAnalysisError": "errors",
+    "StanceUnreachableError": "errors",
+    "StaticsInfeasibleError": "errors",
+    "UnknownNameError": "errors",
+    "VariantError": "errors",
+    "to_json": "results",
+    "Robot": "robot",
+    "load_robot": "robot",
+    "load_variant": "robot",
+    "GainSweep": "simulation",
+    "StandVerification": "simulation",
+    "sweep_gains": "simulation",
+    "verify_stand": "simulation",
+    "Stand": "stand",
+    "StandTask": "stand",
+    "solve_stand": "stand",
+    "GravityCompensation": "statics",
+    "LoadSharing": "statics",
+    "gravity_compensation": "statics",
+    "VARIANTS": "variants",
+    "VariantSpec": "variants",
+}
+
+__all__ = [
+    "VARIANTS",
+    "Analysis",
+    "Configuration",
+    "ConfigurationError",
+    "CrossCheck",
+    "GainSweep",
+    "GravityCompensation",
+    "Infeasibility",
+    "LoadSharing",
+    "ModelError",
+    "PupperAnalysisError",
+    "Robot",
+    "Stand",
+    "StandTask",
+    "StandVerification",
+    "StanceUnreachableError",
+    "StaticsInfeasibleError",
+    "UnknownNameError",
+    "VariantError",
+    "VariantSpec",
+    "analyze_variant",
+    "cross_check",
+    "gravity_compensation",
+    "load_robot",
+    "load_variant",
+    "solve_stand",
+    "sweep_gains",
+    "to_json",
+    "verify_stand",
+    "write_variant",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])
