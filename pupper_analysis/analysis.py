@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.configuration import Configuration
@@ -75,7 +76,7 @@ class Analysis(Result):
         nv: Size of qvel.
         nu: Number of motors.
         total_mass: kg.
-        link_masses: {body: kg}, fixed links with the body that carries them.
+        link_masses: {base or joint: mass of the body it moves (kg)}, fixed links included.
         center_of_mass: (3,) at zero angles in the base frame (m).
         thigh_length: Distance from the knee's parent joint to the knee, first leg (m).
         calf_length: Distance from the knee to the foot in the plane of the leg, first leg (m).
@@ -114,3 +115,141 @@ class Analysis(Result):
     check: CrossCheck
     verified: bool
     failures: tuple[str, ...]
+
+
+def analyze_variant(
+    robot: Robot, task: StandTask | None = None, *, progress: bool = False
+) -> Analysis:
+    """Takes a robot through all that the package finds out about it.
+
+    Args:
+        robot: A robot with a floating base.
+        task: How it shall stand; the nominal stand by default.
+        progress: Show a progress bar for what takes longer than a second.
+
+    Returns:
+        All results; ``verified`` is the verdict.
+
+    Raises:
+        StanceUnreachableError: If the stand is out of reach.
+        StaticsInfeasibleError: If no contact forces balance it.
+        ConfigurationError: If the base is fixed.
+        ModelError: If a motor is no position servo, or MuJoCo cannot import the URDF.
+    """
+    stand = solve_stand(robot, task)
+    config = Configuration(robot, stand.qpos)
+    rest = Configuration(robot, robot.neutral())
+    verification = verify_stand(robot, stand)
+    check = cross_check(robot)
+    failures = list(verification.failures)
+    failures += [
+        f"cross-check: {quantity.name} deviate by {quantity.relative:.1e} ({quantity.whose}; "
+        f"{quantity.where})"
+        for quantity in check.quantities
+        if not quantity.passed
+    ]
+    thigh, calf = leg_lengths(robot)
+    return Analysis(
+        name=robot.name,
+        nq=robot.nq,
+        nv=robot.nv,
+        nu=robot.nu,
+        total_mass=robot.total_mass,
+        link_masses=_link_masses(robot),
+        center_of_mass=rest.center_of_mass(),
+        thigh_length=thigh,
+        calf_length=calf,
+        joints=joint_summaries(robot),
+        notes=robot.notes,
+        stand=stand,
+        statics=gravity_compensation(config),
+        hanging_torques=gravity_compensation(config, contacts=[]).joint_torques,
+        foot_jacobians=leg_jacobians(config),
+        verification=verification,
+        sagging=verify_stand(robot, stand, feedforward=False),
+        sweep=sweep_gains(robot, stand, progress=progress),
+        check=check,
+        verified=not failures,
+        failures=tuple(failures),
+    )
+
+
+def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
+    """Tells of each joint what it does and what it can, in actuator order."""
+    rest = Configuration(robot, robot.neutral())
+    model, v = robot.pin_model, robot.pin_convention.v_index
+    summaries = []
+    for index, name in enumerate(robot.joint_names):
+        axis = rest.joint_axis(name)
+        direction = int(np.argmax(np.abs(axis)))
+        aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
+        summaries.append(
+            JointSummary(
+                name=name,
+                motion=("roll", "pitch", "yaw")[direction] if aligned else "oblique",
+                axis=axis,
+                lower=float(robot.lower_limits[index]),
+                upper=float(robot.upper_limits[index]),
+                effort=float(model.effortLimit[v[index]]),
+                velocity=float(model.velocityLimit[v[index]]),
+                armature=float(model.armature[v[index]]),
+                damping=float(model.damping[v[index]]),
+                friction=float(model.friction[v[index]]),
+            )
+        )
+    return tuple(summaries)
+
+
+def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
+    """Returns the joints that move a foot against the base, from the base outwards.
+
+    Raises:
+        UnknownNameError: If the foot is unknown.
+    """
+    model = robot.pin_model
+    frame = model.frames[
+        model.getFrameId(robot.foot_frames[robot.check_foot(foot)], pin.FrameType.BODY)
+    ]
+    support = [model.names[joint] for joint in model.supports[frame.parentJoint]]
+    return tuple(name for name in support if name in robot.joint_names)
+
+
+def leg_lengths(robot: Robot) -> tuple[float, float]:
+    """Returns the lengths of the first leg's thigh and calf (m).
+
+    The thigh reaches from the last joint but one to the knee; the calf from the knee to the foot,
+    in the plane of the leg (without the foot's sideways offset along the knee's axis).
+    """
+    foot = robot.feet[0]
+    rest = Configuration(robot, robot.neutral())
+    hip, knee = leg_joints(robot, foot)[-2:]
+    calf = rest.foot_positions()[foot] - rest.joint_position(knee)
+    axis = rest.joint_axis(knee)
+    thigh = rest.joint_position(knee) - rest.joint_position(hip)
+    return float(np.linalg.norm(thigh)), float(np.linalg.norm(calf - (calf @ axis) * axis))
+
+
+def leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
+    """Returns each foot's Jacobian with respect to its leg's joints, and how well conditioned."""
+    robot = config.robot
+    jacobians = {}
+    for foot, full in config.foot_jacobians().items():
+        joints = leg_joints(robot, foot)
+        columns = [robot.nv - robot.nu + robot.joint_names.index(name) for name in joints]
+        values = np.linalg.svd(full[:, columns], compute_uv=False)
+        jacobians[foot] = FootJacobian(
+            joints=joints,
+            matrix=full[:, columns],
+            singular_values=values,
+            condition=float(values[0] / values[-1]) if values[-1] > 0 else float("inf"),
+        )
+    return jacobians
+
+
+def _link_masses(robot: Robot) -> dict[str, float]:
+    model = robot.pin_model
+    root = 1 if robot.floating else 0
+    masses = {robot.base: float(model.inertias[root].mass)}
+    for name in robot.joint_names:
+        masses[name] = float(model.inertias[model.getJointId(name)].mass)
+    return masses

@@ -106,6 +106,33 @@ class Configuration:
             raise UnknownNameError(self.robot.name, "link", name, links)
         return int(self._model.getFrameId(name, pin.FrameType.BODY))
 
+    # ---------------------------------------------------------------------------------- joints
+
+    def joint_position(self, name: str) -> Array:
+        """Returns where a joint is (3,), in the world (m).
+
+        Raises:
+            UnknownNameError: If it is no joint of the robot.
+        """
+        return np.array(self._data.oMi[self._joint(name)].translation)
+
+    def joint_axis(self, name: str) -> Array:
+        """Returns a joint's axis (3,), a unit vector in the world: of rotation, or of sliding.
+
+        Raises:
+            UnknownNameError: If it is no joint of the robot.
+        """
+        joint = self._joint(name)
+        column = self._data.J[:, self._model.joints[joint].idx_v]
+        rotation, at_origin = column[3:], column[:3]
+        axis: Array = rotation if np.linalg.norm(rotation) > 0.5 else at_origin
+        return np.array(axis / np.linalg.norm(axis))
+
+    def _joint(self, name: str) -> int:
+        if name not in self.robot.joint_names:
+            raise UnknownNameError(self.robot.name, "joint", name, self.robot.joint_names)
+        return int(self._model.getJointId(name))
+
     # ---------------------------------------------------------------------------------- feet
 
     def foot_positions(self) -> dict[str, Array]:
@@ -162,12 +189,24 @@ class Configuration:
 
     def center_of_mass(self) -> Array:
         """Returns the centre of mass (3,) in the world (m)."""
-        return np.array(pin.centerOfMass(self._model, self._data, self._q, False))
+        moving = np.array(pin.centerOfMass(self._model, self._data, self._q, False))
+        com: Array = moving + self._fixed_share * (np.array(self._fixed.lever) - moving)
+        return com
 
     def com_jacobian(self) -> Array:
         """Returns the Jacobian (3, nv) of the centre of mass: J qvel is its velocity (m/s)."""
-        jacobian: Array = pin.jacobianCenterOfMass(self._model, self._data, self._q) @ self._map
+        moving = pin.jacobianCenterOfMass(self._model, self._data, self._q) @ self._map
+        jacobian: Array = (1 - self._fixed_share) * moving
         return jacobian
+
+    @property
+    def _fixed(self) -> pin.Inertia:
+        """The inertia of what does not move, a fixed base's; Pinocchio leaves it out of the com."""
+        return self._model.inertias[0]
+
+    @property
+    def _fixed_share(self) -> float:
+        return float(self._fixed.mass) / self.robot.total_mass
 
     # ---------------------------------------------------------------------------------- dynamics
 

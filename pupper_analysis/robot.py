@@ -386,10 +386,13 @@ def _pinocchio_model(
     """Builds the URDF's model, its base free or fixed where the MJCF has it."""
     source = description.urdf_source
     try:
-        model = pin.buildModelFromXML(description.urdf, pin.JointModelFreeFlyer())
+        if floating:
+            model = pin.buildModelFromXML(description.urdf, pin.JointModelFreeFlyer())
+        else:
+            model = pin.buildModelFromXML(description.urdf)
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, f"not a valid URDF: {' '.join(str(error).split())}") from error
-    joints = set(list(model.names)[2:])
+    joints = set(list(model.names)[2 if floating else 1 :])
     for missing, where, there in (
         (joints - set(joint_names), description.mjcf_source, source),
         (set(joint_names) - joints, source, description.mjcf_source),
@@ -400,10 +403,14 @@ def _pinocchio_model(
         data = mujoco.MjData(mj_model)
         mujoco.mj_kinematics(mj_model, data)
         body = mj_model.body(mj_base).id
-        q = pin.neutral(model)
-        q[:3] = data.xpos[body]
-        q[3:7] = data.xquat[body][[1, 2, 3, 0]]
-        model = pin.buildReducedModel(model, [1], q)
+        pose = pin.SE3(data.xmat[body].reshape(3, 3), np.array(data.xpos[body]))
+        model.inertias[0] = pose.act(model.inertias[0])
+        for joint in range(1, model.njoints):
+            if model.parents[joint] == 0:
+                model.jointPlacements[joint] = pose * model.jointPlacements[joint]
+        for frame in model.frames:
+            if frame.parentJoint == 0 and frame.name != "universe":
+                frame.placement = pose * frame.placement
     model.gravity = pin.Motion(np.array(mj_model.opt.gravity), np.zeros(3))
     return model
 
