@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.configuration import Configuration
+from pupper_analysis.convention import rotation_from_quaternion
 from pupper_analysis.crosscheck import CrossCheck, cross_check
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
@@ -55,7 +57,7 @@ class FootJacobian(Result):
 
     Attributes:
         joints: The leg's joints.
-        matrix: (3, n) in world axes: velocity of the foot's centre (m/s) per joint velocity (rad/s).
+        matrix: (3, n) in world axes: velocity of the foot's centre per joint velocity (m/rad).
         singular_values: (3,) (m/rad).
         condition: Their ratio, greatest to least: 1 is isotropic, infinity singular.
     """
@@ -79,6 +81,9 @@ class Analysis(Result):
         link_masses: {base or joint: mass of the body it moves (kg)}, fixed links included.
         center_of_mass: (3,) at zero angles in the base frame (m).
         thigh_length: Distance from the knee's parent joint to the knee, first leg (m).
+        thigh_shape_length: Length of the shape that spans the first leg's thigh in the MJCF: of its
+            capsule between the hemispheres' centres, or else of its mesh along the thigh (m); None
+            where there is neither.
         calf_length: Distance from the knee to the foot in the plane of the leg, first leg (m).
         joints: Per joint, in actuator order.
         notes: What was assumed on loading.
@@ -102,6 +107,7 @@ class Analysis(Result):
     link_masses: dict[str, float]
     center_of_mass: Array
     thigh_length: float
+    thigh_shape_length: float | None
     calf_length: float
     joints: tuple[JointSummary, ...]
     notes: tuple[str, ...]
@@ -158,6 +164,7 @@ def analyze_variant(
         link_masses=_link_masses(robot),
         center_of_mass=rest.center_of_mass(),
         thigh_length=thigh,
+        thigh_shape_length=thigh_shape_length(robot),
         calf_length=calf,
         joints=joint_summaries(robot),
         notes=robot.notes,
@@ -229,6 +236,29 @@ def leg_lengths(robot: Robot) -> tuple[float, float]:
     return float(np.linalg.norm(thigh)), float(np.linalg.norm(calf - (calf @ axis) * axis))
 
 
+def thigh_shape_length(robot: Robot) -> float | None:
+    """Returns the length of the shape that spans the first leg's thigh, in the MJCF (m).
+
+    It is that of its capsule between the hemispheres' centres, or else that of its mesh along the
+    thigh; None where there is neither.
+    """
+    model = robot.mj_model
+    hip, knee = leg_joints(robot, robot.feet[0])[-2:]
+    thigh = int(model.jnt_bodyid[model.joint(hip).id])
+    along = model.body_pos[int(model.jnt_bodyid[model.joint(knee).id])]
+    along = along / np.linalg.norm(along)
+    meshes = []
+    for geom in np.flatnonzero(model.geom_bodyid == thigh):
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE.value:
+            return float(2 * model.geom_size[geom, 1])
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value:
+            mesh = int(model.geom_dataid[geom])
+            first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+            rotation = rotation_from_quaternion(model.geom_quat[geom])
+            meshes.append(np.ptp(model.mesh_vert[first : first + count] @ rotation.T @ along))
+    return float(max(meshes)) if meshes else None
+
+
 def leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
     """Returns each foot's Jacobian with respect to its leg's joints, and how well conditioned."""
     robot = config.robot
@@ -236,7 +266,7 @@ def leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
     for foot, full in config.foot_jacobians().items():
         joints = leg_joints(robot, foot)
         columns = [robot.nv - robot.nu + robot.joint_names.index(name) for name in joints]
-        values = np.linalg.svd(full[:, columns], compute_uv=False)
+        values = np.asarray(np.linalg.svd(full[:, columns], compute_uv=False), float)
         jacobians[foot] = FootJacobian(
             joints=joints,
             matrix=full[:, columns],

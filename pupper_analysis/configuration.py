@@ -137,9 +137,7 @@ class Configuration:
 
     def foot_positions(self) -> dict[str, Array]:
         """Returns the centre of each foot's sphere, {foot: (3,)}, in the world (m)."""
-        return {
-            foot: self.frame_position(frame) for foot, frame in self.robot.foot_frames.items()
-        }
+        return {foot: self.frame_position(frame) for foot, frame in self.robot.foot_frames.items()}
 
     def foot_jacobians(self) -> dict[str, Array]:
         """Returns the Jacobian of each foot's centre, {foot: (3, nv)}, in world axes.
@@ -189,7 +187,7 @@ class Configuration:
 
     def center_of_mass(self) -> Array:
         """Returns the centre of mass (3,) in the world (m)."""
-        moving = np.array(pin.centerOfMass(self._model, self._data, self._q, False))
+        moving: Array = np.array(pin.centerOfMass(self._model, self._data, self._q, False))
         com: Array = moving + self._fixed_share * (np.array(self._fixed.lever) - moving)
         return com
 

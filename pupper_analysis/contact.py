@@ -1,4 +1,4 @@
-"""Feet and ground in MuJoCo: which geoms they are, and what MuJoCo makes of the two in a contact."""
+"""Feet and ground in MuJoCo: which geoms they are, and what MuJoCo makes of their contact."""
 
 from __future__ import annotations
 

@@ -195,9 +195,7 @@ def mujoco_from_urdf(
             ("gyro", mujoco.mjtSensor.mjSENS_GYRO),
             ("accelerometer", mujoco.mjtSensor.mjSENS_ACCELEROMETER),
         ):
-            spec.add_sensor(
-                name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=imu
-            )
+            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=imu)
     model = copy.copy(mjcf.compile_spec(spec, source))
     for index in range(model.njnt):
         name = model.joint(index).name

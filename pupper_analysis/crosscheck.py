@@ -23,8 +23,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.configuration import Configuration
-from pupper_analysis.conversion import effort_limit, mujoco_from_urdf, pinocchio_from_mujoco
 from pupper_analysis.convention import MujocoConvention, PinocchioConvention
+from pupper_analysis.conversion import effort_limit, mujoco_from_urdf, pinocchio_from_mujoco
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot, foot_site
@@ -41,11 +41,11 @@ MJCF_MUJOCO = "MJCF in MuJoCo"
 URDF_YOURDFPY = "URDF in yourdfpy"
 
 EDGES = {
-    (URDF_PINOCCHIO, MJCF_PINOCCHIO): "models, in Pinocchio",
-    (URDF_MUJOCO, MJCF_MUJOCO): "models, in MuJoCo",
-    (URDF_PINOCCHIO, URDF_MUJOCO): "engines, on the URDF",
-    (MJCF_PINOCCHIO, MJCF_MUJOCO): "engines, on the MJCF",
-    (URDF_PINOCCHIO, URDF_YOURDFPY): "yourdfpy, on the URDF",
+    (URDF_PINOCCHIO, MJCF_PINOCCHIO): "models (Pinocchio)",
+    (URDF_MUJOCO, MJCF_MUJOCO): "models (MuJoCo)",
+    (URDF_PINOCCHIO, URDF_MUJOCO): "engines (URDF)",
+    (MJCF_PINOCCHIO, MJCF_MUJOCO): "engines (MJCF)",
+    (URDF_PINOCCHIO, URDF_YOURDFPY): "yourdfpy (URDF)",
 }
 """What a deviation between two opinions is a deviation of."""
 
@@ -85,7 +85,7 @@ class QuantityCheck(Result):
         relative: The worst relative deviation.
         between: The two opinions that deviate most.
         whose: What it is a deviation of: the models, or the engines.
-        where: The body, joint or foot, and the configuration, where it occurs.
+        where: The body, joint or foot where it occurs, and the configuration's number.
         edges: {whose: worst relative deviation}.
         passed: Whether ``relative`` is within the tolerance.
     """
@@ -177,9 +177,7 @@ def cross_check(
         ),
         URDF_YOURDFPY: _yourdfpy_opinion(robot, states),
     }
-    checks = tuple(
-        _compare(name, opinions, tolerance) for name in opinions[URDF_PINOCCHIO]
-    )
+    checks = tuple(_compare(name, opinions, tolerance) for name in opinions[URDF_PINOCCHIO])
     return CrossCheck(
         passed=all(check.passed for check in checks),
         tolerance=tolerance,
@@ -433,7 +431,7 @@ def _model_quantities(
         ("body coms", coms, bodies, "m", False),
         ("body inertias", inertias, bodies, "kg m^2", True),
         ("joint positions", anchors, joints, "m", False),
-        ("joint axes", axes, joints, "1", False),
+        ("joint axes", axes, joints, "", False),
         ("lower joint limits", lower, joints, "rad", False),
         ("upper joint limits", upper, joints, "rad", False),
         ("effort limits", effort, joints, "N m", False),
@@ -449,7 +447,11 @@ def _model_quantities(
 
 def _state_quantities(robot: Robot, rows: Mapping[str, list[Array]]) -> Opinion:
     """Collects what was computed at each configuration."""
-    base = () if not robot.floating else ("base x", "base y", "base z", "about x", "about y", "about z")
+    base = (
+        ()
+        if not robot.floating
+        else ("base x", "base y", "base z", "about x", "about y", "about z")
+    )
     dofs = (*base, *robot.joint_names)
     about: dict[str, tuple[tuple[str, ...], str]] = {
         "foot positions": (robot.feet, "m"),
@@ -517,5 +519,5 @@ def _deviation(one: Quantity, two: Quantity) -> tuple[float, float, float, str]:
     place = np.unravel_index(int(np.argmax(relative)), relative.shape)
     where = one.labels[int(place[-2])]
     if one.of_state:
-        where += f", configuration {place[0]}"
+        where += f", #{place[0]}"
     return float(relative[place]), float(difference[place]), float(scale[place]), where

@@ -85,7 +85,9 @@ class StanceUnreachableError(PupperAnalysisError):
         feet = ", ".join(f"{foot} by {1e3 * gap:.1f} mm" for foot, gap in self.shortfall.items())
         text = f"stance out of reach ({task}): the feet miss their targets: {feet}"
         if self.at_limit:
-            joints = ", ".join(f"{name} ({limit:+.2f} rad)" for name, limit in self.at_limit.items())
+            joints = ", ".join(
+                f"{name} ({limit:+.2f} rad)" for name, limit in self.at_limit.items()
+            )
             text += f"; joints at a limit: {joints}"
         super().__init__(f"{text}. Try another height, or less roll, pitch or yaw.")
 
@@ -124,3 +126,15 @@ class StaticsInfeasibleError(PupperAnalysisError):
         self.friction_needed = friction_needed
         self.feet = tuple(feet)
         super().__init__(f"no static balance: {reason.value}: {detail}")
+
+
+class OutputError(PupperAnalysisError):
+    """A file or folder cannot be written.
+
+    Attributes:
+        path: The file or folder.
+    """
+
+    def __init__(self, path: str | PathLike[str], problem: object) -> None:
+        self.path = path
+        super().__init__(f"cannot write {path}: {problem}")

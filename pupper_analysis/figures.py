@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import os
-import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import mujoco
 import numpy as np
 import shapely
@@ -20,8 +17,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
-from matplotlib.ticker import FuncFormatter
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.errors import ConfigurationError
@@ -29,6 +26,7 @@ from pupper_analysis.robot import Robot, foot_site
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis import Analysis
+    from pupper_analysis.statics import GravityCompensation
 
 Array = NDArray[np.float64]
 
@@ -46,10 +44,36 @@ BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
     "#6B7280",
 )
 
+_plain = FuncFormatter(lambda value, _: f"{value:g}")
 _WIDTH = 178 / 25.4  # inch: a page's text
 _COLUMNS = 3
-_LEAST_UTILISATION = 0.1  # %, where the axis of the torques ends
+_LEAST_UTILISATION = 0.1  # %, where the axis of the torques begins
+
+_ELEVATION, _AZIMUTH = 16, -33  # deg: from the front and the right
 _BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
+_NEAR, _FAR = "#374151", "#A3AAB5"
+_BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
+_SUPPORT = "#CFE8F7"
+_LEAST: dict[str, Any] = {
+    "color": BLUE,
+    "marker": "o",
+    "ls": "",
+    "mfc": "white",
+    "mew": 1.6,
+    "ms": 7,
+}
+_SIMULATED: dict[str, Any] = {"color": BLACK, "marker": "x", "ls": "", "mew": 1.3, "ms": 4.5}
+_WITH: dict[str, Any] = {"color": BLUE, "lw": 1.5, "marker": "o", "ms": 4, "mfc": "white"}
+_WITHOUT: dict[str, Any] = {"color": RED, "lw": 1.5, "ls": (0, (5, 1.5)), "marker": "s", "ms": 4}
+_COM: dict[str, Any] = {
+    "color": GREEN,
+    "marker": "o",
+    "ls": "",
+    "mfc": "white",
+    "mew": 2.2,
+    "ms": 8,
+}
+_PROJECTION: dict[str, Any] = {"color": GREEN, "marker": "x", "ls": "", "mew": 2.2, "ms": 7}
 
 
 # ------------------------------------------------------------------------------------- geometry
@@ -102,9 +126,9 @@ def skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
     return Skeleton(legs, np.array(boxes).reshape(-1, 8, 3))
 
 
-def support_polygon(points: Mapping[str, Array]) -> Array:
-    """Returns the corners (n, 2) of the convex hull of contact points, seen from above (m)."""
-    hull = shapely.MultiPoint([point[:2] for point in points.values()]).convex_hull
+def support_polygon(points: Iterable[Array]) -> Array:
+    """Returns the corners (n, 2) of the convex hull of points (3,), seen from above (m)."""
+    hull = shapely.MultiPoint([point[:2] for point in points]).convex_hull
     line = hull.exterior if hull.geom_type == "Polygon" else hull
     return np.array(line.coords)
 
@@ -116,10 +140,10 @@ def nearest_edge_point(polygon: Array, place: Array) -> Array:
     return np.array(nearest.coords[-1])
 
 
-# ------------------------------------------------------------------------------------- figures
+# ------------------------------------------------------------------------------------- pose
 
 
-def pose_figure(robot: Robot, analysis: Analysis, path: Path) -> None:
+def pose_figure(robot: Robot, analysis: Analysis, path: str | Path) -> None:
     """Draws how a robot stands: legs, base, contact forces, com and support polygon.
 
     On the left in space; on the right from above, with the com's margin to the polygon's edge.
@@ -133,109 +157,435 @@ def pose_figure(robot: Robot, analysis: Analysis, path: Path) -> None:
         ConfigurationError: If the file cannot be written.
     """
     lines = skeleton(robot, analysis.stand.qpos)
-    statics = analysis.statics
-    figure = Figure(figsize=(_WIDTH, 0.6 * _WIDTH), dpi=DPI)
+    figure = Figure(figsize=(_WIDTH, 0.56 * _WIDTH), dpi=DPI)
+    _title(figure, f"{analysis.name}: how it stands")
     figure.text(
-        0.02, 0.955, f"{analysis.name}: stand", size=FONT + 3, weight="bold", parse_math=False
-    )
-    figure.text(
-        0.02,
-        0.915,
-        f"base {1e3 * analysis.stand.qpos[robot.nq - robot.nu - 5]:.1f} mm above the ground, "
-        f"mass {robot.total_mass:.2f} kg, "
-        f"contact forces of least motor torque",
+        0.012,
+        0.925,
+        f"base {1e3 * analysis.stand.qpos[2]:.1f} mm above the ground, mass "
+        f"{robot.total_mass:.2f} kg; contact forces of least motor torque",
         size=FONT,
-        color=GREY,
+        va="top",
     )
-    _draw_in_space(figure, robot, lines, statics)
-    _draw_from_above(figure, lines, statics)
+    _draw_in_space(figure, lines, analysis.statics)
+    _draw_from_above(figure, lines, analysis.statics)
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=_NEAR, lw=3, marker="o", mfc="white", mec=BLACK, ms=4, label="leg"),
+        Line2D([], [], color=BLACK, marker="o", ls="", ms=6, label="foot"),
+        Patch(facecolor=_BASE_FACE, edgecolor=_BASE_EDGE, label="base"),
+        Line2D([], [], color=RED, marker=r"$\uparrow$", ls="", ms=9, label="contact force"),
+        Line2D([], [], **_COM, label="com"),
+        Line2D([], [], **_PROJECTION, label="com's projection"),
+        Patch(facecolor=_SUPPORT, edgecolor=BLUE, hatch="//", label="support polygon"),
+    ]
+    _legend(figure, handles)
     _save(figure, path)
 
 
-def _draw_in_space(figure: Figure, robot: Robot, lines: Skeleton, statics: Any) -> None:
-    axes: Any = figure.add_axes((-0.04, -0.05, 0.72, 1.02), projection="3d", computed_zorder=False)
-    axes.view_init(elev=16, azim=-52)
+def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation) -> None:
+    # mpl_toolkits has no type information.
+    axes: Any = figure.add_axes((-0.02, 0.09, 0.70, 0.80), projection="3d", computed_zorder=False)
+    axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_proj_type("ortho")
-    towards_viewer = np.array([math.cos(math.radians(-52)), math.sin(math.radians(-52)), 0.0])
-    points = statics.contact_points
-    polygon = 1e3 * np.column_stack([support_polygon(points), np.zeros(len(support_polygon(points)))])
-    com = 1e3 * statics.center_of_mass
-
+    polygon = support_polygon(statics.contact_points.values())
+    ground = 1e3 * np.column_stack([polygon, np.zeros(len(polygon))])
     axes.add_collection3d(
-        Poly3DCollection([polygon], facecolor=SKY, alpha=0.35, edgecolor=BLUE, lw=1.2, zorder=1)
+        Poly3DCollection([ground], facecolor=_SUPPORT, alpha=0.6, edgecolor=BLUE, lw=1.2, zorder=1)
     )
-    middle = np.mean([leg[0] for leg in lines.legs.values()], axis=0)
-    for foot, leg in lines.legs.items():
+    hips = 1e3 * np.array([leg[0] for leg in lines.legs.values()])
+    for leg in lines.legs.values():
+        # The viewer stands on the right: the legs of that side hide the base, it hides the others.
+        near = leg[0, 1] < hips[:, 1].mean() / 1e3
+        order = 4 if near else 2
         x, y, z = 1e3 * leg.T
-        near = (leg[0] - middle) @ towards_viewer > 0
-        order = 5 if near else 2
-        axes.plot(x, y, z, color="#374151" if near else "#9CA3AF", lw=4.5, zorder=order,
-                  solid_capstyle="round", solid_joinstyle="round")
-        axes.plot(x[:-1], y[:-1], z[:-1], "o", color="white", mec=BLACK, mew=0.8, ms=4, zorder=order)
+        axes.plot(
+            x, y, z, color=_NEAR if near else _FAR, lw=4.5, solid_capstyle="round", zorder=order
+        )
+        axes.plot(
+            x[:-1], y[:-1], z[:-1], "o", color="white", mec=BLACK, mew=0.8, ms=4, zorder=order
+        )
         axes.plot(x[-1:], y[-1:], z[-1:], "o", color=BLACK, ms=7, zorder=order)
     for box in lines.boxes:
         faces = [1e3 * box[list(face)] for face in _BOX_FACES]
         axes.add_collection3d(
-            Poly3DCollection(faces, facecolor=ORANGE, alpha=0.25, edgecolor="#7A5300", lw=0.9, zorder=3)
+            Poly3DCollection(faces, fc=_BASE_FACE, alpha=0.45, ec=_BASE_EDGE, lw=0.9, zorder=3)
         )
-
-    largest = max(float(np.linalg.norm(force)) for force in statics.contact_forces.values())
-    length = 0.45 * max(float(com[2]), 1.0) / largest
-    for foot, force in statics.contact_forces.items():
-        tip = 1e3 * points[foot]
-        tail = tip - length * force
-        axes.quiver(*tail, *(tip - tail), color=RED, lw=1.8, arrow_length_ratio=0.22, zorder=6)
-        label = axes.text(
-            *tail, f"{foot}\n{np.linalg.norm(force):.2f} N", size=FONT, color=RED, zorder=8,
-            ha="center", va="top", parse_math=False,
-        )
-        label.set_linespacing(1.1)
-    axes.plot(*zip(com, (com[0], com[1], 0.0), strict=True), color=GREEN, ls=(0, (3, 2)), lw=1.4, zorder=7)
-    axes.plot(*com[:, None], "o", color="white", mec=GREEN, mew=2.0, ms=8, zorder=7)
-    axes.plot(*com[:, None], "+", color=GREEN, mew=1.4, ms=7, zorder=7)
-    axes.plot(com[:1], com[1:2], [0.0], "x", color=GREEN, mew=2.2, ms=7, zorder=7)
-
-    _fit_in_space(axes, lines, polygon)
-    figure.legend(
-        handles=[
-            Line2D([], [], color="#374151", lw=3.5, marker="o", mfc="white", mec=BLACK, ms=4, label="leg, joints"),
-            Patch(facecolor=ORANGE, alpha=0.5, edgecolor="#7A5300", label="base"),
-            Line2D([], [], color=RED, marker=r"$\uparrow$", ls="", ms=9, label="contact force"),
-            Line2D([], [], color=GREEN, marker="o", mfc="white", mew=2, ms=7, ls="--", label="com, projection ×"),
-            Patch(facecolor=SKY, alpha=0.5, edgecolor=BLUE, label="support polygon"),
-        ],
-        loc="lower left", bbox_to_anchor=(0.0, 0.0), ncols=5, fontsize=FONT, frameon=False,
-        handletextpad=0.5, columnspacing=1.4,
+    around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
+    axes.plot(*np.concatenate([around, around[:1]]).T, color=_BASE_EDGE, lw=2.2, zorder=3)
+    tails = _draw_forces(axes, lines, statics)
+    com = 1e3 * statics.center_of_mass
+    axes.plot(
+        com[:1].repeat(2), com[1:2].repeat(2), (com[2], 0), color=GREEN, ls="--", lw=1.2, zorder=6
     )
+    axes.plot(com[:1], com[1:2], com[2:], **_COM, zorder=6)
+    axes.plot(com[:1], com[1:2], (0.0,), **_PROJECTION, zorder=6)
 
-
-def _fit_in_space(axes: Any, lines: Skeleton, polygon: Array) -> None:
-    everything = 1e3 * np.concatenate([*lines.legs.values(), lines.boxes.reshape(-1, 3)])
-    everything = np.concatenate([everything, polygon])
-    low, high = everything.min(axis=0) - 15, everything.max(axis=0) + 15
-    low[2] = 0.0
+    shown = np.concatenate(
+        [1e3 * lines.boxes.reshape(-1, 3), *(1e3 * leg for leg in lines.legs.values()), tails]
+    )
+    low, high = shown.min(axis=0) - 15, shown.max(axis=0) + 15
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(high - low, zoom=0.98)
+    axes.set_box_aspect(high - low, zoom=1.08)
     for axis, name in ((axes.xaxis, "x, forward"), (axes.yaxis, "y, left"), (axes.zaxis, "z, up")):
-        axis.set_major_locator(matplotlib.ticker.MultipleLocator(100))
-        axis.set_tick_params(labelsize=FONT, pad=-1)
+        axis.set_major_locator(MultipleLocator(100))
+        axis.set_tick_params(labelsize=FONT, pad=-2)
         axis.set_label_text(f"{name} (mm)", fontsize=FONT)
-        axis.labelpad = 2
-        axis.set_pane_color((0.97, 0.97, 0.98, 1.0))
-        axis._axinfo["grid"].update(color="#D8DCE3", linewidth=0.5)
+        axis.labelpad = 0
+        axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
 
 
-def _draw_from_above(figure: Figure, lines: Skeleton, statics: Any) -> None:
-    axes = figure.add_axes((0.73, 0.2, 0.25, 0.62))
-    axes.set_title("from above", size=FONT + 1)
-    polygon = 1e3 * support_polygon(statics.contact_points)
-    axes.add_patch(
-        Polygon(polygon, facecolor=SKY, alpha=0.35, edgecolor=BLUE, hatch="....", lw=0)
+def _draw_forces(axes: Any, lines: Skeleton, statics: GravityCompensation) -> Array:
+    """Draws arrows that end where the forces act; returns where they begin (n, 3), in mm."""
+    forces = statics.contact_forces
+    height = 1e3 * max(float(leg[0, 2]) for leg in lines.legs.values())
+    scale = 0.4 * height / max(float(np.linalg.norm(force)) for force in forces.values())
+    tails = []
+    for foot, force in forces.items():
+        tip = 1e3 * statics.contact_points[foot]
+        tails.append(tip - scale * force)
+        axes.quiver(
+            *tails[-1], *(scale * force), color=RED, lw=1.8, arrow_length_ratio=0.25, zorder=5
+        )
+        axes.text(
+            *tails[-1],
+            f"{foot}\n{np.linalg.norm(force):.2f} N",
+            size=FONT,
+            color=RED,
+            zorder=7,
+            ha="center",
+            va="top",
+            parse_math=False,
+        )
+    return np.array(tails)
+
+
+def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensation) -> None:
+    axes = figure.add_axes((0.745, 0.2, 0.235, 0.60))
+    _style(axes, "from above")
+    points = {foot: 1e3 * point[:2] for foot, point in statics.contact_points.items()}
+    polygon = 1e3 * support_polygon(statics.contact_points.values())
+    # Forward is up and left is left: y is drawn to the left, x upwards.
+    axes.add_patch(Polygon(polygon[:, ::-1], fc=_SUPPORT, ec=BLUE, hatch="//", lw=1.2, zorder=1))
+    for box in lines.boxes:
+        outline = 1e3 * support_polygon(box)
+        axes.plot(outline[:, 1], outline[:, 0], color=_BASE_EDGE, lw=1.0, zorder=2)
+    for leg in lines.legs.values():
+        axes.plot(
+            1e3 * leg[:, 1], 1e3 * leg[:, 0], color=_FAR, lw=3, solid_capstyle="round", zorder=2
+        )
+    middle = np.mean(list(points.values()), axis=0)
+    for foot, (x, y) in points.items():
+        axes.plot(y, x, "o", color=BLACK, ms=6, zorder=3)
+        left = y > middle[1]
+        axes.annotate(
+            foot,
+            (y, x),
+            (-7 if left else 7, 0),
+            textcoords="offset points",
+            size=FONT,
+            ha="right" if left else "left",
+            va="center",
+            parse_math=False,
+        )
+    com = 1e3 * statics.center_of_mass[:2]
+    axes.plot(com[1], com[0], **_PROJECTION, zorder=5)
+    if statics.com_margin is not None:
+        edge = nearest_edge_point(polygon, com)
+        axes.plot((com[1], edge[1]), (com[0], edge[0]), color=GREEN, lw=1.6, zorder=4)
+        axes.plot(edge[1], edge[0], "o", color=GREEN, ms=4, zorder=4)
+        axes.annotate(
+            f"margin {1e3 * statics.com_margin:.1f} mm",
+            (com[1], com[0]),
+            (0, 8),
+            textcoords="offset points",
+            size=FONT,
+            ha="center",
+            va="bottom",
+            color="#00644A",
+            bbox={"fc": "white", "ec": "none", "pad": 1.5, "alpha": 0.9},
+            zorder=6,
+        )
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.25, 0.1)
+    axes.invert_xaxis()
+    axes.xaxis.set_major_locator(MultipleLocator(100))
+    axes.yaxis.set_major_locator(MultipleLocator(100))
+    axes.set_xlabel("y, left (mm)", size=FONT)
+    axes.set_ylabel("x, forward (mm)", size=FONT)
+
+
+# ------------------------------------------------------------------------------------- torques
+
+
+def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+    """Draws what every motor holds, in percent of its effort limit: one panel per robot.
+
+    The axis is logarithmic, so that motors at 0.2 % and at 30 % can both be read.
+
+    Args:
+        analyses: The robots; ``statics``, ``verification`` and ``joints`` are drawn.
+        path: The PNG to write.
+
+    Raises:
+        ConfigurationError: If there is no robot, or the file cannot be written.
+    """
+    rows = max((len(analysis.joints) for analysis in analyses), default=0)
+    figure, panels = _panels(
+        analyses, "Motor torques of the stand, in percent of the effort limit", 0.16 * rows + 0.62
     )
-    # Forward is up, left is left.
-    axes.plot(*polygon.T, color=BLUE)
-    _save
+    for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
+        limits = np.array([joint.effort for joint in analysis.joints])
+        names = [joint.name for joint in analysis.joints]
+        places = np.arange(len(names))
+        least = utilisation(analysis.statics.joint_torques, limits)
+        simulated = utilisation(analysis.verification.joint_torques, limits)
+        greatest = np.fmax(least, simulated)
+        floor = _LEAST_UTILISATION
+        axes.hlines(places, floor, greatest.clip(floor), color="#C9CED6", lw=1)
+        axes.plot(least.clip(floor), places, **_LEAST, clip_on=False, zorder=3)
+        axes.plot(simulated.clip(floor), places, **_SIMULATED, clip_on=False, zorder=4)
+        axes.axvline(100, color=RED, lw=2)
+        most = int(np.argmax(greatest > 0.999 * greatest.max()))
+        torque = max(
+            abs(analysis.statics.joint_torques[most]),
+            abs(analysis.verification.joint_torques[most]),
+        )
+        axes.annotate(
+            f"{torque:.3f} N m",
+            (max(greatest[most], floor), most),
+            (6, 0),
+            textcoords="offset points",
+            size=FONT,
+            va="center",
+            zorder=5,
+            bbox={"fc": "white", "ec": "none", "pad": 0.5},
+        )
+        low, high = limits.min(), limits.max()
+        _style(
+            axes,
+            f"{analysis.name}: limit {low:g}" + (f" to {high:g}" if high > low else "") + " N m",
+        )
+        axes.set_xscale("log")
+        axes.set_xlim(floor, 200)
+        axes.xaxis.set_major_locator(FixedLocator((0.1, 1, 10, 100)))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.xaxis.set_major_formatter(_plain)
+        axes.grid(axis="x", color="#E3E6EB", lw=0.6)
+        axes.set_axisbelow(True)
+        axes.set_ylim(len(names) - 0.4, -0.6)
+        before = [joint.name for joint in analyses[index - 1].joints] if index % _COLUMNS else None
+        axes.set_yticks(places, names if names != before else [""] * len(names), parse_math=False)
+        if index + _COLUMNS >= len(analyses):
+            axes.set_xlabel(
+                f"torque / limit (%); left edge: up to {_LEAST_UTILISATION:g} %", size=FONT
+            )
+    _legend(
+        figure,
+        [
+            Line2D([], [], **_LEAST, label="least torque that balances (Pinocchio)"),
+            Line2D([], [], **_SIMULATED, label="simulated (MuJoCo, with feed-forward)"),
+            Line2D([], [], color=RED, lw=2, label="limit"),
+        ],
+    )
+    _save(figure, path)
 
 
-def _save(figure: Figure, path: Path) -> None:
-    pass
+def utilisation(torques: Array, limits: Array) -> Array:
+    """Returns |torque| / limit in percent; 0 where there is no limit."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where((limits > 0) & np.isfinite(limits), 100 * np.abs(torques) / limits, 0.0)
+
+
+# ------------------------------------------------------------------------------------- heights
+
+
+def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+    """Draws the base's height over the simulated time, with and without feed-forward.
+
+    Args:
+        analyses: The robots; ``stand``, ``verification`` and ``sagging`` are drawn.
+        path: The PNG to write.
+
+    Raises:
+        ConfigurationError: If there is no robot, or the file cannot be written.
+    """
+    figure, panels = _panels(analyses, "Height of the simulated base", 1.75)
+    for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
+        task = 1e3 * analysis.stand.qpos[2]
+        axes.axhline(task, color=BLACK, lw=1.2, ls=":")
+        lowest = task
+        for run, style in ((analysis.verification, _WITH), (analysis.sagging, _WITHOUT)):
+            label = f"{1e3 * run.height_loss:.2f} mm"
+            axes.plot(run.time, 1e3 * run.height, **style, markevery=(0.1, 0.2), label=label)
+            lowest = min(lowest, float(np.nanmin(1e3 * run.height)))
+        axes.margins(0, 0.08)
+        if task - lowest < 1.0:
+            axes.set_ylim(task - 1.1, task + 0.1)
+        axes.legend(fontsize=FONT, loc="best", handlelength=3, borderpad=0.3, edgecolor="#E3E6EB")
+        _style(axes, f"{analysis.name}: task {task:.1f} mm")
+        axes.set_xlim(0, max(analysis.verification.time[-1], analysis.sagging.time[-1]))
+        axes.grid(color="#E3E6EB", lw=0.6)
+        if index + _COLUMNS >= len(analyses):
+            axes.set_xlabel("time (s)", size=FONT)
+        if index % _COLUMNS == 0:
+            axes.set_ylabel("base height (mm)", size=FONT)
+    _legend(
+        figure,
+        [
+            Line2D([], [], color=BLACK, lw=1.2, ls=":", label="task"),
+            Line2D([], [], **_WITH, label="with feed-forward"),
+            Line2D([], [], **_WITHOUT, label="without"),
+            Line2D(
+                [], [], ls="", label="in the panels: height lost in the mean of the last second"
+            ),
+        ],
+    )
+    _save(figure, path)
+
+
+# ------------------------------------------------------------------------------------- gains
+
+
+def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+    """Draws the gain sweeps as heat maps: how much the height deviates, for each kp and kd.
+
+    Args:
+        analyses: The robots; ``sweep`` is drawn.
+        path: The PNG to write.
+
+    Raises:
+        ConfigurationError: If there is no robot, or the file cannot be written.
+    """
+    rows = max((len(analysis.sweep.kp) for analysis in analyses), default=0)
+    figure, panels = _panels(analyses, "Gain sweep: how steady the height is", 0.26 * rows + 0.65)
+    finite = np.concatenate(
+        [1e3 * a.sweep.height_deviation[np.isfinite(a.sweep.height_deviation)] for a in analyses]
+    )
+    positive = finite[finite > 0]
+    low, high = (positive.min(), positive.max()) if len(positive) else (0.1, 1.0)
+    norm = LogNorm(low, max(high, 1.01 * low))
+    for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
+        sweep = analysis.sweep
+        image = axes.imshow(
+            np.where(sweep.fell, np.nan, 1e3 * sweep.height_deviation).clip(low),
+            norm=norm,
+            cmap="cividis",
+            aspect="auto",
+            origin="lower",
+        )
+        for row, column in np.ndindex(sweep.height_deviation.shape):
+            if sweep.fell[row, column]:
+                axes.add_patch(
+                    Rectangle(
+                        (column - 0.5, row - 0.5), 1, 1, fc="#F1F1F1", ec=GREY, hatch="////", lw=0
+                    )
+                )
+                axes.text(
+                    column,
+                    row,
+                    "fell",
+                    size=FONT,
+                    ha="center",
+                    va="center",
+                    bbox={"fc": "white", "ec": "none", "pad": 1.0},
+                )
+                continue
+            value = 1e3 * sweep.height_deviation[row, column]
+            best = sweep.kp[row] == sweep.best_kp and sweep.kd[column] == sweep.best_kd
+            axes.text(
+                column,
+                row,
+                f"{value:.3f}" if value < 10 else f"{value:.0f}",
+                size=FONT,
+                ha="center",
+                va="center",
+                color="white" if norm(value) < 0.5 else BLACK,
+            )
+            if best:
+                axes.add_patch(
+                    Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, fill=False, ec=RED, lw=2.2)
+                )
+        _style(axes, analysis.name)
+        axes.set_xticks(range(len(sweep.kd)), [f"{value:g}" for value in sweep.kd])
+        axes.set_yticks(range(len(sweep.kp)), [f"{value:g}" for value in sweep.kp])
+        axes.tick_params(length=0)
+        if index + _COLUMNS >= len(analyses):
+            axes.set_xlabel("kd (N m s/rad)", size=FONT)
+        if index % _COLUMNS == 0:
+            axes.set_ylabel("kp (N m/rad)", size=FONT)
+    colours = figure.colorbar(image, ax=panels, shrink=0.9, pad=0.015, aspect=40)
+    colours.set_label("standard deviation of the height (mm)", size=FONT)
+    colours.ax.tick_params(labelsize=FONT, which="both")
+    colours.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    colours.ax.yaxis.set_minor_locator(NullLocator())
+    colours.ax.yaxis.set_major_formatter(_plain)
+    _legend(
+        figure,
+        [
+            Patch(fill=False, edgecolor=RED, lw=2, label="steadiest"),
+            Patch(facecolor="#F1F1F1", edgecolor=GREY, hatch="////", label="fell"),
+            Line2D(
+                [],
+                [],
+                ls="",
+                label=f"vertical disturbance of {sweep.amplitude:g} N at {sweep.frequency:g} Hz",
+            ),
+        ],
+    )
+    _save(figure, path)
+
+
+# ------------------------------------------------------------------------------------- shared
+
+
+def _panels(
+    analyses: Sequence[Analysis], title: str, row_height: float
+) -> tuple[Figure, list[Axes]]:
+    """Returns a figure with one panel (of ``row_height`` inches) per robot, in rows of three."""
+    if not analyses:
+        raise ConfigurationError("analyses", "there is no robot to draw")
+    columns = min(_COLUMNS, len(analyses))
+    rows = -(-len(analyses) // columns)
+    figure = Figure(figsize=(_WIDTH, rows * row_height + 0.75), dpi=DPI, layout="constrained")
+    _title(figure, title)
+    grid = figure.add_gridspec(rows, columns)
+    panels = [figure.add_subplot(grid[divmod(index, columns)]) for index in range(len(analyses))]
+    return figure, panels
+
+
+def _title(figure: Figure, title: str) -> None:
+    figure.suptitle(title, x=0.012, ha="left", size=FONT + 2, weight="bold", parse_math=False)
+
+
+def _style(axes: Axes, title: str) -> None:
+    axes.set_title(title, size=FONT, weight="bold", loc="left", pad=4, parse_math=False)
+    axes.tick_params(labelsize=FONT)
+    for spine in ("top", "right"):
+        axes.spines[spine].set_visible(False)
+
+
+def _legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
+    figure.legend(
+        handles=handles,
+        loc="outside lower center" if figure.get_layout_engine() else "lower center",
+        ncols=len(handles),
+        fontsize=FONT,
+        frameon=False,
+        handletextpad=0.5,
+        columnspacing=1.4,
+    )
+
+
+def _save(figure: Figure, path: str | Path) -> None:
+    """Writes a figure next to its path, then moves it there: no half-written file is ever seen."""
+    path = Path(path)
+    FigureCanvasAgg(figure)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(part, format="png")
+        part.replace(path)
+    except OSError as error:
+        raise ConfigurationError("path", f"{path} cannot be written: {error}") from error
+    finally:
+        part.unlink(missing_ok=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -144,7 +144,10 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
     """
     spec = variant_spec(variant)
     base = BASES[spec.base]
-    return _build(describe(spec), fixed_base=fixed_base, foot_depth=base.foot_depth(spec.leg_scale))
+    robot = _build(
+        describe(spec), fixed_base=fixed_base, foot_depth=base.foot_depth(spec.leg_scale)
+    )
+    return replace(robot, notes=(*filter(None, [base.remark]), *robot.notes))
 
 
 def load_robot(
@@ -212,7 +215,7 @@ def _build(description: Description, *, fixed_base: bool, foot_depth: float | No
         if not pin_model.existFrame(frame, pin.FrameType.BODY):
             links = [f.name for f in pin_model.frames if f.type == pin.FrameType.BODY]
             raise UnknownNameError(description.urdf_source, "link (for a foot)", frame, links)
-    radius, contacts = _feet(description, mj_model, notes)
+    radius, contacts = _feet(description, mj_model)
     # The keyframe may be that of the model with a free base.
     home = keyframe[len(keyframe) - mj_model.nq + mj_convention.qpos_index]
     return Robot(
@@ -260,13 +263,16 @@ def _mujoco_model(
 
 
 def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
-    """Returns the joints' names in the order of the actuators, then those without, as in the tree."""
+    """Returns the joints' names in the order of the actuators, then those without, in tree order."""
     known: list[str] = []
     for joint in range(model.njnt):
         kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
         if kind == mujoco.mjtJoint.mjJNT_BALL:
-            raise ModelError(source, f"joint {model.joint(joint).name!r} is a ball joint; hinge and "
-                             "slide joints, and one free joint at the base, can be analysed")
+            raise ModelError(
+                source,
+                f"joint {model.joint(joint).name!r} is a ball joint; hinge and "
+                "slide joints, and one free joint at the base, can be analysed",
+            )
         if kind != mujoco.mjtJoint.mjJNT_FREE:
             known.append(model.joint(joint).name)
     driven = [
@@ -309,7 +315,7 @@ def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[in
 
 
 def _feet(
-    description: Description, model: mujoco.MjModel, notes: list[str]
+    description: Description, model: mujoco.MjModel
 ) -> tuple[dict[str, float], dict[str, ContactParameters]]:
     """Finds the feet's spheres, and their contacts with the ground."""
     ground = contact.ground_geom(model)
@@ -321,8 +327,8 @@ def _feet(
         if sphere is None:
             raise ModelError(
                 description.mjcf_source,
-                f"foot {foot!r}: body {model.body(body).name!r} has no sphere for contact centred at "
-                f"{frame!r}; name a frame at the centre of the foot's sphere",
+                f"foot {foot!r}: body {model.body(body).name!r} has no sphere for contact centred "
+                f"at {frame!r}; name a frame at the centre of the foot's sphere",
             )
         radius[foot] = float(model.geom_size[sphere, 0])
         if ground is not None:
@@ -338,7 +344,9 @@ def _imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
         for kind in (gyro, accelerometer)
     ]
     names = [str(model.site(site).name) for site in sorted(sites[0] & sites[1])]
-    return next((name for name in names if name and pin_model.existFrame(name, pin.FrameType.BODY)), None)
+    return next(
+        (name for name in names if name and pin_model.existFrame(name, pin.FrameType.BODY)), None
+    )
 
 
 def _stand_height(

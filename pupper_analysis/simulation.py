@@ -152,11 +152,11 @@ def servos(
 
 def _gain(name: str, value: ArrayLike, size: int) -> Array:
     try:
-        gain = np.broadcast_to(np.asarray(value, dtype=float), (size,)).copy()
+        gain: Array = np.broadcast_to(np.asarray(value, dtype=float), (size,)).copy()
     except (TypeError, ValueError) as error:
         raise ConfigurationError(name, f"not a number, nor {size} of them") from error
     if not np.isfinite(gain).all() or (gain < 0).any():
-        raise ConfigurationError(name, f"{value} is not finite and >= 0")
+        raise ConfigurationError(name, f"{value!r} is not finite and >= 0")
     return gain
 
 
@@ -620,7 +620,7 @@ def sweep_gains(
         if _diverged(rows, timestep) or low or _tilt(robot, rotation, rows[-1]) > FALLEN_TILT:
             deviations[index] = np.inf
     grid = deviations.reshape(len(kp), len(kd))
-    row, column = np.unravel_index(int(np.argmin(grid)), grid.shape)
+    row, column = divmod(int(np.argmin(grid)), len(kd))
     stands = bool(np.isfinite(grid).any())
     return GainSweep(
         kp=np.array(kp, dtype=float),

@@ -68,9 +68,10 @@ class StandTask:
 
     def __str__(self) -> str:
         """Names the values, with units."""
-        height = "" if self.height is None else f"height {self.height:.3f} m, "
+        height = "" if self.height is None else f"height {self.height:.4f} m, "
         angles = (
-            f"{name} {math.degrees(getattr(self, name)):.1f} deg" for name in ("roll", "pitch", "yaw")
+            f"{name} {math.degrees(getattr(self, name)):.1f} deg"
+            for name in ("roll", "pitch", "yaw")
         )
         return height + ", ".join(angles)
 

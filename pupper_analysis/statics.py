@@ -158,7 +158,7 @@ class _Balance:
 
     def solve(self, friction: Array) -> Array | None:
         """Returns the best f (3 n,), or None if there is none."""
-        particular = np.linalg.lstsq(self.base, self.weight, rcond=1e-12)[0]
+        particular = np.asarray(np.linalg.lstsq(self.base, self.weight, rcond=1e-12)[0], float)
         if not self._balances(particular):
             return None
         free = linalg.null_space(self.base, rcond=1e-12)
@@ -167,7 +167,7 @@ class _Balance:
             cost, target = self.joints @ free, self.torques - self.joints @ particular
         else:
             cost, target = free, -particular
-        forces = particular + free @ np.linalg.lstsq(cost, target)[0]
+        forces: Array = particular + free @ np.linalg.lstsq(cost, target)[0]
         if self._violation(forces, friction) > 0:
             coordinates = self._solve_cones(particular, free, cost, target, friction)
             if coordinates is None:
@@ -328,7 +328,7 @@ def _result(
 def _normal(foot: str, normal: ArrayLike) -> Array:
     vector = np.array(normal, dtype=float)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise ConfigurationError("normals", f"{foot}: {normal} is not a direction (3,)")
+        raise ConfigurationError("normals", f"{foot}: {normal!r} is not a direction (3,)")
     unit: Array = vector / np.linalg.norm(vector)
     return unit
 

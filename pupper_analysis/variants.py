@@ -33,8 +33,9 @@ class Base:
         urdf: Name of the file in ``urdf/``.
         mjcf: Name of the file in ``mjcf/``.
         feet: For each foot, the name that both its URDF link and its MJCF site have.
-        foot_depth: Gives, for a leg_scale, how far below the hips the nominal stand has its feet (m).
+        foot_depth: How far below the hips the nominal stand has its feet (m), by leg_scale.
         ballast: Drawn on the back when the torso is heavier than the original's.
+        remark: What its users should know.
     """
 
     urdf: str
@@ -42,6 +43,7 @@ class Base:
     feet: Mapping[str, str]
     foot_depth: Callable[[float], float]
     ballast: Box
+    remark: str = ""
 
 
 BASES: Mapping[str, Base] = MappingProxyType(
@@ -64,6 +66,10 @@ BASES: Mapping[str, Base] = MappingProxyType(
             },
             foot_depth=lambda leg_scale: 0.11156 * leg_scale,
             ballast=Box((0.065, 0.042, 0.018), (0.01, 0.0, 0.0965)),
+            remark=(
+                "joint axes: leg_*_1 turns about y (it pitches the leg) and leg_*_2 about x (it "
+                "rolls the leg), though tutorials list them as HAA (roll) and HFE (pitch)"
+            ),
         ),
     }
 )

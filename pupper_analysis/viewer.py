@@ -59,8 +59,8 @@ class DisplayError(PupperAnalysisError):
 def view(*, fixed: bool, headless: bool) -> None:
     """Shows Pupper v3 at its keyframe ``home`` until the window is closed.
 
-    With a fixed base nothing moves by itself: the viewer's joint sliders do. With a free base
-    gravity and contact run in real time.
+    With a fixed base nothing moves by itself; the viewer's sliders under "Control" set the joints.
+    With a free base gravity and contact run in real time, and the sliders command the servos.
 
     Args:
         fixed: Fix the base in the world.
@@ -79,8 +79,12 @@ def view(*, fixed: bool, headless: bool) -> None:
         _print_imu(data, at_rest=fixed)
         return
 
+    joints = model.actuator_trnid[:, 0]
+    lower, upper = model.jnt_range[joints].T
+
     def step() -> None:
         if fixed:
+            data.qpos[model.jnt_qposadr[joints]] = np.clip(data.ctrl, lower, upper)
             mujoco.mj_forward(model, data)
         else:
             mujoco.mj_step(model, data)
@@ -389,7 +393,7 @@ def check_display() -> None:
             window = glfw.create_window(16, 16, "", None, None)
             glfw.default_window_hints()
     if not window:
-        reason = str(caught[-1].message) if caught else "no window with OpenGL"
+        reason = str(caught[-1].message) if caught else "it gives no window with OpenGL"
         raise DisplayError(f"the display cannot be used ({reason}); {instead}")
     glfw.destroy_window(window)
 

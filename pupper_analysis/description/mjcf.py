@@ -16,6 +16,7 @@ from pupper_analysis.variants import BASES, Box, VariantSpec
 
 Array = NDArray[np.float64]
 
+
 def load(path: Path) -> mujoco.MjSpec:
     """Reads an MJCF file, includes and all, without compiling it.
 
@@ -131,10 +132,10 @@ def _stretch_geom(
             )
         meshes[geom.meshname] = np.diag(local).copy()
     elif not math.isnan(ends[0]):
-        spans = abs(_unit(ends[3:] - ends[:3]) @ axis) > 1 - 1e-9
+        spans = bool(abs(_unit(ends[3:] - ends[:3]) @ axis) > 1 - 1e-9)
         geom.fromto = np.concatenate([stretch @ ends[:3], stretch @ ends[3:]])
     elif geom.type in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
-        spans = abs(rotation[:, 2] @ axis) > 1 - 1e-9
+        spans = bool(abs(rotation[:, 2] @ axis) > 1 - 1e-9)
         if spans:
             geom.size = np.array(geom.size) * (1.0, factor, 1.0)
     geom.pos = stretch @ np.array(geom.pos)
@@ -211,7 +212,7 @@ def _keyframe_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
 def _raise_keyframes(
     spec: mujoco.MjSpec, torso: mujoco.MjsBody, before: Sequence[float], after: Sequence[float]
 ) -> None:
-    torso.pos = np.array(torso.pos) + (0, 0, after[0] - before[0])
+    torso.pos = np.array(torso.pos) + np.array([0.0, 0.0, after[0] - before[0]])
     for key, old, new in zip(spec.keys, before[1:], after[1:], strict=True):
         qpos = np.array(key.qpos)
         qpos[2] += new - old
@@ -262,7 +263,7 @@ def _restore_tree(node: ElementTree.Element, body: mujoco.MjsBody) -> None:
 
 
 def _restore(node: ElementTree.Element, element: object, prefix: str = "") -> None:
-    """Replaces the numbers in an element's attributes by the spec's where they round to the same."""
+    """Replaces numbers in an element's attributes by the spec's, where these round to the same."""
     for name, text in node.attrib.items():
         value = getattr(element, prefix + name, None) if prefix else None
         if value is None:

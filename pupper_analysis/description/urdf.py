@@ -15,6 +15,7 @@ from pupper_analysis.variants import BASES, Box, VariantSpec
 
 Array = NDArray[np.float64]
 
+
 def derive(text: str, variant: VariantSpec, *, source: Path) -> str:
     """Derives the URDF of a variant from that of its base model.
 

@@ -1,0 +1,266 @@
+"""The command line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pupper_analysis.errors import OutputError, PupperAnalysisError
+
+if TYPE_CHECKING:
+    from pupper_analysis.analysis import Analysis
+    from pupper_analysis.robot import Robot
+    from pupper_analysis.variants import VariantSpec
+
+VERIFIED, FAILED, BAD_INPUT = 0, 1, 2
+"""Exit statuses."""
+
+_CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+
+def run(command: click.Command, arguments: list[str] | None = None) -> None:
+    """Runs a command and leaves the process with its exit status.
+
+    An error of the package, or of the command line, becomes one line on standard error and exit
+    status 2.
+    """
+    try:
+        status = command.main(args=arguments, standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        status = BAD_INPUT
+    except click.UsageError as error:
+        where = error.ctx.command_path if error.ctx else command.name
+        click.echo(f"error: {error.format_message()} (see: {where} --help)", err=True)
+        status = BAD_INPUT
+    except (PupperAnalysisError, click.ClickException) as error:
+        click.echo(f"error: {error}", err=True)
+        status = BAD_INPUT
+    except click.Abort:
+        click.echo("interrupted", err=True)
+        status = 130
+    except BrokenPipeError:
+        # The reader of a pipe, such as head, has seen enough.
+        sys.stdout = None
+        status = VERIFIED
+    sys.exit(status)
+
+
+def main() -> None:
+    """Runs the console command."""
+    run(group)
+
+
+@click.group("pupper-analysis", context_settings=_CONTEXT)
+@click.version_option(package_name="pupper-analysis")
+def group() -> None:
+    r"""Know that a legged robot's models are right, what its motors hold and how it can stand.
+
+    \b
+    Exit status: 0 verified, 1 something failed verification or the cross-check, 2 bad input.
+    """
+
+
+@group.command(
+    context_settings=_CONTEXT, short_help="Take variants from two model files to a verified stand."
+)
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--list", "list_only", is_flag=True, help="List the variants, and stop.")
+@click.option("--base", metavar="BASE", help="Analyse a variant of this base: skeleton or v3.")
+@click.option("--leg-scale", type=float, metavar="S", help="Its legs' length and mass, times S.")
+@click.option("--torso-mass-scale", type=float, metavar="T", help="Its torso's mass, times T.")
+@click.option("--height", type=float, metavar="M", help="Height of the base above the ground (m).")
+@click.option("--roll", type=float, default=0.0, metavar="RAD", help="Roll of the base (rad).")
+@click.option("--pitch", type=float, default=0.0, metavar="RAD", help="Pitch of the base (rad).")
+@click.option("--yaw", type=float, default=0.0, metavar="RAD", help="Yaw against the feet (rad).")
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("output"),
+    show_default=True,
+    help="Folder for the figures; made if need be.",
+)
+@click.option(
+    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
+)
+@click.option("--no-figures", is_flag=True, help="Print only.")
+def analyze(
+    names: tuple[str, ...],
+    list_only: bool,
+    base: str | None,
+    leg_scale: float | None,
+    torso_mass_scale: float | None,
+    height: float | None,
+    roll: float,
+    pitch: float,
+    yaw: float,
+    output: Path,
+    json_path: Path | None,
+    no_figures: bool,
+) -> None:
+    r"""Take variants of Pupper from their two model files to a verified stand.
+
+    Each NAME is a variant (see --list); without any, all six are analysed. A variant of your own
+    is given by --base, --leg-scale and --torso-mass-scale.
+
+    \b
+    Printed per variant: joints and what their axes really do, masses and com, the stand (PlaCo),
+    foot Jacobians, motor torques and contact forces (Pinocchio), the simulated stand and the gain
+    sweep (MuJoCo), and the cross-check of URDF and MJCF; then a table that compares the variants.
+
+    \b
+    Examples:
+      pupper-analysis analyze
+      pupper-analysis analyze original long-leg --no-figures
+      pupper-analysis analyze --base v3 --leg-scale 1.2 --json v3-1.2.json
+      pupper-analysis analyze v3 --height 0.12 --pitch 0.1
+
+    \b
+    Exit status: 0 all verified, 1 something failed verification or the cross-check,
+    2 bad input (an unknown name, a scale that is no scale, a stance out of reach).
+    """
+    from pupper_analysis.variants import VARIANTS, VariantSpec, variant_spec
+
+    specs = [variant_spec(name) for name in dict.fromkeys(names)]
+    if base is not None or leg_scale is not None or torso_mass_scale is not None:
+        specs.append(
+            VariantSpec(
+                base="skeleton" if base is None else base,
+                leg_scale=1.0 if leg_scale is None else leg_scale,
+                torso_mass_scale=1.0 if torso_mass_scale is None else torso_mass_scale,
+            )
+        )
+    if list_only:
+        _print_list(specs or list(VARIANTS.values()))
+        return
+    specs = specs or list(VARIANTS.values())
+    _check_outputs(None if no_figures else output, json_path)
+    analyses, robots = _analyze_all(specs, height, roll, pitch, yaw)
+    _finish(specs, robots, analyses, None if no_figures else output, json_path)
+    if not all(analysis.verified for analysis in analyses):
+        click.get_current_context().exit(FAILED)
+
+
+def _analyze_all(
+    specs: list[VariantSpec], height: float | None, roll: float, pitch: float, yaw: float
+) -> tuple[list[Analysis], list[Robot]]:
+    """Analyses the variants and prints each as it is done."""
+    from pupper_analysis import report
+    from pupper_analysis.analysis import analyze_variant
+    from pupper_analysis.robot import load_variant
+    from pupper_analysis.stand import StandTask, solve_stand
+
+    task = StandTask(height=height, roll=roll, pitch=pitch, yaw=yaw)
+    robots = [load_variant(spec) for spec in specs]
+    for robot in robots:  # a stance out of reach is found before anything is printed
+        solve_stand(robot, task)
+    out = report.console()
+    analyses = []
+    for robot in robots:
+        analyses.append(analyze_variant(robot, task, progress=out.is_terminal))
+        report.print_analysis(out, analyses[-1])
+    return analyses, robots
+
+
+def _finish(
+    specs: list[VariantSpec],
+    robots: list[Robot],
+    analyses: list[Analysis],
+    folder: Path | None,
+    json_path: Path | None,
+) -> None:
+    """Compares the variants, and writes figures and JSON."""
+    from pupper_analysis import report
+    from pupper_analysis.analysis import leg_lengths, thigh_shape_length
+    from pupper_analysis.files import whole_file
+    from pupper_analysis.results import to_json
+    from pupper_analysis.robot import load_variant
+    from pupper_analysis.variants import VariantSpec
+
+    references = {}
+    for name in {spec.base for spec in specs}:
+        robot = load_variant(VariantSpec(base=name))
+        references[name] = report.Reference(
+            robot.total_mass, leg_lengths(robot)[0], thigh_shape_length(robot)
+        )
+    rows = [
+        report.compare(analysis, spec.base, references[spec.base])
+        for spec, analysis in zip(specs, analyses, strict=True)
+    ]
+    out = report.console()
+    report.print_comparison(out, rows)
+    if folder is not None:
+        for line in _draw(robots, analyses, folder):
+            out.print(line)
+    if json_path is not None:
+        content: dict[str, Any] = {
+            "variants": {analysis.name: analysis for analysis in analyses},
+            "comparison": rows,
+        }
+        with whole_file(json_path) as temporary:
+            temporary.write_text(to_json(content) + "\n")
+        out.print(f"results: {json_path}")
+    good = sum(analysis.verified for analysis in analyses)
+    out.print(f"{good} of {len(analyses)} verified")
+
+
+def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> list[str]:
+    """Writes all figures; returns what to say of them."""
+    from pupper_analysis import figures, render
+
+    for robot, analysis in zip(robots, analyses, strict=True):
+        figures.pose_figure(robot, analysis, folder / f"pose_{analysis.name}.png")
+    figures.torque_figure(analyses, folder / "torques.png")
+    figures.height_figure(analyses, folder / "heights.png")
+    figures.gain_figure(analyses, folder / "gains.png")
+    stands = [analysis.stand for analysis in analyses]
+    picture = render.render_variants(
+        list(zip(robots, stands, strict=True)), folder / "variants.png"
+    )
+    lines = [f"figures: {folder}/"]
+    if picture.note:
+        lines.append(f"note: {picture.note}")
+    return lines
+
+
+def _check_outputs(folder: Path | None, json_path: Path | None) -> None:
+    """Finds out before the work begins that its results cannot be written."""
+    for path in (folder, json_path.parent if json_path is not None else None):
+        if path is None:
+            continue
+        existing = next(parent for parent in (path, *path.absolute().parents) if parent.exists())
+        if not existing.is_dir():
+            raise OutputError(path, f"{existing} is not a folder")
+    if json_path is not None and json_path.is_dir():
+        raise OutputError(json_path, "it is a folder; give the name of a file")
+
+
+def _print_list(specs: list[VariantSpec]) -> None:
+    from pupper_analysis import report
+    from pupper_analysis.robot import load_variant
+
+    report.print_variants(report.console(), [(spec, load_variant(spec)) for spec in specs])
+
+
+@group.command(context_settings=_CONTEXT, short_help="Show Pupper v3 in MuJoCo's viewer.")
+@click.option("--fixed", is_flag=True, help="Fix the base in the air; else it falls and lands.")
+@click.option("--headless", is_flag=True, help="Open no window: print the model and its IMU.")
+def view(fixed: bool, headless: bool) -> None:
+    """Show Pupper v3 in MuJoCo's viewer (on macOS, run this with mjpython)."""
+    from pupper_analysis import viewer
+
+    viewer.view(fixed=fixed, headless=headless)
+
+
+@group.command(context_settings=_CONTEXT, short_help="Drop Pupper v3, and see that it stands.")
+@click.option("--headless", is_flag=True, help="Open no window: simulate, and print the result.")
+@click.option("--seconds", type=float, default=6.0, show_default=True, help="Simulated time (s).")
+def stand(headless: bool, seconds: float) -> None:
+    """Drop Pupper v3 from its home pose, and see that it stands (on macOS, run with mjpython)."""
+    from pupper_analysis import viewer
+
+    if not viewer.stand(headless=headless, seconds=seconds):
+        click.get_current_context().exit(FAILED)

@@ -1,0 +1,453 @@
+"""Prints analyses as tables, and compares them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.bar import Bar
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from pupper_analysis.analysis import Analysis
+from pupper_analysis.results import Result
+from pupper_analysis.robot import Robot
+from pupper_analysis.variants import VariantSpec
+
+Array = NDArray[np.float64]
+
+WIDTH = 120
+"""Least width of the output: a narrow terminal wraps its lines, but no number is cut off."""
+
+
+def console() -> Console:
+    """Returns a console on standard output."""
+    out = Console(highlight=False)
+    out.width = max(WIDTH, out.width)
+    return out
+
+
+def print_variants(out: Console, variants: Iterable[tuple[VariantSpec, Robot]]) -> None:
+    """Prints what variants there are."""
+    columns = (
+        "variant",
+        "base",
+        "leg_scale",
+        "torso_mass_scale",
+        "mass\n(kg)",
+        "stand height\n(m)",
+    )
+    table = _table(out, "Variants", *columns, left=2)
+    for spec, robot in variants:
+        table.add_row(
+            spec.name,
+            spec.base,
+            f"{spec.leg_scale:g}",
+            f"{spec.torso_mass_scale:g}",
+            f"{robot.total_mass:.3f}",
+            f"{robot.stand_height:.4f}",
+        )
+    out.print(table)
+
+
+def print_analysis(out: Console, analysis: Analysis) -> None:
+    """Prints one robot's analysis."""
+    out.rule(f"[bold]{analysis.name}[/]", align="left")
+    _print_structure(out, analysis)
+    _print_stand(out, analysis)
+    _print_jacobians(out, analysis)
+    _print_statics(out, analysis)
+    _print_verification(out, analysis)
+    _print_sweep(out, analysis)
+    _print_check(out, analysis)
+    if analysis.verified:
+        out.print(f"[bold green]VERIFIED[/] {analysis.name}\n")
+    else:
+        out.print(f"[bold red]FAILED[/] {analysis.name}: {'; '.join(analysis.failures)}\n")
+
+
+def _table(out: Console, title: str, *columns: str, left: int = 1) -> Table:
+    """Prints a title; returns a table with ``left`` columns of text, the others of numbers."""
+    out.print(f"\n{title}", style="bold")
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, header_style="dim")
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="left" if index < left else "right", no_wrap=True)
+    return table
+
+
+def _vector(values: Iterable[float], digits: int = 4) -> str:
+    return " ".join(_number(value, digits) for value in values)
+
+
+def _number(value: float, digits: int = 4, sign: str = "+") -> str:
+    return f"{round(value, digits) + 0.0:{sign}.{digits}f}"  # + 0.0: no minus before a zero
+
+
+def _print_structure(out: Console, analysis: Analysis) -> None:
+    out.print(
+        f"nq = {analysis.nq}, nv = {analysis.nv}, nu = {analysis.nu}; "
+        f"mass {analysis.total_mass:.3f} kg; com at zero angles, from the base "
+        f"({_vector(analysis.center_of_mass)}) m"
+    )
+    out.print(
+        f"thigh {1e3 * analysis.thigh_length:.1f} mm, calf {1e3 * analysis.calf_length:.1f} mm; "
+        f"bodies: {_masses(analysis.link_masses)}"
+    )
+    table = _table(
+        out,
+        "Joints, in actuator order (axes at zero angles, base frame)",
+        "joint",
+        "motion",
+        "axis",
+        "limits\n(rad)",
+        "effort\n(N m)",
+        "velocity\n(rad/s)",
+        "armature\n(kg m²)",
+        "damping\n(N m s/rad)",
+        "friction\n(N m)",
+        left=2,
+    )
+    for joint in analysis.joints:
+        table.add_row(
+            joint.name,
+            joint.motion,
+            _vector(joint.axis, 0) if joint.motion != "oblique" else _vector(joint.axis, 2),
+            f"{joint.lower:+.2f} … {joint.upper:+.2f}",
+            f"{joint.effort:g}",
+            f"{joint.velocity:g}",
+            f"{joint.armature:g}",
+            f"{joint.damping:g}",
+            f"{joint.friction:g}",
+        )
+    out.print(table)
+    for note in analysis.notes:
+        out.print(f"note: {note}", style="yellow")
+
+
+def _masses(masses: Mapping[str, float]) -> str:
+    """Lists equal masses once."""
+    groups: dict[str, list[str]] = {}
+    for name, mass in masses.items():
+        groups.setdefault(f"{mass:.3f} kg", []).append(name)
+    return ", ".join(
+        f"{names[0]} {mass}" if len(names) == 1 else f"{len(names)} x {mass} ({names[0]} …)"
+        for mass, names in groups.items()
+    )
+
+
+def _print_stand(out: Console, analysis: Analysis) -> None:
+    stand = analysis.stand
+    out.print(f"\n[bold]Stand[/] (PlaCo, {stand.iterations} iterations): {stand.task}")
+    out.print(
+        f"errors: feet {stand.foot_error:.1e} m (by MuJoCo "
+        f"{analysis.verification.mujoco_foot_error:.1e} m), orientation "
+        f"{stand.orientation_error:.1e} rad, height {stand.height_error:.1e} m, "
+        f"com {stand.com_error:.1e} m"
+    )
+
+
+def _print_jacobians(out: Console, analysis: Analysis) -> None:
+    table = _table(
+        out,
+        "Foot Jacobians (m/rad, world axes, by the joints of the leg)",
+        "foot",
+        "vx",
+        "vy",
+        "vz",
+        "singular values",
+        "condition",
+    )
+    for foot, jacobian in analysis.foot_jacobians.items():
+        rows = [_vector(row) for row in jacobian.matrix]
+        values = " ".join(f"{value:.4f}" for value in jacobian.singular_values)
+        table.add_row(foot, *rows, values, f"{jacobian.condition:.2f}")
+    out.print(table)
+
+
+def _print_statics(out: Console, analysis: Analysis) -> None:
+    statics, verification = analysis.statics, analysis.verification
+    table = _table(
+        out,
+        "Motor torques (N m)",
+        "joint",
+        "least torque",
+        "limit",
+        "utilisation",
+        "",
+        "even load",
+        "simulated",
+        "hanging",
+    )
+    for index, joint in enumerate(analysis.joints):
+        utilisation = float(statics.motor_utilisation[index])
+        colour = "green" if utilisation < 0.5 else "yellow" if utilisation < 0.9 else "red"
+        table.add_row(
+            joint.name,
+            _number(statics.joint_torques[index]),
+            f"{joint.effort:g}",
+            f"{utilisation:.1%}",
+            Bar(1.0, 0.0, min(utilisation, 1.0), width=16, color=colour),
+            _number(verification.predicted_torques[index]),
+            _number(verification.joint_torques[index]),
+            _number(analysis.hanging_torques[index]),
+        )
+    out.print(table)
+    out.print(
+        "least torque: the best share that friction allows; even load: vertical forces, which last "
+        "in a simulator,\nwhose friction creeps, and so what the simulation is compared with; "
+        "hanging: the same pose, base held",
+        style="dim",
+    )
+    table = _table(
+        out,
+        "Contact forces on the feet (N, world axes)",
+        "foot",
+        "least torque",
+        "friction used",
+        "even load",
+        "simulated",
+    )
+    for foot, force in statics.contact_forces.items():
+        table.add_row(
+            foot,
+            _vector(force, 3),
+            f"{statics.friction_utilisation[foot]:.1%}",
+            _vector(verification.predicted_forces[foot], 3),
+            _vector(verification.foot_forces[foot], 3),
+        )
+    out.print(table)
+    margin = "-" if statics.com_margin is None else f"{1e3 * statics.com_margin:.1f} mm"
+    out.print(
+        f"balance residual {statics.residual_force:.1e} N, {statics.residual_torque:.1e} N m "
+        f"(in MuJoCo's terms {verification.mujoco_residual:.1e}); "
+        f"com {margin} inside the support polygon"
+    )
+
+
+def _print_verification(out: Console, analysis: Analysis) -> None:
+    table = _table(
+        out,
+        f"MuJoCo, {analysis.verification.duration:g} s on the floating base "
+        f"({analysis.verification.integrator}, {1e3 * analysis.verification.timestep:g} ms; "
+        f"kp {_range(analysis.verification.kp)} N m/rad, "
+        f"kd {_range(analysis.verification.kd)} N m s/rad)",
+        "",
+        "with feed-forward",
+        "without",
+    )
+    both = (analysis.verification, analysis.sagging)
+    rows: list[tuple[str, list[str]]] = [
+        ("base height", [f"{run.base_height:.5f} m" for run in both]),
+        ("loss of height", [f"{1e3 * run.height_loss:.3f} mm" for run in both]),
+        ("  servo sag", [f"{_number(1e3 * run.servo_sag, 3, '-')} mm" for run in both]),
+        ("  contact softness", [f"{1e3 * run.contact_sag:.3f} mm" for run in both]),
+        (
+            "deviation, last second (< 5 mm = stable)",
+            [f"{1e3 * run.height_deviation:.5f} mm" for run in both],
+        ),
+        ("tilt against the task", [f"{math.degrees(run.tilt):.4f} deg" for run in both]),
+        ("foot slip", [f"{1e3 * max(run.foot_slip.values()):.4f} mm" for run in both]),
+        ("joint error", [f"{run.joint_error:.1e} rad" for run in both]),
+        ("torque off prediction, of the largest", [f"{run.torque_error:.3%}" for run in both]),
+        ("vertical foot force off prediction", [f"{run.force_error:.3%}" for run in both]),
+        ("verdict", ["stands" if run.passed else "FAILED" for run in both]),
+    ]
+    for name, values in rows:
+        table.add_row(name, *values)
+    out.print(table)
+    for run, how in zip(both, ("with", "without"), strict=True):
+        for failure in run.failures:
+            out.print(f"{how} feed-forward: {failure}", style="red")
+
+
+def _range(values: Array) -> str:
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:g} … {high:g}"
+
+
+def _print_sweep(out: Console, analysis: Analysis) -> None:
+    sweep = analysis.sweep
+    table = _table(
+        out,
+        f"Height deviation (mm) under {sweep.amplitude:g} N at {sweep.frequency:g} Hz "
+        f"({sweep.integrator}, {sweep.duration:g} s, last second)",
+        "Kp (N m/rad) \\ Kd (N m s/rad)",
+        *(f"{kd:g}" for kd in sweep.kd),
+    )
+    for kp, row in zip(sweep.kp, sweep.height_deviation, strict=True):
+        cells = [f"{1e3 * value:.4f}" if np.isfinite(value) else "fell" for value in row]
+        if kp == sweep.best_kp:
+            best = list(sweep.kd).index(sweep.best_kd)
+            cells[best] = f"[bold green]{cells[best]}[/]"
+        table.add_row(f"{kp:g}", *cells)
+    out.print(table)
+
+
+def _print_check(out: Console, analysis: Analysis) -> None:
+    check = analysis.check
+    table = _table(
+        out,
+        "Cross-check: URDF and MJCF, each in Pinocchio and in MuJoCo, at "
+        f"{check.configurations} random configurations (#); tolerance {check.tolerance:g}",
+        "quantity",
+        "worst at",
+        "deviation of",
+        "scale",
+        "deviation",
+        "relative",
+        "",
+        left=3,
+    )
+    for quantity in check.quantities:
+        exact = quantity.deviation == 0
+        table.add_row(
+            quantity.name,
+            "" if exact else quantity.where,
+            "" if exact else quantity.whose,
+            f"{quantity.scale:.3g} {quantity.unit}",
+            f"{quantity.deviation:.1e}",
+            f"{quantity.relative:.1e}",
+            "ok" if quantity.passed else "[red]DIFFERS[/]",
+        )
+    out.print(table)
+    for note in check.notes:
+        out.print(f"note: {note}", style="yellow")
+
+
+# ------------------------------------------------------------------------------------- comparison
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonRow(Result):
+    """One robot beside the others. Ratios are to its base model, unscaled.
+
+    Attributes:
+        name: The robot.
+        base: Its base model.
+        total_mass: kg.
+        mass_ratio: Of the total masses.
+        thigh_ratio: Of the hip-to-knee distances.
+        thigh_shape_ratio: Of the lengths of the shapes that span the thighs; None without any.
+        height: Of the base, in the task (m).
+        peak_torque: The greatest of least torque (N m).
+        peak_utilisation: The greatest motor utilisation.
+        servo_sag: Without feed-forward (m).
+        contact_sag: With feed-forward (m).
+        torque_error: Of the simulation against the prediction, relative.
+        force_error: Likewise.
+        best_kp: Of the gain sweep (N m/rad).
+        best_kd: Of the gain sweep (N m s/rad).
+        cross_check: Worst relative deviation.
+        verified: The verdict.
+    """
+
+    name: str
+    base: str
+    total_mass: float
+    mass_ratio: float
+    thigh_ratio: float
+    thigh_shape_ratio: float | None
+    height: float
+    peak_torque: float
+    peak_utilisation: float
+    servo_sag: float
+    contact_sag: float
+    torque_error: float
+    force_error: float
+    best_kp: float | None
+    best_kd: float | None
+    cross_check: float
+    verified: bool
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What ratios are taken to.
+
+    Attributes:
+        total_mass: kg.
+        thigh_length: m.
+        thigh_shape_length: m, or None.
+    """
+
+    total_mass: float
+    thigh_length: float
+    thigh_shape_length: float | None
+
+
+def compare(analysis: Analysis, base: str, reference: Reference) -> ComparisonRow:
+    """Puts an analysis beside its base model.
+
+    Args:
+        analysis: The analysis.
+        base: The base model's name.
+        reference: The base model's values.
+    """
+    assert analysis.stand.task.height is not None
+    shape = None
+    if analysis.thigh_shape_length and reference.thigh_shape_length:
+        shape = analysis.thigh_shape_length / reference.thigh_shape_length
+    return ComparisonRow(
+        name=analysis.name,
+        base=base,
+        total_mass=analysis.total_mass,
+        mass_ratio=analysis.total_mass / reference.total_mass,
+        thigh_ratio=analysis.thigh_length / reference.thigh_length,
+        thigh_shape_ratio=shape,
+        height=analysis.stand.task.height,
+        peak_torque=float(np.abs(analysis.statics.joint_torques).max()),
+        peak_utilisation=float(analysis.statics.motor_utilisation.max()),
+        servo_sag=analysis.sagging.servo_sag,
+        contact_sag=analysis.verification.contact_sag,
+        torque_error=analysis.verification.torque_error,
+        force_error=analysis.verification.force_error,
+        best_kp=analysis.sweep.best_kp,
+        best_kd=analysis.sweep.best_kd,
+        cross_check=max(quantity.relative for quantity in analysis.check.quantities),
+        verified=analysis.verified,
+    )
+
+
+def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
+    """Prints the table that compares robots."""
+    table = _table(
+        out,
+        "Comparison (ratios to the unscaled base model)",
+        "",
+        *(row.name for row in rows),
+    )
+    lines: list[tuple[str, list[str]]] = [
+        ("mass (kg)", [f"{row.total_mass:.3f}" for row in rows]),
+        ("mass ratio", [f"{row.mass_ratio:.3f}" for row in rows]),
+        ("thigh ratio, hip to knee", [f"{row.thigh_ratio:.3f}" for row in rows]),
+        (
+            "thigh ratio, drawn shape",
+            [
+                "-" if row.thigh_shape_ratio is None else f"{row.thigh_shape_ratio:.3f}"
+                for row in rows
+            ],
+        ),
+        ("stand height (m)", [f"{row.height:.4f}" for row in rows]),
+        ("peak torque (N m)", [f"{row.peak_torque:.3f}" for row in rows]),
+        ("peak utilisation", [f"{row.peak_utilisation:.1%}" for row in rows]),
+        ("servo sag (mm)", [f"{1e3 * row.servo_sag:.3f}" for row in rows]),
+        ("contact softness (mm)", [f"{1e3 * row.contact_sag:.3f}" for row in rows]),
+        ("torque off prediction", [f"{row.torque_error:.3%}" for row in rows]),
+        ("foot force off prediction", [f"{row.force_error:.3%}" for row in rows]),
+        (
+            "best Kp, Kd",
+            ["-" if row.best_kp is None else f"{row.best_kp:g}, {row.best_kd:g}" for row in rows],
+        ),
+        ("cross-check, worst", [f"{row.cross_check:.1e}" for row in rows]),
+        (
+            "verdict",
+            ["[green]verified[/]" if row.verified else "[red]FAILED[/]" for row in rows],
+        ),
+    ]
+    for name, values in lines:
+        table.add_row(name, *values)
+    out.print(table)
