@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -226,10 +225,6 @@ class Configuration:
 
     def gravity(self) -> Array:
         """Returns g (nv,): the bias forces at rest. Its first three rows are the weight (N)."""
-        return self._gravity.copy()
-
-    @cached_property
-    def _gravity(self) -> Array:
         forces: Array = self._map.T @ pin.computeGeneralizedGravity(
             self._model, self._data, self._q
         )

@@ -19,6 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+from mpl_toolkits.mplot3d.proj3d import proj_transform  # type: ignore[import-untyped]
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.errors import ConfigurationError
@@ -50,7 +51,8 @@ _COLUMNS = 3
 _LEAST_UTILISATION = 0.1  # %, where the axis of the torques begins
 
 _ELEVATION, _AZIMUTH = 16, -33  # deg: from the front and the right
-_BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
+_ARROW = 0.35  # length of the largest force's arrow / length of the support polygon
+BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 _NEAR, _FAR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT = "#CFE8F7"
@@ -157,7 +159,7 @@ def pose_figure(robot: Robot, analysis: Analysis, path: str | Path) -> None:
         ConfigurationError: If the file cannot be written.
     """
     lines = skeleton(robot, analysis.stand.qpos)
-    figure = Figure(figsize=(_WIDTH, 0.56 * _WIDTH), dpi=DPI)
+    figure = Figure(figsize=(_WIDTH, 0.6 * _WIDTH), dpi=DPI)
     _title(figure, f"{analysis.name}: how it stands")
     figure.text(
         0.012,
@@ -179,12 +181,12 @@ def pose_figure(robot: Robot, analysis: Analysis, path: str | Path) -> None:
         Patch(facecolor=_SUPPORT, edgecolor=BLUE, hatch="//", label="support polygon"),
     ]
     _legend(figure, handles)
-    _save(figure, path)
+    save(figure, path)
 
 
 def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation) -> None:
     # mpl_toolkits has no type information.
-    axes: Any = figure.add_axes((-0.02, 0.09, 0.70, 0.80), projection="3d", computed_zorder=False)
+    axes: Any = figure.add_axes((-0.03, 0.165, 0.74, 0.76), projection="3d", computed_zorder=False)
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_proj_type("ortho")
     polygon = support_polygon(statics.contact_points.values())
@@ -206,13 +208,12 @@ def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation
         )
         axes.plot(x[-1:], y[-1:], z[-1:], "o", color=BLACK, ms=7, zorder=order)
     for box in lines.boxes:
-        faces = [1e3 * box[list(face)] for face in _BOX_FACES]
+        faces = [1e3 * box[list(face)] for face in BOX_FACES]
         axes.add_collection3d(
             Poly3DCollection(faces, fc=_BASE_FACE, alpha=0.45, ec=_BASE_EDGE, lw=0.9, zorder=3)
         )
     around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
     axes.plot(*np.concatenate([around, around[:1]]).T, color=_BASE_EDGE, lw=2.2, zorder=3)
-    tails = _draw_forces(axes, lines, statics)
     com = 1e3 * statics.center_of_mass
     axes.plot(
         com[:1].repeat(2), com[1:2].repeat(2), (com[2], 0), color=GREEN, ls="--", lw=1.2, zorder=6
@@ -220,47 +221,63 @@ def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation
     axes.plot(com[:1], com[1:2], com[2:], **_COM, zorder=6)
     axes.plot(com[:1], com[1:2], (0.0,), **_PROJECTION, zorder=6)
 
-    shown = np.concatenate(
-        [1e3 * lines.boxes.reshape(-1, 3), *(1e3 * leg for leg in lines.legs.values()), tails]
+    scale = (
+        1e3
+        * _ARROW
+        * np.ptp(polygon, axis=0).max()
+        / max(float(np.linalg.norm(force)) for force in statics.contact_forces.values())
     )
-    low, high = shown.min(axis=0) - 15, shown.max(axis=0) + 15
+    arrows = {
+        foot: (
+            1e3 * statics.contact_points[foot] - scale * force,
+            1e3 * statics.contact_points[foot],
+        )
+        for foot, force in statics.contact_forces.items()
+    }
+    tails = [tail for tail, _ in arrows.values()]
+    corners = 1e3 * np.concatenate([lines.boxes.reshape(-1, 3), *lines.legs.values()])
+    shown = np.concatenate([corners, tails])
+    low = shown.min(axis=0) - np.array([35, 20, 50])
+    high = shown.max(axis=0) + np.array([20, 35, 10])
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(high - low, zoom=1.08)
-    for axis, name in ((axes.xaxis, "x, forward"), (axes.yaxis, "y, left"), (axes.zaxis, "z, up")):
-        axis.set_major_locator(MultipleLocator(100))
+    axes.set_box_aspect(high - low, zoom=1.02)
+    # No ticks in the corners, where those of two axes meet, nor below the ground.
+    first = np.array([low[0] + 30, low[1] + 30, 0.0])
+    names = ("x, forward", "y, left", "z, up")
+    for index, axis in enumerate((axes.xaxis, axes.yaxis, axes.zaxis)):
+        axis.set_ticks(np.arange(100 * np.ceil(first[index] / 100), high[index] - 15, 100))
         axis.set_tick_params(labelsize=FONT, pad=-2)
-        axis.set_label_text(f"{name} (mm)", fontsize=FONT)
+        axis.set_label_text(f"{names[index]} (mm)", fontsize=FONT)
         axis.labelpad = 0
         axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
 
-
-def _draw_forces(axes: Any, lines: Skeleton, statics: GravityCompensation) -> Array:
-    """Draws arrows that end where the forces act; returns where they begin (n, 3), in mm."""
-    forces = statics.contact_forces
-    height = 1e3 * max(float(leg[0, 2]) for leg in lines.legs.values())
-    scale = 0.4 * height / max(float(np.linalg.norm(force)) for force in forces.values())
-    tails = []
-    for foot, force in forces.items():
-        tip = 1e3 * statics.contact_points[foot]
-        tails.append(tip - scale * force)
-        axes.quiver(
-            *tails[-1], *(scale * force), color=RED, lw=1.8, arrow_length_ratio=0.25, zorder=5
-        )
-        axes.text(
-            *tails[-1],
-            f"{foot}\n{np.linalg.norm(force):.2f} N",
+    projection = axes.get_proj()
+    for foot, (tail, tip) in arrows.items():
+        (x0, y0, _), (x1, y1, _) = (proj_transform(*end, projection) for end in (tail, tip))
+        axes.annotate(
+            f"{foot}\n{np.linalg.norm(statics.contact_forces[foot]):.2f} N",
+            (x1, y1),
+            (x0, y0),
             size=FONT,
             color=RED,
-            zorder=7,
             ha="center",
             va="top",
+            zorder=7,
             parse_math=False,
+            bbox={"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.75},
+            arrowprops={
+                "arrowstyle": "-|>",
+                "color": RED,
+                "lw": 1.8,
+                "shrinkA": 0,
+                "shrinkB": 0,
+                "relpos": (0.5, 1),
+            },
         )
-    return np.array(tails)
 
 
 def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensation) -> None:
-    axes = figure.add_axes((0.745, 0.2, 0.235, 0.60))
+    axes = figure.add_axes((0.735, 0.17, 0.255, 0.66))
     _style(axes, "from above")
     points = {foot: 1e3 * point[:2] for foot, point in statics.contact_points.items()}
     polygon = 1e3 * support_polygon(statics.contact_points.values())
@@ -305,9 +322,10 @@ def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensati
             bbox={"fc": "white", "ec": "none", "pad": 1.5, "alpha": 0.9},
             zorder=6,
         )
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.25, 0.1)
-    axes.invert_xaxis()
+    shown = 1e3 * np.concatenate([lines.boxes.reshape(-1, 3), *lines.legs.values()])
+    axes.set_aspect("equal")
+    axes.set_xlim(shown[:, 1].max() + 55, shown[:, 1].min() - 55)
+    axes.set_ylim(shown[:, 0].min() - 15, shown[:, 0].max() + 15)
     axes.xaxis.set_major_locator(MultipleLocator(100))
     axes.yaxis.set_major_locator(MultipleLocator(100))
     axes.set_xlabel("y, left (mm)", size=FONT)
@@ -331,7 +349,9 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """
     rows = max((len(analysis.joints) for analysis in analyses), default=0)
     figure, panels = _panels(
-        analyses, "Motor torques of the stand, in percent of the effort limit", 0.16 * rows + 0.62
+        analyses,
+        "Motor torques of the stand (at the left edge: up to 0.1 % of the limit)",
+        0.16 * rows + 0.62,
     )
     for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
         limits = np.array([joint.effort for joint in analysis.joints])
@@ -353,9 +373,10 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.annotate(
             f"{torque:.3f} N m",
             (max(greatest[most], floor), most),
-            (6, 0),
+            (7, 0) if greatest[most] < 5 else (-7, 0),
             textcoords="offset points",
             size=FONT,
+            ha="left" if greatest[most] < 5 else "right",
             va="center",
             zorder=5,
             bbox={"fc": "white", "ec": "none", "pad": 0.5},
@@ -376,9 +397,7 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         before = [joint.name for joint in analyses[index - 1].joints] if index % _COLUMNS else None
         axes.set_yticks(places, names if names != before else [""] * len(names), parse_math=False)
         if index + _COLUMNS >= len(analyses):
-            axes.set_xlabel(
-                f"torque / limit (%); left edge: up to {_LEAST_UTILISATION:g} %", size=FONT
-            )
+            axes.set_xlabel("torque / limit (%)", size=FONT)
     _legend(
         figure,
         [
@@ -387,7 +406,7 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             Line2D([], [], color=RED, lw=2, label="limit"),
         ],
     )
-    _save(figure, path)
+    save(figure, path)
 
 
 def utilisation(torques: Array, limits: Array) -> Array:
@@ -418,10 +437,17 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             label = f"{1e3 * run.height_loss:.2f} mm"
             axes.plot(run.time, 1e3 * run.height, **style, markevery=(0.1, 0.2), label=label)
             lowest = min(lowest, float(np.nanmin(1e3 * run.height)))
-        axes.margins(0, 0.08)
-        if task - lowest < 1.0:
-            axes.set_ylim(task - 1.1, task + 0.1)
-        axes.legend(fontsize=FONT, loc="best", handlelength=3, borderpad=0.3, edgecolor="#E3E6EB")
+        span = max(task - lowest, 1.0)
+        axes.set_ylim(task - 1.3 * span, task + 0.1 * span)
+        axes.legend(
+            loc="lower right",
+            ncols=2,
+            fontsize=FONT,
+            handlelength=1.8,
+            columnspacing=1.0,
+            frameon=False,
+            borderpad=0.1,
+        )
         _style(axes, f"{analysis.name}: task {task:.1f} mm")
         axes.set_xlim(0, max(analysis.verification.time[-1], analysis.sagging.time[-1]))
         axes.grid(color="#E3E6EB", lw=0.6)
@@ -435,12 +461,10 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             Line2D([], [], color=BLACK, lw=1.2, ls=":", label="task"),
             Line2D([], [], **_WITH, label="with feed-forward"),
             Line2D([], [], **_WITHOUT, label="without"),
-            Line2D(
-                [], [], ls="", label="in the panels: height lost in the mean of the last second"
-            ),
+            Line2D([], [], ls="", label="in the panels: height lost, mean of the last second"),
         ],
     )
-    _save(figure, path)
+    save(figure, path)
 
 
 # ------------------------------------------------------------------------------------- gains
@@ -532,7 +556,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             ),
         ],
     )
-    _save(figure, path)
+    save(figure, path)
 
 
 # ------------------------------------------------------------------------------------- shared
@@ -576,8 +600,12 @@ def _legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
     )
 
 
-def _save(figure: Figure, path: str | Path) -> None:
-    """Writes a figure next to its path, then moves it there: no half-written file is ever seen."""
+def save(figure: Figure, path: str | Path) -> None:
+    """Writes a figure as a PNG, and its folder if need be; no half-written file is ever there.
+
+    Raises:
+        ConfigurationError: If the file cannot be written.
+    """
     path = Path(path)
     FigureCanvasAgg(figure)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")

@@ -263,7 +263,7 @@ def _mujoco_model(
 
 
 def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
-    """Returns the joints' names in the order of the actuators, then those without, in tree order."""
+    """Returns the joints' names in actuator order, then those without actuator in tree order."""
     known: list[str] = []
     for joint in range(model.njnt):
         kind = mujoco.mjtJoint(int(model.jnt_type[joint]))

@@ -93,7 +93,7 @@ def view(*, fixed: bool, headless: bool) -> None:
         _play(handle, model.opt.timestep, step)
 
 
-def stand(*, headless: bool, seconds: float = DEFAULT_SECONDS) -> None:
+def stand(*, headless: bool, seconds: float = DEFAULT_SECONDS) -> bool:
     """Drops Pupper v3 from its keyframe ``home`` and prints how steadily it stands at the end.
 
     With a window it runs in real time; a window that is closed early does not change the result.
@@ -102,11 +102,13 @@ def stand(*, headless: bool, seconds: float = DEFAULT_SECONDS) -> None:
         headless: Open no window; print what the IMU reads on the way.
         seconds: How long (s), from 2 to 600.
 
+    Returns:
+        Whether the stand is stable; a command whose stand is not ends with status 1.
+
     Raises:
         ConfigurationError: If ``seconds`` is out of its bounds.
         DisplayError: If no window can be opened.
         ModelError: If the model file is missing or damaged.
-        SystemExit: With status 1, if the stand is not stable.
     """
     _check_seconds(seconds)
     if not headless:
@@ -120,8 +122,7 @@ def stand(*, headless: bool, seconds: float = DEFAULT_SECONDS) -> None:
         f"final z={result.height[-1]:.3f} m, last-1s std={deviation:.2f} mm "
         f"({sign} {1e3 * STABLE_DEVIATION:g} mm = {verdict})"
     )
-    if not result.stable:
-        raise SystemExit(1)
+    return result.stable
 
 
 # ------------------------------------------------------------------------------------- the drop

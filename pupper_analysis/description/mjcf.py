@@ -258,16 +258,30 @@ def _restore_tree(node: ElementTree.Element, body: mujoco.MjsBody) -> None:
             if tag == "body":
                 inertial = child.find("inertial")
                 if inertial is not None:
-                    _restore(inertial, element, prefix="i")
+                    _restore_inertial(inertial, element)
                 _restore_tree(child, element)
 
 
-def _restore(node: ElementTree.Element, element: object, prefix: str = "") -> None:
+def _restore_inertial(node: ElementTree.Element, body: mujoco.MjsBody) -> None:
+    """Writes a body's inertial as the spec has it; MuJoCo writes its principal axes instead."""
+    node.attrib.clear()
+    values = {"pos": body.ipos, "mass": body.mass}
+    if math.isnan(body.fullinertia[0]):
+        values |= {"quat": body.iquat, "diaginertia": body.inertia}
+    else:
+        values |= {"fullinertia": body.fullinertia}
+    for name, value in values.items():
+        node.set(name, _digits(np.atleast_1d(np.array(value, dtype=float))))
+
+
+def _digits(values: Array) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _restore(node: ElementTree.Element, element: object) -> None:
     """Replaces numbers in an element's attributes by the spec's, where these round to the same."""
     for name, text in node.attrib.items():
-        value = getattr(element, prefix + name, None) if prefix else None
-        if value is None:
-            value = getattr(element, name, None)
+        value = getattr(element, name, None)
         if value is None or isinstance(value, (str, bool)):
             continue
         try:
@@ -275,5 +289,7 @@ def _restore(node: ElementTree.Element, element: object, prefix: str = "") -> No
             exact = np.atleast_1d(np.array(value, dtype=float))[: len(rounded)]
         except (TypeError, ValueError):
             continue
-        if exact.shape == rounded.shape and np.allclose(exact, rounded, rtol=1e-5, atol=1e-12):
-            node.set(name, " ".join(repr(float(number)) for number in exact))
+        if exact.shape != rounded.shape or np.array_equal(exact, rounded):
+            continue
+        if np.allclose(exact, rounded, rtol=1e-5, atol=1e-12):
+            node.set(name, _digits(exact))

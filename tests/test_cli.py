@@ -1,0 +1,175 @@
+"""The command line: what it prints, what it writes, and its exit status."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+
+
+def run(script: str, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, str(SCRIPTS / script), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=cwd,
+        check=False,
+    )
+
+
+def test_analyze_prints_every_part_and_writes_figures_and_json(tmp_path: Path) -> None:
+    result = run(
+        "analyze_variant.py",
+        "long-leg",
+        "v3-heavy",
+        "--output",
+        str(tmp_path / "out"),
+        "--json",
+        str(tmp_path / "all.json"),
+    )
+    assert result.returncode == 0, result.stderr
+    for part in (
+        "long-leg",
+        "v3-heavy",
+        "Joints",
+        "com at zero angles",
+        "Stand (PlaCo",
+        "Foot Jacobians",
+        "Motor torques",
+        "Contact forces",
+        "with feed-forward",
+        "Height deviation",
+        "Cross-check",
+        "Comparison",
+        "1.475",
+        "1.500",
+        "2 of 2 verified",
+    ):
+        assert part in result.stdout, part
+    figures = {path.name for path in (tmp_path / "out").iterdir()}
+    assert figures == {
+        "pose_long-leg.png",
+        "pose_v3-heavy.png",
+        "torques.png",
+        "heights.png",
+        "gains.png",
+        "variants.png",
+    }
+    content = json.loads((tmp_path / "all.json").read_text())
+    assert set(content["variants"]) == {"long-leg", "v3-heavy"}
+    ratios = {row["name"]: row for row in content["comparison"]}
+    assert ratios["long-leg"]["thigh_ratio"] == pytest.approx(1.5)
+    assert ratios["long-leg"]["thigh_shape_ratio"] == pytest.approx(1.5)
+    assert ratios["v3-heavy"]["mass_ratio"] == pytest.approx(4.676 / 3.170)
+    assert content["variants"]["v3-heavy"]["verified"] is True
+
+
+def test_analyze_own_variant_in_another_stance(tmp_path: Path) -> None:
+    result = run(
+        "analyze_variant.py",
+        *("--base", "v3", "--leg-scale", "1.2", "--torso-mass-scale", "1.3"),
+        *("--height", "0.15", "--roll", "0.05", "--pitch", "-0.05", "--yaw", "0.1"),
+        "--no-figures",
+        cwd=tmp_path,
+    )
+    assert result.returncode == 0, result.stderr + result.stdout
+    assert "v3-leg1.2-torso1.3" in result.stdout
+    assert "height 0.1500 m, roll 2.9 deg, pitch -2.9 deg, yaw 5.7 deg" in result.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_list() -> None:
+    result = run("analyze_variant.py", "--list")
+    assert result.returncode == 0
+    for text in ("original", "long-leg", "heavy", "v3", "v3-long-leg", "v3-heavy", "4.676"):
+        assert text in result.stdout
+
+
+@pytest.mark.parametrize("script", ["analyze_variant.py", "view_pupper.py", "stand_pupper.py"])
+def test_help_teaches(script: str) -> None:
+    result = run(script, "--help")
+    assert result.returncode == 0
+    assert "Usage:" in result.stdout
+    assert "--help" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nobody"], "known variants: original, long-leg, heavy, v3"),
+        (["original", "nobody"], "'nobody'"),
+        (["--base", "v4"], "valid: skeleton, v3"),
+        (["--leg-scale", "0"], "greater than 0"),
+        (["--leg-scale", "-1"], "greater than 0"),
+        (["--leg-scale", "nan"], "leg_scale nan"),
+        (["--torso-mass-scale", "inf"], "torso_mass_scale inf"),
+        (["--leg-scale", "long"], "'long' is not a valid float"),
+        (["--frobnicate"], "No such option"),
+        (["original", "--height", "0.5"], "FL by 294.0 mm"),
+        (["original", "--height", "-0.1"], "not above the ground"),
+        (["v3", "--roll", "nan"], "roll"),
+        (["v3", "--pitch", "1.2"], "out of reach"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_status_2(
+    arguments: list[str], message: str, tmp_path: Path
+) -> None:
+    result = run("analyze_variant.py", *arguments, "--json", "all.json", cwd=tmp_path)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["--output", "--json"])
+def test_a_place_that_cannot_be_written(option: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    result = run("analyze_variant.py", "original", option, str(tmp_path / "file" / "x"))
+    assert result.returncode == 2
+    assert "file" in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert result.stdout == ""
+
+
+def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    from click.testing import CliRunner
+
+    from pupper_analysis import cli, simulation
+
+    monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)
+    result = CliRunner().invoke(cli.analyze, ["original", "--no-figures"])
+    assert result.exit_code == 1
+    assert "FAILED original: a joint is off by" in result.stdout
+    assert "0 of 1 verified" in result.stdout
+
+
+def test_view_headless() -> None:
+    result = run("view_pupper.py", "--fixed", "--headless")
+    assert result.returncode == 0, result.stderr
+    assert "nq=12, nv=12, nu=12" in result.stdout
+    assert 'data.sensor("body_gyro")' in result.stdout
+
+
+def test_stand_headless() -> None:
+    result = run("stand_pupper.py", "--headless")
+    assert result.returncode == 0, result.stderr
+    assert "final z=0.120 m, last-1s std=0.00 mm (< 5 mm = stable)" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments"),
+    [("stand_pupper.py", ["--headless", "--seconds", "nan"]), ("view_pupper.py", ["--fix"])],
+)
+def test_bad_input_of_the_other_scripts(script: str, arguments: list[str]) -> None:
+    result = run(script, *arguments)
+    assert result.returncode == 2
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in result.stderr
