@@ -20,6 +20,9 @@ from pupper_analysis.statics import GravityCompensation, gravity_compensation
 
 Array = NDArray[np.float64]
 
+SAGGING_SECONDS = 12.0
+"""Without feed-forward a robot on soft servos sinks slowly: this long it is watched."""
+
 
 @dataclass(frozen=True, eq=False)
 class JointSummary(Result):
@@ -173,7 +176,7 @@ def analyze_variant(
         hanging_torques=gravity_compensation(config, contacts=[]).joint_torques,
         foot_jacobians=leg_jacobians(config),
         verification=verification,
-        sagging=verify_stand(robot, stand, feedforward=False),
+        sagging=verify_stand(robot, stand, feedforward=False, duration=SAGGING_SECONDS),
         sweep=sweep_gains(robot, stand, progress=progress),
         check=check,
         verified=not failures,

@@ -57,11 +57,11 @@ def main() -> None:
 @click.group("pupper-analysis", context_settings=_CONTEXT)
 @click.version_option(package_name="pupper-analysis")
 def group() -> None:
-    r"""Know that a legged robot's models are right, what its motors hold and how it can stand.
+    """Know that a legged robot's models are right, what its motors hold and how it can stand.
 
     \b
     Exit status: 0 verified, 1 something failed verification or the cross-check, 2 bad input.
-    """
+    """  # noqa: D301 - click reads the \b
 
 
 @group.command(
@@ -101,7 +101,7 @@ def analyze(
     json_path: Path | None,
     no_figures: bool,
 ) -> None:
-    r"""Take variants of Pupper from their two model files to a verified stand.
+    """Take variants of Pupper from their two model files to a verified stand.
 
     Each NAME is a variant (see --list); without any, all six are analysed. A variant of your own
     is given by --base, --leg-scale and --torso-mass-scale.
@@ -121,7 +121,7 @@ def analyze(
     \b
     Exit status: 0 all verified, 1 something failed verification or the cross-check,
     2 bad input (an unknown name, a scale that is no scale, a stance out of reach).
-    """
+    """  # noqa: D301 - click reads the \b
     from pupper_analysis.variants import VARIANTS, VariantSpec, variant_spec
 
     specs = [variant_spec(name) for name in dict.fromkeys(names)]

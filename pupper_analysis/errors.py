@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from enum import Enum
+from enum import StrEnum
 from os import PathLike
 
 
@@ -92,7 +92,7 @@ class StanceUnreachableError(PupperAnalysisError):
         super().__init__(f"{text}. Try another height, or less roll, pitch or yaw.")
 
 
-class Infeasibility(str, Enum):
+class Infeasibility(StrEnum):
     """Why no set of contact forces keeps a robot in balance."""
 
     NO_CONTACT = "no contact"

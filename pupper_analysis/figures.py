@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +23,7 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform  # type: ignore[import-un
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.files import whole_file
 from pupper_analysis.robot import Robot, foot_site
 
 if TYPE_CHECKING:
@@ -94,6 +95,10 @@ class Skeleton:
     legs: dict[str, Array]
     boxes: Array
 
+    def points(self) -> Array:
+        """Returns all points (n, 3) (m)."""
+        return np.concatenate([self.boxes.reshape(-1, 3), *self.legs.values()])
+
 
 def skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
     """Returns a robot as lines.
@@ -156,7 +161,7 @@ def pose_figure(robot: Robot, analysis: Analysis, path: str | Path) -> None:
         path: The PNG to write.
 
     Raises:
-        ConfigurationError: If the file cannot be written.
+        OutputError: If the file cannot be written.
     """
     lines = skeleton(robot, analysis.stand.qpos)
     figure = Figure(figsize=(_WIDTH, 0.6 * _WIDTH), dpi=DPI)
@@ -221,41 +226,18 @@ def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation
     axes.plot(com[:1], com[1:2], com[2:], **_COM, zorder=6)
     axes.plot(com[:1], com[1:2], (0.0,), **_PROJECTION, zorder=6)
 
-    scale = (
-        1e3
-        * _ARROW
-        * np.ptp(polygon, axis=0).max()
-        / max(float(np.linalg.norm(force)) for force in statics.contact_forces.values())
-    )
-    arrows = {
-        foot: (
-            1e3 * statics.contact_points[foot] - scale * force,
-            1e3 * statics.contact_points[foot],
-        )
-        for foot, force in statics.contact_forces.items()
-    }
-    tails = [tail for tail, _ in arrows.values()]
-    corners = 1e3 * np.concatenate([lines.boxes.reshape(-1, 3), *lines.legs.values()])
-    shown = np.concatenate([corners, tails])
-    low = shown.min(axis=0) - np.array([35, 20, 50])
-    high = shown.max(axis=0) + np.array([20, 35, 10])
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(high - low, zoom=1.02)
-    # No ticks in the corners, where those of two axes meet, nor below the ground.
-    first = np.array([low[0] + 30, low[1] + 30, 0.0])
-    names = ("x, forward", "y, left", "z, up")
-    for index, axis in enumerate((axes.xaxis, axes.yaxis, axes.zaxis)):
-        axis.set_ticks(np.arange(100 * np.ceil(first[index] / 100), high[index] - 15, 100))
-        axis.set_tick_params(labelsize=FONT, pad=-2)
-        axis.set_label_text(f"{names[index]} (mm)", fontsize=FONT)
-        axis.labelpad = 0
-        axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
-
+    forces, tips = statics.contact_forces, statics.contact_points
+    largest = max(float(np.linalg.norm(force)) for force in forces.values())
+    scale = _ARROW * float(np.ptp(polygon, axis=0).max()) / largest
+    tails = {foot: tips[foot] - scale * force for foot, force in forces.items()}
+    _fit(axes, 1e3 * np.concatenate([lines.points(), list(tails.values())]))
+    # In the projection that the axes have now: an arrow's head in space would be seen askew.
     projection = axes.get_proj()
-    for foot, (tail, tip) in arrows.items():
-        (x0, y0, _), (x1, y1, _) = (proj_transform(*end, projection) for end in (tail, tip))
+    for foot, force in forces.items():
+        ends = (1e3 * tails[foot], 1e3 * tips[foot])
+        (x0, y0, _), (x1, y1, _) = (proj_transform(*end, projection) for end in ends)
         axes.annotate(
-            f"{foot}\n{np.linalg.norm(statics.contact_forces[foot]):.2f} N",
+            f"{foot}\n{np.linalg.norm(force):.2f} N",
             (x1, y1),
             (x0, y0),
             size=FONT,
@@ -274,6 +256,26 @@ def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation
                 "relpos": (0.5, 1),
             },
         )
+
+
+def _fit(axes: Any, shown: Array) -> None:
+    """Gives axes in space equal scales, and limits around points (n, 3) (mm)."""
+    room = float(np.ptp(shown, axis=0).max()) / 300
+    low = shown.min(axis=0) - room * np.array([35, 20, 50])
+    high = shown.max(axis=0) + room * np.array([20, 35, 10])
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect(high - low, zoom=1.02)
+    # No ticks in the corners, where those of two axes meet, nor below the ground.
+    first, last = low + 30 * room, high - 15 * room
+    first[2] = 0.0
+    step = _tick_step(shown)
+    names = ("x, forward", "y, left", "z, up")
+    for index, axis in enumerate((axes.xaxis, axes.yaxis, axes.zaxis)):
+        axis.set_ticks(np.arange(step * np.ceil(first[index] / step), last[index], step))
+        axis.set_tick_params(labelsize=FONT, pad=-2)
+        axis.set_label_text(f"{names[index]} (mm)", fontsize=FONT)
+        axis.labelpad = 0
+        axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
 
 
 def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensation) -> None:
@@ -322,14 +324,22 @@ def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensati
             bbox={"fc": "white", "ec": "none", "pad": 1.5, "alpha": 0.9},
             zorder=6,
         )
-    shown = 1e3 * np.concatenate([lines.boxes.reshape(-1, 3), *lines.legs.values()])
+    shown = 1e3 * lines.points()
     axes.set_aspect("equal")
-    axes.set_xlim(shown[:, 1].max() + 55, shown[:, 1].min() - 55)
-    axes.set_ylim(shown[:, 0].min() - 15, shown[:, 0].max() + 15)
-    axes.xaxis.set_major_locator(MultipleLocator(100))
-    axes.yaxis.set_major_locator(MultipleLocator(100))
+    room = float(np.ptp(shown, axis=0).max()) / 300
+    axes.set_xlim(shown[:, 1].max() + 55 * room, shown[:, 1].min() - 55 * room)
+    axes.set_ylim(shown[:, 0].min() - 15 * room, shown[:, 0].max() + 15 * room)
+    axes.xaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
+    axes.yaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
     axes.set_xlabel("y, left (mm)", size=FONT)
     axes.set_ylabel("x, forward (mm)", size=FONT)
+
+
+def _tick_step(points: Array) -> float:
+    """Returns a round distance of ticks, at most half of the span of points (n, 3) (mm)."""
+    span = float(np.ptp(points, axis=0).max()) / 2
+    power = 10.0 ** math.floor(math.log10(span))
+    return power * max(factor for factor in (1, 2, 5) if factor * power <= span)
 
 
 # ------------------------------------------------------------------------------------- torques
@@ -345,7 +355,8 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         path: The PNG to write.
 
     Raises:
-        ConfigurationError: If there is no robot, or the file cannot be written.
+        ConfigurationError: If there is no robot.
+        OutputError: If the file cannot be written.
     """
     rows = max((len(analysis.joints) for analysis in analyses), default=0)
     figure, panels = _panels(
@@ -426,19 +437,21 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         path: The PNG to write.
 
     Raises:
-        ConfigurationError: If there is no robot, or the file cannot be written.
+        ConfigurationError: If there is no robot.
+        OutputError: If the file cannot be written.
     """
     figure, panels = _panels(analyses, "Height of the simulated base", 1.75)
     for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
         task = 1e3 * analysis.stand.qpos[2]
         axes.axhline(task, color=BLACK, lw=1.2, ls=":")
-        lowest = task
+        low = high = task
         for run, style in ((analysis.verification, _WITH), (analysis.sagging, _WITHOUT)):
             label = f"{1e3 * run.height_loss:.2f} mm"
             axes.plot(run.time, 1e3 * run.height, **style, markevery=(0.1, 0.2), label=label)
-            lowest = min(lowest, float(np.nanmin(1e3 * run.height)))
-        span = max(task - lowest, 1.0)
-        axes.set_ylim(task - 1.3 * span, task + 0.1 * span)
+            low = min(low, float(np.nanmin(1e3 * run.height)))
+            high = max(high, float(np.nanmax(1e3 * run.height)))
+        span = max(high - low, 1.0)
+        axes.set_ylim(high - 1.3 * span, high + 0.1 * span)
         axes.legend(
             loc="lower right",
             ncols=2,
@@ -478,10 +491,15 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         path: The PNG to write.
 
     Raises:
-        ConfigurationError: If there is no robot, or the file cannot be written.
+        ConfigurationError: If there is no robot.
+        OutputError: If the file cannot be written.
     """
     rows = max((len(analysis.sweep.kp) for analysis in analyses), default=0)
-    figure, panels = _panels(analyses, "Gain sweep: how steady the height is", 0.26 * rows + 0.65)
+    figure, panels = _panels(
+        analyses,
+        "Gain sweep: standard deviation of the height in the last second",
+        0.26 * rows + 0.65,
+    )
     finite = np.concatenate(
         [1e3 * a.sweep.height_deviation[np.isfinite(a.sweep.height_deviation)] for a in analyses]
     )
@@ -537,8 +555,10 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             axes.set_xlabel("kd (N m s/rad)", size=FONT)
         if index % _COLUMNS == 0:
             axes.set_ylabel("kp (N m/rad)", size=FONT)
-    colours = figure.colorbar(image, ax=panels, shrink=0.9, pad=0.015, aspect=40)
-    colours.set_label("standard deviation of the height (mm)", size=FONT)
+    colours = figure.colorbar(
+        image, ax=panels, shrink=0.9, pad=0.015, aspect=20 * -(-len(panels) // _COLUMNS)
+    )
+    colours.set_label("deviation (mm)", size=FONT)
     colours.ax.tick_params(labelsize=FONT, which="both")
     colours.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     colours.ax.yaxis.set_minor_locator(NullLocator())
@@ -604,16 +624,8 @@ def save(figure: Figure, path: str | Path) -> None:
     """Writes a figure as a PNG, and its folder if need be; no half-written file is ever there.
 
     Raises:
-        ConfigurationError: If the file cannot be written.
+        OutputError: If the file cannot be written.
     """
-    path = Path(path)
     FigureCanvasAgg(figure)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(part, format="png")
-        part.replace(path)
-    except OSError as error:
-        raise ConfigurationError("path", f"{path} cannot be written: {error}") from error
-    finally:
-        part.unlink(missing_ok=True)
+    with whole_file(Path(path)) as temporary:
+        figure.savefig(temporary, format="png")

@@ -231,7 +231,7 @@ def _print_statics(out: Console, analysis: Analysis) -> None:
 def _print_verification(out: Console, analysis: Analysis) -> None:
     table = _table(
         out,
-        f"MuJoCo, {analysis.verification.duration:g} s on the floating base "
+        "MuJoCo, on the floating base "
         f"({analysis.verification.integrator}, {1e3 * analysis.verification.timestep:g} ms; "
         f"kp {_range(analysis.verification.kp)} N m/rad, "
         f"kd {_range(analysis.verification.kd)} N m s/rad)",
@@ -241,6 +241,7 @@ def _print_verification(out: Console, analysis: Analysis) -> None:
     )
     both = (analysis.verification, analysis.sagging)
     rows: list[tuple[str, list[str]]] = [
+        ("simulated time", [f"{run.duration:g} s" for run in both]),
         ("base height", [f"{run.base_height:.5f} m" for run in both]),
         ("loss of height", [f"{1e3 * run.height_loss:.3f} mm" for run in both]),
         ("  servo sag", [f"{_number(1e3 * run.servo_sag, 3, '-')} mm" for run in both]),
@@ -248,6 +249,10 @@ def _print_verification(out: Console, analysis: Analysis) -> None:
         (
             "deviation, last second (< 5 mm = stable)",
             [f"{1e3 * run.height_deviation:.5f} mm" for run in both],
+        ),
+        (
+            "drift, last second",
+            [f"{_number(1e3 * run.height_drift, 4)} mm/s" for run in both],
         ),
         ("tilt against the task", [f"{math.degrees(run.tilt):.4f} deg" for run in both]),
         ("foot slip", [f"{1e3 * max(run.foot_slip.values()):.4f} mm" for run in both]),
@@ -336,6 +341,7 @@ class ComparisonRow(Result):
         peak_torque: The greatest of least torque (N m).
         peak_utilisation: The greatest motor utilisation.
         servo_sag: Without feed-forward (m).
+        stands_without: Whether it stands without feed-forward.
         contact_sag: With feed-forward (m).
         torque_error: Of the simulation against the prediction, relative.
         force_error: Likewise.
@@ -355,6 +361,7 @@ class ComparisonRow(Result):
     peak_torque: float
     peak_utilisation: float
     servo_sag: float
+    stands_without: bool
     contact_sag: float
     torque_error: float
     force_error: float
@@ -402,6 +409,7 @@ def compare(analysis: Analysis, base: str, reference: Reference) -> ComparisonRo
         peak_torque=float(np.abs(analysis.statics.joint_torques).max()),
         peak_utilisation=float(analysis.statics.motor_utilisation.max()),
         servo_sag=analysis.sagging.servo_sag,
+        stands_without=analysis.sagging.passed,
         contact_sag=analysis.verification.contact_sag,
         torque_error=analysis.verification.torque_error,
         force_error=analysis.verification.force_error,
@@ -434,7 +442,11 @@ def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
         ("stand height (m)", [f"{row.height:.4f}" for row in rows]),
         ("peak torque (N m)", [f"{row.peak_torque:.3f}" for row in rows]),
         ("peak utilisation", [f"{row.peak_utilisation:.1%}" for row in rows]),
-        ("servo sag (mm)", [f"{1e3 * row.servo_sag:.3f}" for row in rows]),
+        (
+            "without feed-forward",
+            ["stands" if row.stands_without else "[red]FAILS[/]" for row in rows],
+        ),
+        ("  servo sag (mm)", [f"{1e3 * row.servo_sag:.3f}" for row in rows]),
         ("contact softness (mm)", [f"{1e3 * row.contact_sag:.3f}" for row in rows]),
         ("torque off prediction", [f"{row.torque_error:.3%}" for row in rows]),
         ("foot force off prediction", [f"{row.force_error:.3%}" for row in rows]),

@@ -280,6 +280,8 @@ def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
         for actuator in range(model.nu)
         if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
     ]
+    if not known:
+        raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")
     return tuple(dict.fromkeys([*driven, *known]))
 
 

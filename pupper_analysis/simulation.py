@@ -163,7 +163,7 @@ def _gain(name: str, value: ArrayLike, size: int) -> Array:
 # ------------------------------------------------------------------------------------- rollouts
 
 
-def place_on_ground(robot: Robot, model: mujoco.MjModel, stand: Stand, ctrl: Array) -> Array:
+def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
     """Returns MuJoCo's state at a stand, let down until the contacts carry the weight.
 
     The ground is soft: feet that just touch it carry nothing. The base is lowered, with the joints
@@ -172,15 +172,16 @@ def place_on_ground(robot: Robot, model: mujoco.MjModel, stand: Stand, ctrl: Arr
 
     Args:
         robot: The robot.
-        model: The robot's MuJoCo model, with servos.
+        drive: The robot's MuJoCo model, with servos.
         stand: The stand.
-        ctrl: (model.nu,) the servos' command.
+        torques: (nu,) motor torques that balance it (N m).
 
     Returns:
         The state (mjSTATE_FULLPHYSICS).
     """
+    model = drive.model
     data = mujoco.MjData(model)
-    data.ctrl[:] = ctrl
+    data.ctrl[:] = drive.command(robot, stand.joint_positions(robot), torques)
     vertical = robot.mj_convention.qvel_index[2]
 
     def acceleration(drop: float) -> float:
@@ -239,6 +240,7 @@ class StandVerification(Result):
         kd: (nu,) N m s/rad.
         base_height: Settled (m).
         height_deviation: Standard deviation of the base's height in the last second (m).
+        height_drift: Rate of the base's height in the last second (m/s): still sinking if negative.
         height_loss: Task's height less the settled one (m); the sum of the next two.
         servo_sag: The part lost in the joints (m).
         contact_sag: The part lost in the softness of feet and ground (m).
@@ -269,6 +271,7 @@ class StandVerification(Result):
     kd: Array
     base_height: float
     height_deviation: float
+    height_drift: float
     height_loss: float
     servo_sag: float
     contact_sag: float
@@ -326,7 +329,7 @@ def verify_stand(
     positions = stand.joint_positions(robot)
     torques = prediction.joint_torques if feedforward else None
     ctrl = drive.command(robot, positions, torques)
-    start = place_on_ground(robot, drive.model, stand, ctrl)
+    start = place_on_ground(robot, drive, stand, prediction.joint_torques)
     timestep = float(drive.model.opt.timestep)
     states, _ = mujoco.rollout.rollout(
         drive.model,
@@ -390,6 +393,7 @@ def verify_stand(
         kd=drive.kd,
         base_height=base_height,
         height_deviation=deviation,
+        height_drift=float(heights[-1] - heights[-last_second]) / (timestep * (last_second - 1)),
         height_loss=height_loss,
         servo_sag=height_loss - contact_sag,
         contact_sag=contact_sag,
@@ -610,7 +614,10 @@ def sweep_gains(
     control[0, :, : model.nu] = ctrl
     force = amplitude * np.sin(2 * math.pi * frequency * timestep * np.arange(steps))
     control[0, :, model.nu + 6 * base + 2] = force
-    starts = np.array([place_on_ground(robot, drive.model, stand, ctrl) for drive in drives])
+    balance = gravity_compensation(Configuration(robot, stand.qpos), sharing=LoadSharing.EVEN)
+    starts = np.array(
+        [place_on_ground(robot, drive, stand, balance.joint_torques) for drive in drives]
+    )
     states = _rollout_in_chunks([drive.model for drive in drives], starts, control, progress)
 
     deviations = _heights(robot, states)[:, -round(1.0 / timestep) :].std(axis=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from numbers import Real
 from xml.etree import ElementTree
 
 import numpy as np
@@ -52,8 +53,10 @@ class StandTask:
             value = getattr(self, name)
             if value is None and name == "height":
                 continue
-            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+            if isinstance(value, bool) or not isinstance(value, Real):
                 raise ConfigurationError(name, f"{value!r} is not a number")
+            value = float(value)
+            object.__setattr__(self, name, value)
             if not math.isfinite(value):
                 raise ConfigurationError(name, f"{value} is not finite")
             if name == "height" and value <= 0:

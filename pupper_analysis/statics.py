@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 
 import clarabel
 import numpy as np
@@ -28,7 +28,7 @@ _NO_SLIDING = 1e4
 """A friction coefficient that stands for a foot that cannot slide."""
 
 
-class LoadSharing(str, Enum):
+class LoadSharing(StrEnum):
     """Which of the feasible contact forces is meant, where balance leaves a choice.
 
     LEAST_TORQUE has the least sum of squared motor torques: the best that the motors can do.

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 
@@ -95,13 +96,14 @@ class VariantSpec:
     name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        if self.base not in BASES:
+        if not isinstance(self.base, str) or self.base not in BASES:
             raise VariantError("base", self.base, f"valid: {', '.join(BASES)}")
         for what in ("leg_scale", "torso_mass_scale"):
             value = getattr(self, what)
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            number = isinstance(value, Real) and not isinstance(value, bool)
             if not number or not math.isfinite(value) or value <= 0:
                 raise VariantError(what, value, "it must be a finite number greater than 0")
+            object.__setattr__(self, what, float(value))
         if not self.name:
             made = f"{self.base}-leg{self.leg_scale:g}-torso{self.torso_mass_scale:g}"
             object.__setattr__(self, "name", made)
@@ -135,7 +137,7 @@ def variant_spec(variant: str | VariantSpec) -> VariantSpec:
     """
     if isinstance(variant, VariantSpec):
         return variant
-    if variant not in VARIANTS:
+    if not isinstance(variant, str) or variant not in VARIANTS:
         raise VariantError("name", variant, f"known variants: {', '.join(VARIANTS)}")
     return VARIANTS[variant]
 

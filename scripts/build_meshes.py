@@ -94,7 +94,7 @@ FIN_GROOVE_DEPTH = 0.0020
 BOLT_RADIUS = 0.0014
 BOLT_DEPTH = 0.0018
 
-# --- Torso -------------------------------------------------------------------------------- [m]
+# Torso: all lengths in metres.
 SHELL_RADIUS = 0.012
 # Ball centres of the shell: (x, y, z), each also at -y; rear, haunch, shoulder, chest.
 SHELL_BALLS = np.array(
@@ -152,7 +152,7 @@ TAIL_PATH = (
     (-0.1020, 0.0, 0.0725, 0.004, 0.0),
 )
 
-# --- Hip ---------------------------------------------------------------------------------- [m]
+# Hip: all lengths in metres.
 HIP_CAN_RADIUS = 0.026
 HIP_CAN_INWARD = 0.022  # how far the can reaches towards the torso
 HIP_CAN_OUTWARD = 0.020
@@ -163,7 +163,7 @@ ROLL_CAN_RADIUS = 0.019
 ROLL_CAN_HALF_LENGTH = 0.030
 ROLL_BOLTS = BoltCircle(6, 0.013, 0.007)
 
-# --- Thigh -------------------------------------------------------------------------------- [m]
+# Thigh: all lengths in metres.
 AXLE_RADIUS = 0.013  # bridges the hip and the cap, also when the thigh is stretched
 CAP_NEAR, CAP_FAR = 0.0305, 0.040  # along the second motor's axis
 CAP_RADIUS = 0.0185
@@ -179,7 +179,7 @@ POCKET_GAP = 0.003  # between the pocket and the knee housing
 POCKET_CORNER = 0.003
 HOLE_RIM = 0.0025  # of the pocket around the hole through the bar
 
-# --- Calf --------------------------------------------------------------------------------- [m]
+# Calf: all lengths in metres.
 DISC_RADIUS = 0.0225
 DISC_BOLTS = BoltCircle(6, 0.0165, 0.0095)
 DISC_NEAR, DISC_FAR = 0.0135, 0.0255  # y; the knee housing ends at 0.015

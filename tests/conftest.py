@@ -8,6 +8,7 @@ from typing import NamedTuple
 import hypothesis
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -189,7 +190,8 @@ def pinocchio_bodies(robot: pa.Robot) -> dict[str, Body]:
         name = "base" if index == 1 else str(model.names[index])
         frame = robot.base
         if index > 1:
-            frame = next(f.name for f in model.frames if f.parentJoint == index and "BODY" in str(f.type))
+            links = (f for f in model.frames if f.type == pin.FrameType.BODY)
+            frame = next(link.name for link in links if link.parentJoint == index)
         inertia, rotation = model.inertias[index], config.frame_rotation(frame)
         origin = config.frame_position(frame)
         bodies[name] = Body(
@@ -258,7 +260,8 @@ TINY_URDF = """
     <inertial><origin xyz="0 0 -0.05"/><mass value="0.3"/>
       <inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial>
   </link>
-  <joint name="toe" type="fixed"><origin xyz="0 0 -0.1"/><parent link="hand"/><child link="foot"/></joint>
+  <joint name="toe" type="fixed"><origin xyz="0 0 -0.1"/>
+    <parent link="hand"/><child link="foot"/></joint>
   <link name="foot"/>
   <joint name="push" type="prismatic"><origin xyz="-0.1 0 0"/><axis xyz="0 0 1"/>
     <parent link="base"/><child link="rod"/>
@@ -308,7 +311,7 @@ class Files(NamedTuple):
 
 @pytest.fixture(scope="session")
 def tiny_files(tmp_path_factory: pytest.TempPathFactory) -> Files:
-    """A robot with a continuous and a sliding joint, and its joints in another order in each file."""
+    """A robot with a continuous and a sliding joint; each file has the joints in another order."""
     folder = tmp_path_factory.mktemp("tiny")
     files = Files(folder / "tiny.urdf", folder / "tiny.xml")
     files.urdf.write_text(TINY_URDF)

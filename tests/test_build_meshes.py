@@ -28,7 +28,8 @@ def load_script() -> ModuleType:
     spec = importlib.util.spec_from_file_location(
         "build_meshes", ROOT / "scripts" / "build_meshes.py"
     )
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

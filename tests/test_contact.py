@@ -22,8 +22,11 @@ geoms = st.fixed_dictionaries(
             st.tuples(st.floats(-5000.0, -10.0), st.floats(-100.0, -1.0)),
         ),
         "solimp": st.tuples(
-            st.floats(0.1, 0.8), st.floats(0.85, 0.99), st.floats(0.001, 0.02),
-            st.floats(0.2, 0.8), st.floats(1.0, 3.0),
+            st.floats(0.1, 0.8),
+            st.floats(0.85, 0.99),
+            st.floats(0.001, 0.02),
+            st.floats(0.2, 0.8),
+            st.floats(1.0, 3.0),
         ),
     }
 )
@@ -109,5 +112,5 @@ def test_foot_geom_is_the_sphere_that_touches() -> None:
     found = contact.foot_geom(model, int(site.bodyid[0]), site.pos)
     assert found is not None
     assert model.geom_conaffinity[found] == 1  # not the drawn one at the same place
-    assert contact.foot_geom(model, int(site.bodyid[0]), site.pos + [0, 0, 1e-5]) is None
+    assert contact.foot_geom(model, int(site.bodyid[0]), site.pos + np.array([0, 0, 1e-5])) is None
     assert contact.foot_geom(model, 0, site.pos) is None

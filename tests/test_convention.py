@@ -53,9 +53,7 @@ def test_velocity_map_agrees_with_both_engines_integration(
     """MuJoCo moves qpos along qvel; Pinocchio says which of its velocities that was."""
     qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
     convention, dt = any_robot.pin_convention, 1e-5
-    behind, ahead = (
-        convention.q(integrate(any_robot, qpos, qvel, sign * dt)) for sign in (-1, 1)
-    )
+    behind, ahead = (convention.q(integrate(any_robot, qpos, qvel, sign * dt)) for sign in (-1, 1))
     measured = pin.difference(any_robot.pin_model, behind, ahead) / (2 * dt)
     np.testing.assert_allclose(measured, convention.velocity_map(qpos) @ qvel, atol=1e-8)
 
@@ -83,9 +81,7 @@ def test_quaternion_need_not_be_normalised() -> None:
 @given(vector=numbers(3, 3.0))
 def test_rotation_from_quaternion(vector: np.ndarray) -> None:
     expected = Rotation.from_rotvec(vector).as_matrix()
-    np.testing.assert_allclose(
-        rotation_from_quaternion(quaternion(vector)), expected, atol=1e-12
-    )
+    np.testing.assert_allclose(rotation_from_quaternion(quaternion(vector)), expected, atol=1e-12)
 
 
 def test_joints_are_in_actuator_order_then_those_without(tiny: pa.Robot) -> None:
@@ -94,9 +90,7 @@ def test_joints_are_in_actuator_order_then_those_without(tiny: pa.Robot) -> None
 
 
 @given(data=st.data())
-def test_mujoco_indices_find_the_joints_by_name(
-    any_robot: pa.Robot, data: st.DataObject
-) -> None:
+def test_mujoco_indices_find_the_joints_by_name(any_robot: pa.Robot, data: st.DataObject) -> None:
     qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
     mj_data = mujoco.MjData(any_robot.mj_model)
     any_robot.mj_convention.set_state(mj_data, qpos, qvel)

@@ -24,6 +24,7 @@ from conftest import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.description import describe, mjcf, urdf
@@ -75,10 +76,6 @@ def test_scaled_bodies_could_exist(
 
 
 # ------------------------------------------------------------------------------------- stretching
-
-# The plane of v3's legs is that of the base's x and z axes at zero angles.
-V3_THIGH = np.array([0.0494, 0, -0.0685])  # right legs, hip to knee along x and z, up to signs
-LINKS = {"_2": "thigh", "_3": "calf"}
 
 
 def point_masses(body: Body) -> tuple[np.ndarray, np.ndarray]:
@@ -209,7 +206,10 @@ def test_skeleton_links_stay_solid_capsules(source: str, scale: float) -> None:
     for leg in ("FL", "FR", "RL", "RR"):
         thigh, calf = bodies[f"{leg}_HFE"], bodies[f"{leg}_KFE"]
         np.testing.assert_allclose(
-            thigh.inertia, np.diag([thigh_lateral, thigh_lateral, thigh_axial]), rtol=1e-10, atol=1e-18
+            thigh.inertia,
+            np.diag([thigh_lateral, thigh_lateral, thigh_axial]),
+            rtol=1e-10,
+            atol=1e-18,
         )
         np.testing.assert_allclose(thigh.com - thigh.position, [0, 0, -0.04 * scale], atol=1e-12)
         np.testing.assert_allclose(
@@ -251,8 +251,11 @@ def test_meshes_are_in_the_same_place_in_both_files(name: str, tmp_path: Path) -
             body = link.attrib["name"]
             part = trimesh.load_mesh((path.parent / mesh.attrib["filename"]).resolve())
             scale = np.array(mesh.attrib.get("scale", "1 1 1").split(), dtype=float)
-            origin = yourdfpy.URDF._parse_origin(visual.find("origin"))
-            points = (part.vertices * scale) @ origin[:3, :3].T + origin[:3, 3]
+            origin = visual.find("origin")
+            assert origin is not None
+            place = np.array(origin.attrib["xyz"].split(), dtype=float)
+            turn = Rotation.from_euler("xyz", np.array(origin.get("rpy", "0 0 0").split(), float))
+            points = turn.apply(part.vertices * scale) + place
             world = config.frame_position(body) + points @ config.frame_rotation(body).T
             extent = np.array([world.min(axis=0), world.max(axis=0)])
             np.testing.assert_allclose(theirs[body], extent, atol=2e-6, err_msg=body)
@@ -260,11 +263,11 @@ def test_meshes_are_in_the_same_place_in_both_files(name: str, tmp_path: Path) -
 
 def test_meshes_are_stretched_with_their_links() -> None:
     """From hip to knee the drawn thigh grows as the joint's distance does; so does the calf."""
-    short, long = (mujoco_extent(load(name), load(name).neutral()) for name in ("v3", "v3-long-leg"))
-    np.testing.assert_allclose(long["base_link"], short["base_link"], atol=1e-7)
-    np.testing.assert_allclose(
-        long["leg_front_r_1"] , short["leg_front_r_1"], atol=1e-7
+    short, long = (
+        mujoco_extent(load(name), load(name).neutral()) for name in ("v3", "v3-long-leg")
     )
+    np.testing.assert_allclose(long["base_link"], short["base_link"], atol=1e-7)
+    np.testing.assert_allclose(long["leg_front_r_1"], short["leg_front_r_1"], atol=1e-7)
     hip = np.array([0.075, -0.0835, 0])
     for body in ("leg_front_r_2", "leg_front_r_3"):
         assert np.ptp(long[body][:, 2]) > 1.2 * np.ptp(short[body][:, 2])
@@ -277,7 +280,9 @@ def test_meshes_are_stretched_with_their_links() -> None:
 def test_skeletons_shapes_are_stretched_in_both_files(s: float) -> None:
     description = describe(pa.VariantSpec("skeleton", s))
     model = description.mjcf.copy().compile()
-    links = {link.attrib["name"]: link for link in ElementTree.fromstring(description.urdf).iter("link")}
+    links = {
+        link.attrib["name"]: link for link in ElementTree.fromstring(description.urdf).iter("link")
+    }
     for part, length, radius in (("thigh", 0.08, 0.013), ("calf", 0.11, 0.011)):
         for leg in ("FL", "FR", "RL", "RR"):
             geom = int(model.body(f"{leg}_{part}").geomadr[0])
@@ -298,7 +303,10 @@ def test_skeletons_shapes_are_stretched_in_both_files(s: float) -> None:
 def test_home_keeps_its_clearance(base: str, scale: float) -> None:
     """The lowest foot of the scaled robot is as high above the ground as that of the base model."""
     heights = []
-    for robot in (load("v3" if base == "v3" else "original"), pa.load_variant(pa.VariantSpec(base, scale))):
+    for robot in (
+        load("v3" if base == "v3" else "original"),
+        pa.load_variant(pa.VariantSpec(base, scale)),
+    ):
         feet = pa.Configuration(robot, robot.home).foot_positions().values()
         heights.append(min(foot[2] for foot in feet))
     assert heights[1] == pytest.approx(heights[0], abs=1e-12)
@@ -322,13 +330,29 @@ def test_written_files_are_the_variant(variant: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.home, ours.home)
     np.testing.assert_allclose(again.lower_limits, ours.lower_limits, rtol=1e-15)
     for name in (
-        "jnt_range", "dof_armature", "dof_damping", "dof_frictionloss", "actuator_gainprm",
-        "actuator_biasprm", "actuator_forcerange", "geom_size", "geom_pos", "geom_friction",
-        "geom_solimp", "geom_condim", "geom_contype", "geom_conaffinity", "key_ctrl", "site_pos",
+        "jnt_range",
+        "dof_armature",
+        "dof_damping",
+        "dof_frictionloss",
+        "actuator_gainprm",
+        "actuator_biasprm",
+        "actuator_forcerange",
+        "geom_size",
+        "geom_pos",
+        "geom_friction",
+        "geom_solimp",
+        "geom_condim",
+        "geom_contype",
+        "geom_conaffinity",
+        "key_ctrl",
+        "site_pos",
         "mesh_vert",
     ):
         np.testing.assert_allclose(
-            getattr(again.mj_model, name), getattr(ours.mj_model, name), rtol=1e-9, atol=1e-12,
+            getattr(again.mj_model, name),
+            getattr(ours.mj_model, name),
+            rtol=1e-9,
+            atol=1e-12,
             err_msg=name,
         )
     for name in ("timestep", "integrator", "cone", "impratio"):
@@ -388,7 +412,9 @@ def test_written_files_open_elsewhere(
 
 
 def test_base_files_are_not_touched(tmp_path: Path) -> None:
-    files = [path for kind in ("urdf", "mjcf") for path in (ROOT / kind).rglob("*") if path.is_file()]
+    files = [
+        path for kind in ("urdf", "mjcf") for path in (ROOT / kind).rglob("*") if path.is_file()
+    ]
     before = {path: path.stat().st_mtime_ns for path in files}
     pa.write_variant("v3-long-leg", tmp_path)
     pa.write_variant("v3-long-leg", tmp_path)  # over itself

@@ -410,21 +410,26 @@ def test_meshes_neither_collide_nor_weigh() -> None:
     assert drawn.sum() == 13  # torso, and three per leg
     assert not with_meshes.geom_contype[drawn].any()
     assert not with_meshes.geom_conaffinity[drawn].any()
-    # Left alone, without the inertials and the other shapes, they weigh nothing: MuJoCo then gives
-    # every body the least mass that it is told to.
-    spec.compiler.boundmass = 1e-6
-    spec.compiler.boundinertia = 1e-9
-    for body in spec.bodies:
-        body.explicitinertial = False
-        for geom in list(body.geoms):
-            if geom.type != mujoco.mjtGeom.mjGEOM_MESH and body.name != "world":
-                spec.delete(geom)
-    np.testing.assert_allclose(spec.compile().body_mass[1:], 1e-6, rtol=1e-9)
+    # Left alone, without inertials and other shapes, they weigh nothing: MuJoCo then gives every
+    # body the least mass that it is told to.
+    spec.compiler.meshdir = str(MJCF / "meshes")
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-9
+    root = ElementTree.fromstring(spec.to_xml())
+    for body in root.iter("body"):
+        for child in list(body):
+            if child.tag == "inertial" or (child.tag == "geom" and "mesh" not in child.attrib):
+                body.remove(child)
+    alone = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+    assert (alone.geom_type == mujoco.mjtGeom.mjGEOM_MESH.value).sum() == 13
+    np.testing.assert_allclose(alone.body_mass[1:], 1e-6, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
     ("base", "radius", "solimp", "friction"),
-    [("v3", 0.01995, (0.015, 1, 0.015), (0.8, 0.02, 0.01)), ("original", 0.018, None, (1.2, 0.04, 0.01))],
+    [
+        ("v3", 0.01995, (0.015, 1, 0.015), (0.8, 0.02, 0.01)),
+        ("original", 0.018, None, (1.2, 0.04, 0.01)),
+    ],
 )
 def test_foot_spheres(
     base: str, radius: float, solimp: tuple[float, ...] | None, friction: tuple[float, ...]
@@ -458,7 +463,11 @@ def test_the_robot_does_not_touch_itself(robot: pa.Robot, stand: pa.Stand) -> No
 
 @pytest.mark.parametrize(
     ("file", "timestep", "impratio"),
-    [("pupper_v3.xml", 0.002, 100), ("pupper_v3_fixed.xml", 0.002, 100), ("pupper_skeleton.xml", 0.004, 50)],
+    [
+        ("pupper_v3.xml", 0.002, 100),
+        ("pupper_v3_fixed.xml", 0.002, 100),
+        ("pupper_skeleton.xml", 0.004, 50),
+    ],
 )
 def test_options(file: str, timestep: float, impratio: float) -> None:
     option = compiled(file).opt
@@ -516,7 +525,11 @@ def test_fixed_file_is_the_variant_with_a_fixed_base() -> None:
     robot = load("v3", fixed_base=True)
     assert (robot.nq, robot.nv, robot.nu, robot.floating) == (12, 12, 12, False)
     assert robot.total_mass == pytest.approx(3.170, abs=1e-12)
-    file = arrays(without(mujoco.MjSpec.from_file(str(MJCF / "pupper_v3_fixed.xml")), lambda k: k == "keyframe"))
+    file = arrays(
+        without(
+            mujoco.MjSpec.from_file(str(MJCF / "pupper_v3_fixed.xml")), lambda k: k == "keyframe"
+        )
+    )
     ours = arrays(without(robot.description.mjcf.copy(), lambda kind: True))
     for name, value in file.items():
         np.testing.assert_array_equal(ours[name], value, err_msg=name)
@@ -537,9 +550,7 @@ def test_fixed_variant_moves_like_the_fixed_file(share: np.ndarray) -> None:
     mujoco.mj_fullM(model, data, matrix)
     np.testing.assert_allclose(config.mass_matrix(), matrix, atol=1e-14)
     for foot, frame in robot.foot_frames.items():
-        np.testing.assert_allclose(
-            config.foot_positions()[foot], data.site(frame).xpos, atol=1e-14
-        )
+        np.testing.assert_allclose(config.foot_positions()[foot], data.site(frame).xpos, atol=1e-14)
 
 
 def test_holding_the_base_takes_the_base_rows_away() -> None:

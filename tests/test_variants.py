@@ -23,7 +23,7 @@ KNEES = {"original": ("FL_HFE", "FL_KFE"), "v3": ("leg_front_l_2", "leg_front_l_
 
 
 def test_the_variants() -> None:
-    assert NAMES == tuple(MASSES)
+    assert tuple(MASSES) == NAMES
     assert all(pa.VARIANTS[name].name == name for name in NAMES)
 
 
@@ -61,12 +61,16 @@ def test_thigh_ratio_of_the_capsules() -> None:
             geom = int(thigh.geomadr[0])
             assert model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE.value
             capsule = 2 * model.geom_size[geom, 1]
-            assert capsule == pytest.approx(np.linalg.norm(model.body(f"{leg}_calf").pos), rel=1e-12)
+            assert capsule == pytest.approx(
+                np.linalg.norm(model.body(f"{leg}_calf").pos), rel=1e-12
+            )
             lengths.append(capsule)
     np.testing.assert_allclose(lengths, [0.08] * 4 + [0.12] * 4, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("heavy", "base", "ratio"), [("heavy", "original", 1.556), ("v3-heavy", "v3", 1.475)])
+@pytest.mark.parametrize(
+    ("heavy", "base", "ratio"), [("heavy", "original", 1.556), ("v3-heavy", "v3", 1.475)]
+)
 def test_heavy_mass_ratio(heavy: str, base: str, ratio: float) -> None:
     assert load(heavy).total_mass / load(base).total_mass == pytest.approx(ratio, abs=5e-4)
 
@@ -85,17 +89,15 @@ def test_skeleton_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
     np.testing.assert_allclose(
         mujoco_at(robot, robot.neutral()).body("base_link").subtree_com, com, atol=1e-12
     )
-    np.testing.assert_allclose(config.foot_positions()["FL"], [0.075, 0.0835, -0.19 * s], atol=1e-12)
+    np.testing.assert_allclose(
+        config.foot_positions()["FL"], [0.075, 0.0835, -0.19 * s], atol=1e-12
+    )
 
 
 @settings(max_examples=15)
 @given(s=st.floats(0.3, 3), t=st.floats(0.2, 5))
 def test_v3_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
-    """Thigh and calf are stretched in the plane of the leg; the sideways offsets stay.
-
-    At zero angles the thigh of v3 points 0.0494 m forward and 0.0685 m outward of its hip, in
-    the base's axes and the calf from there along (0, -0.0622, ...); so the feet's heights do it.
-    """
+    """Thigh and calf are stretched in the plane of the leg; the sideways offset stays."""
     robot = pa.load_variant(pa.VariantSpec("v3", s, t))
     config = pa.Configuration(robot, robot.neutral())
     total = 1.506 * t + 4 * (0.18 + (0.186 + 0.05) * s)

@@ -1,0 +1,61 @@
+# Every target sets up what it needs: a virtual environment in .venv, with the project in it.
+
+PYTHON ?= python3
+
+VENV := .venv
+BIN := $(VENV)/bin
+MINOR := $(shell sed -n 's/^requires-python = ">=3\.\([0-9]*\)".*/\1/p' pyproject.toml)
+
+# What else is installed on the machine stays out of the way.
+export PYTHONNOUSERSITE := 1
+unexport PYTHONPATH PYTHONHOME
+
+.DEFAULT_GOAL := help
+.PHONY: help setup analyze test lint types wheel clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s  %s\n", $$1, $$2}' Makefile
+
+setup: $(VENV)/.ready ## only set up the virtual environment
+
+analyze: $(VENV)/.ready ## analyse all variants; figures go to output/
+	$(BIN)/python scripts/analyze_variant.py
+
+test: $(VENV)/.ready ## run the tests
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.ready-dev ## check style and format
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+types: $(VENV)/.ready-dev ## check the types
+	$(BIN)/mypy
+
+wheel: $(VENV)/.ready-dev ## build the wheel into dist/
+	$(BIN)/python -m build --wheel
+
+clean: ## delete the virtual environment and all that was made
+	rm -rf $(VENV) build dist output .pytest_cache .hypothesis .mypy_cache .ruff_cache
+
+$(VENV)/.ready: pyproject.toml $(VENV)/.created
+	$(BIN)/python -m pip install --quiet --editable . --group test
+	@touch $@
+
+$(VENV)/.ready-dev: $(VENV)/.ready
+	$(BIN)/python -m pip install --quiet --group dev
+	@touch $@
+
+# The first pip that knows dependency groups is 25.1.
+$(VENV)/.created:
+	@command -v $(PYTHON) > /dev/null || { \
+	  echo "There is no $(PYTHON). Install Python 3.$(MINOR) or newer, or name one: make PYTHON=..." >&2; \
+	  exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, $(MINOR)))' || { \
+	  echo "$(PYTHON) is older than Python 3.$(MINOR). Name a newer one: make PYTHON=python3.12" >&2; \
+	  exit 1; }
+	@echo "Setting up $(VENV): this takes a minute, once."
+	@$(PYTHON) -m venv --clear $(VENV) || { \
+	  echo "On Debian and Ubuntu, install python3-venv first." >&2; \
+	  exit 1; }
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	@touch $@

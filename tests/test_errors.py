@@ -1,0 +1,74 @@
+"""Errors: one family, each with what is wrong and what would be valid."""
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis import errors
+
+ALL = [
+    value
+    for value in vars(errors).values()
+    if isinstance(value, type) and issubclass(value, Exception)
+]
+
+
+@pytest.mark.parametrize("error", ALL)
+def test_one_family(error: type[Exception]) -> None:
+    assert issubclass(error, pa.PupperAnalysisError)
+    assert error.__doc__
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (
+            pa.VariantError("name", "v4", "known variants: v3"),
+            ["name", "'v4'", "known variants: v3"],
+        ),
+        (pa.ModelError("a/b.xml", "no joint x"), ["a/b.xml", "no joint x"]),
+        (pa.UnknownNameError("v3", "foot", "tail", ["FR", "FL"]), ["v3", "foot 'tail'", "FR, FL"]),
+        (pa.UnknownNameError("v3", "foot", "tail", []), ["there are: -"]),
+        (pa.ConfigurationError("kp", "-1 is negative"), ["kp", "-1 is negative"]),
+        (
+            pa.StanceUnreachableError("height 1 m", {"FR": 0.0123}, {"knee": -2.6}),
+            ["height 1 m", "FR by 12.3 mm", "knee (-2.60 rad)"],
+        ),
+        (pa.StanceUnreachableError("height 1 m", {"FR": 0.0123}, {}), ["FR by 12.3 mm"]),
+        (
+            pa.StaticsInfeasibleError(
+                pa.Infeasibility.FRICTION,
+                "0.1, and 0.3 is needed",
+                margin=0.02,
+                friction_needed=0.3,
+            ),
+            ["no static balance", "friction too low", "0.3 is needed"],
+        ),
+    ],
+)
+def test_message_says_it_all(error: Exception, words: list[str]) -> None:
+    assert all(word in str(error) for word in words)
+    with pytest.raises(pa.PupperAnalysisError):
+        raise error
+
+
+def test_errors_carry_their_data() -> None:
+    unknown = pa.UnknownNameError("v3", "foot", "tail", iter(["FR", "FL"]))
+    assert (unknown.source, unknown.kind, unknown.name, unknown.known) == (
+        "v3",
+        "foot",
+        "tail",
+        ("FR", "FL"),
+    )
+    stance = pa.StanceUnreachableError("task", {"FR": 0.1}, {"knee": 1.0})
+    assert (stance.shortfall, stance.at_limit) == ({"FR": 0.1}, {"knee": 1.0})
+    statics = pa.StaticsInfeasibleError(pa.Infeasibility.PULL, "x", margin=-0.1, feet=iter(["FR"]))
+    assert (statics.margin, statics.friction_needed, statics.feet) == (-0.1, None, ("FR",))
+    assert statics.reason == "a foot would have to pull"
+
+
+def test_no_reason_is_unreachable_text() -> None:
+    assert {reason.value for reason in pa.Infeasibility} >= {
+        "com outside the support polygon",
+        "friction too low",
+        "a foot would have to pull",
+    }

@@ -1,0 +1,246 @@
+"""The figures: what they draw, and that they are written whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from conftest import load, stand_of
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+import pupper_analysis as pa
+from pupper_analysis import figures
+from pupper_analysis.errors import ConfigurationError, OutputError
+
+NAMES = ("original", "v3")
+
+PANELS: tuple[Callable[[Any, Path], None], ...] = (
+    figures.torque_figure,
+    figures.height_figure,
+    figures.gain_figure,
+)
+
+
+@cache
+def analysis_of(name: str) -> Any:
+    """What the figures need of an analysis, from short simulations."""
+    robot, stand = load(name), stand_of(name)
+    limits = zip(robot.joint_names, robot.effort_limits, strict=True)
+    return SimpleNamespace(
+        name=name,
+        joints=tuple(SimpleNamespace(name=joint, effort=float(limit)) for joint, limit in limits),
+        stand=stand,
+        statics=pa.gravity_compensation(pa.Configuration(robot, stand.qpos)),
+        verification=pa.verify_stand(robot, stand, duration=2.0),
+        sagging=pa.verify_stand(robot, stand, duration=2.0, feedforward=False),
+        sweep=pa.sweep_gains(robot, stand, kp=(20.0, 60.0), kd=(0.5, 1.0, 2.0), duration=2.0),
+    )
+
+
+def check_picture(path: Path) -> None:
+    assert path.read_bytes().startswith(b"\x89PNG")
+    pixels = imread(path)
+    assert pixels.shape[1] == pytest.approx(178 / 25.4 * figures.DPI, abs=1)
+    assert pixels.shape[0] > 300
+    assert pixels[..., :3].std() > 0.05
+    # Nothing is cut off: the outermost pixels are white.
+    edges = (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1])
+    assert all((edge[:, :3] == 1.0).all() for edge in edges)
+
+
+def other(analysis: Any, **changes: Any) -> Any:
+    return SimpleNamespace(**{**vars(analysis), **changes})
+
+
+def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments: Any) -> Figure:
+    """The figure that a function draws, instead of its file."""
+    kept: list[Figure] = []
+    monkeypatch.setattr(figures, "save", lambda figure, path: kept.append(figure))
+    draw(*arguments, Path("unused.png"))
+    return kept[0]
+
+
+# ------------------------------------------------------------------------------------- geometry
+
+
+@pytest.mark.parametrize("name", pa.VARIANTS)
+def test_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
+    robot, qpos = load(name), stand_of(name).qpos
+    feet = pa.Configuration(robot, qpos).foot_positions()
+    legs = figures.skeleton(robot, qpos).legs
+    assert set(legs) == set(robot.feet)
+    for foot, leg in legs.items():
+        assert leg.shape == (4, 3)  # three joints and the foot
+        np.testing.assert_allclose(leg[-1], feet[foot], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", pa.VARIANTS)
+def test_legs_keep_their_lengths_when_they_move(name: str) -> None:
+    robot, qpos = load(name), stand_of(name).qpos
+    moved = figures.skeleton(robot, qpos).legs
+    still = figures.skeleton(robot, robot.neutral()).legs
+    for foot in robot.feet:
+        lengths = [np.linalg.norm(np.diff(legs[foot], axis=0), axis=1) for legs in (moved, still)]
+        np.testing.assert_allclose(*lengths, atol=1e-12)
+
+
+def test_lengths_are_those_of_the_model() -> None:
+    for name, thigh, calf in (("original", 0.08, 0.11), ("long-leg", 0.12, 0.165)):
+        leg = figures.skeleton(load(name), stand_of(name).qpos).legs["FL"]
+        lengths = np.linalg.norm(np.diff(leg, axis=0), axis=1)
+        np.testing.assert_allclose(lengths, (0.0, thigh, calf), atol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "count"), [("original", 1), ("heavy", 2), ("v3", 1)])
+def test_the_base_is_its_boxes(name: str, count: int) -> None:
+    robot = load(name)
+    boxes = figures.skeleton(robot, robot.neutral()).boxes
+    assert boxes.shape == (count, 8, 3)
+    edges = [np.linalg.norm(boxes[0, 0] - boxes[0, corner]) for corner in (4, 2, 1)]
+    sizes = {"v3": (0.09014, 0.12758, 0.25943)}.get(name, (0.2, 0.11, 0.05))
+    np.testing.assert_allclose(sorted(edges), sorted(sizes), atol=1e-12)
+
+
+def test_a_fixed_base_can_be_drawn() -> None:
+    robot = load("v3", fixed_base=True)
+    assert figures.skeleton(robot, robot.home).legs["FL"].shape == (4, 3)
+
+
+def test_support_polygon() -> None:
+    points = [np.array(point, float) for point in ((0, 0, 1), (2, 0, 0), (2, 2, 0), (1, 0.5, 0))]
+    corners = figures.support_polygon(points)
+    assert {tuple(corner) for corner in corners} == {(0, 0), (2, 0), (2, 2)}
+    assert len(figures.support_polygon(points[:2])) == 2
+    assert len(figures.support_polygon(points[:1])) == 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_margin_is_drawn_to_the_nearest_edge(name: str) -> None:
+    statics = analysis_of(name).statics
+    com = statics.center_of_mass[:2]
+    polygon = figures.support_polygon(statics.contact_points.values())
+    nearest = figures.nearest_edge_point(polygon, com)
+    assert np.linalg.norm(nearest - com) == pytest.approx(statics.com_margin, abs=1e-12)
+
+
+def test_utilisation() -> None:
+    torques, limits = np.array([-1.0, 1.0, 1.0, 1.0]), np.array([2.0, 4.0, 0.0, np.inf])
+    np.testing.assert_allclose(figures.utilisation(torques, limits), (50, 25, 0, 0))
+
+
+# ------------------------------------------------------------------------------------- figures
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_pose_figure(name: str, tmp_path: Path) -> None:
+    figures.pose_figure(load(name), analysis_of(name), tmp_path / "pose.png")
+    check_picture(tmp_path / "pose.png")
+
+
+def test_pose_figure_says_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analysis_of("v3")
+    figure = drawn(monkeypatch, figures.pose_figure, load("v3"), analysis)
+    texts = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert f"margin {1e3 * analysis.statics.com_margin:.1f} mm" in texts
+    for foot, force in analysis.statics.contact_forces.items():
+        assert f"{foot}\n{np.linalg.norm(force):.2f} N" in texts
+
+
+@pytest.mark.parametrize("draw", PANELS, ids=lambda draw: draw.__name__)
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_panels(draw: Callable[[Any, Path], None], count: int, tmp_path: Path) -> None:
+    analyses = [analysis_of(NAMES[index % 2]) for index in range(count)]
+    draw(analyses, tmp_path / "figure.png")
+    check_picture(tmp_path / "figure.png")
+
+
+@pytest.mark.parametrize("draw", PANELS, ids=lambda draw: draw.__name__)
+def test_a_figure_without_robots_is_refused(
+    draw: Callable[[Any, Path], None], tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigurationError, match="no robot"):
+        draw([], tmp_path / "figure.png")
+
+
+def test_torque_figure_draws_both_torques(monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analysis_of("v3")
+    figure = drawn(monkeypatch, figures.torque_figure, [analysis])
+    least, simulated, limit = (np.asarray(line.get_xdata()) for line in figure.axes[0].lines)
+    for shown, torques in (
+        (least, analysis.statics.joint_torques),
+        (simulated, analysis.verification.joint_torques),
+    ):
+        share = 100 * np.abs(torques) / load("v3").effort_limits
+        np.testing.assert_allclose(shown, np.maximum(share, 0.1))
+    assert set(limit) == {100}
+
+
+def test_height_figure_draws_task_and_runs_in_mm(monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analysis_of("v3")
+    figure = drawn(monkeypatch, figures.height_figure, [analysis])
+    task, run, sagging = (np.asarray(line.get_ydata()) for line in figure.axes[0].lines)
+    assert set(task) == {1e3 * load("v3").stand_height}
+    np.testing.assert_allclose(run, 1e3 * analysis.verification.height)
+    np.testing.assert_allclose(sagging, 1e3 * analysis.sagging.height)
+
+
+def test_gain_figure_marks_what_fell_and_what_is_best(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    sweep = analysis_of("v3").sweep
+    deviation = np.array([[1.5e-3, np.inf, 2e-3], [0.25e-3, 3e-3, np.inf]])
+    fields = {**vars(sweep), "height_deviation": deviation, "fell": np.isinf(deviation)}
+    fields |= {"best_kp": sweep.kp[1], "best_kd": sweep.kd[0], "best_deviation": 0.25e-3}
+    analysis = other(analysis_of("v3"), sweep=SimpleNamespace(**fields))
+    figures.gain_figure([analysis], tmp_path / "gains.png")
+    check_picture(tmp_path / "gains.png")
+    axes = drawn(monkeypatch, figures.gain_figure, [analysis]).axes[0]
+    texts = [text.get_text() for text in axes.texts]
+    assert texts == ["1.500", "fell", "2.000", "0.250", "3.000", "fell"]
+    marked = [patch.get_xy() for patch in axes.patches if not patch.get_fill()]  # type: ignore[attr-defined]
+    np.testing.assert_allclose(marked, [(-0.46, 0.54)])
+
+
+def test_gain_figure_where_all_fell(tmp_path: Path) -> None:
+    sweep = analysis_of("v3").sweep
+    none = {"best_kp": None, "best_kd": None, "best_deviation": None}
+    everywhere = np.full((2, 3), np.inf)
+    fields = {**vars(sweep), **none, "height_deviation": everywhere, "fell": np.isinf(everywhere)}
+    analysis = other(analysis_of("v3"), sweep=SimpleNamespace(**fields))
+    figures.gain_figure([analysis], tmp_path / "gains.png")
+    check_picture(tmp_path / "gains.png")
+
+
+def test_a_name_is_not_taken_for_a_formula(tmp_path: Path) -> None:
+    analysis = other(analysis_of("v3"), name="a$b_c$ \\frac")
+    figures.pose_figure(load("v3"), analysis, tmp_path / "pose.png")
+    figures.torque_figure([analysis], tmp_path / "torques.png")
+
+
+# ------------------------------------------------------------------------------------- files
+
+
+def test_a_figure_that_fails_leaves_no_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fail(figure: Figure, target: Path, **_: Any) -> None:
+        Path(target).write_bytes(b"half of it")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", fail)
+    with pytest.raises(OutputError, match="No space left"):
+        figures.height_figure([analysis_of("v3")], tmp_path / "heights.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_backend_is_touched(tmp_path: Path) -> None:
+    before = dict(matplotlib.rcParams)
+    figures.height_figure([analysis_of("v3")], tmp_path / "heights.png")
+    assert dict(matplotlib.rcParams) == before

@@ -1,0 +1,124 @@
+"""Results as JSON: complete, readable by anything, nothing lost but infinities."""
+
+import json
+import math
+from dataclasses import dataclass, fields
+from enum import Enum
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from conftest import load, stand_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pupper_analysis as pa
+from pupper_analysis.results import Result
+
+strict = {"parse_constant": lambda word: pytest.fail(f"{word} is not JSON")}
+
+
+@dataclass(frozen=True, eq=False)
+class Sample(Result):
+    vector: np.ndarray
+    number: float
+    feet: dict[str, np.ndarray]
+
+
+def test_arrays_become_lists() -> None:
+    sample = Sample(np.array([1.5, -2.0]), 3.25, {"FR": np.eye(2)})
+    assert sample.to_dict() == {
+        "vector": [1.5, -2.0],
+        "number": 3.25,
+        "feet": {"FR": [[1, 0], [0, 1]]},
+    }
+    assert json.loads(sample.to_json()) == sample.to_dict()
+    assert "\n  " in sample.to_json()
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(6.0).reshape(2, 3).T,
+        np.arange(10.0)[::2],
+        np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+        np.array(2.5),
+        np.array([True, False]),
+        np.array([1, 2], dtype=np.int32),
+        np.zeros((0, 3)),
+    ],
+)
+def test_any_array(array: np.ndarray) -> None:
+    assert json.loads(pa.to_json({"x": array}))["x"] == array.tolist()
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (np.float64(1.5), 1.5),
+        (np.int64(3), 3),
+        (np.bool_(True), True),
+        (np.float32(0.5), 0.5),
+        (pa.Infeasibility.PULL, "a foot would have to pull"),
+        (MappingProxyType({"a": 1}), {"a": 1}),
+        ((1, 2), [1, 2]),
+        ({1: "a"}, {"1": "a"}),
+        (None, None),
+    ],
+)
+def test_other_values(value: object, expected: object) -> None:
+    assert json.loads(pa.to_json(value)) == expected
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, np.float64(math.nan)])
+def test_what_is_not_finite_becomes_null(value: float) -> None:
+    for whole in (
+        {"x": value},
+        {"x": [value]},
+        Sample(np.array([value]), value, {"a": np.array(value)}),
+    ):
+        text = pa.to_json(whole)
+        assert "null" in text
+        json.loads(text, **strict)
+    strided = np.array([value, 0.0, value, 0.0])[::2]
+    json.loads(pa.to_json(strided), **strict)
+
+
+def test_what_cannot_become_json_is_refused() -> None:
+    class Plain(Enum):
+        A = object()
+
+    for value in (object(), {"x": {1, 2}.__iter__()}, Plain.A):
+        with pytest.raises(TypeError):
+            pa.to_json(value)
+
+
+@given(value=st.floats(allow_nan=False, allow_infinity=False))
+def test_no_digit_is_lost(value: float) -> None:
+    assert json.loads(pa.to_json(np.array([value]))) == [value]
+    assert json.loads(pa.to_json(value)) == value
+
+
+def results_of(name: str) -> list[object]:
+    robot, stand = load(name), stand_of(name)
+    return [
+        stand,
+        pa.gravity_compensation(pa.Configuration(robot, stand.qpos)),
+        pa.gravity_compensation(pa.Configuration(robot, stand.qpos), []),
+        pa.verify_stand(robot, stand, duration=2.0),
+        pa.verify_stand(robot, stand, feedforward=False, duration=2.0),
+        pa.sweep_gains(robot, stand, kp=[20.0], kd=[1.0], duration=2.0),
+    ]
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_every_result_is_whole_and_strict_json(name: str) -> None:
+    for result in results_of(name):
+        parsed = json.loads(result.to_json(), **strict)  # type: ignore[attr-defined]
+        assert set(parsed) == {field.name for field in fields(result)}  # type: ignore[arg-type]
+        for field in fields(result):  # type: ignore[arg-type]
+            value = getattr(result, field.name)
+            if isinstance(value, np.ndarray):
+                np.testing.assert_array_equal(parsed[field.name], value)
+        assert parsed == result.to_dict()  # type: ignore[attr-defined]
+        assert parsed == json.loads(pa.to_json(result), **strict)

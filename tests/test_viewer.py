@@ -1,0 +1,251 @@
+"""The view and the drop, in words; and that a missing screen is said in one line."""
+
+import math
+import os
+import re
+import subprocess
+import sys
+from contextlib import nullcontext
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from pupper_analysis import viewer
+from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
+from pupper_analysis.variants import model_folder
+
+GRAVITY = 9.81
+
+
+@pytest.fixture(scope="module")
+def dropped() -> viewer.Drop:
+    return viewer.drop()
+
+
+def home(file: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    model = mujoco.MjModel.from_xml_path(str(model_folder("mjcf") / file))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+# ------------------------------------------------------------------------------------- the drop
+
+
+def test_it_falls_lands_and_holds(dropped: viewer.Drop) -> None:
+    assert dropped.height[0] == 0.28
+    assert dropped.time[-1] == pytest.approx(viewer.DEFAULT_SECONDS)
+    assert len(dropped.time) == len(dropped.height)
+    assert dropped.height[-1] == pytest.approx(0.120, abs=5e-4)
+    assert dropped.height_deviation < 5e-6
+    assert dropped.stable
+
+
+def test_it_falls_freely_until_it_lands(dropped: viewer.Drop) -> None:
+    touchdown = dropped.readings[1].time
+    falling = dropped.time < touchdown - 0.01
+    expected = 0.28 - GRAVITY / 2 * dropped.time[falling] ** 2
+    # The semi-implicit Euler method runs ahead by half a step.
+    np.testing.assert_allclose(dropped.height[falling], expected, atol=2e-3)
+
+
+def test_the_imu_feels_the_fall_the_impact_and_gravity(dropped: viewer.Drop) -> None:
+    release, touchdown, impact, rest = dropped.readings
+    moments = [reading.moment for reading in dropped.readings]
+    assert moments == ["release", "touchdown", "impact", "rest"]
+    np.testing.assert_allclose(release.acceleration, 0, atol=1e-9)
+    assert 0.1 < touchdown.time <= impact.time < 0.5
+    assert np.linalg.norm(impact.acceleration) > 2 * GRAVITY
+    assert rest.acceleration[2] == pytest.approx(GRAVITY, abs=0.01)
+    assert np.linalg.norm(rest.acceleration) == pytest.approx(GRAVITY, abs=0.001)
+    np.testing.assert_allclose(rest.angular_velocity, 0, atol=1e-3)
+
+
+def test_the_default_time_is_well_beyond_what_it_takes_to_settle() -> None:
+    assert viewer.drop(2.4).height_deviation < 5e-6
+    assert viewer.drop(2.2).height_deviation > 5e-6
+    assert viewer.DEFAULT_SECONDS > 2 * 2.4
+
+
+def test_stand_prints_its_result(capsys: pytest.CaptureFixture[str]) -> None:
+    assert viewer.stand(headless=True)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "final z=0.120 m, last-1s std=0.00 mm (< 5 mm = stable)"
+    rest = next(line.split() for line in lines if line.strip().startswith("rest"))
+    assert rest[1] == "6.000"
+    assert float(rest[5]) == pytest.approx(GRAVITY, abs=0.01)
+
+
+def test_stand_says_that_it_is_not_stable(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(viewer, "STABLE_DEVIATION", 1e-9)
+    assert not viewer.stand(headless=True)
+    assert "(>= 1e-06 mm = NOT stable)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("seconds", [math.nan, math.inf, -math.inf, -1.0, 0.0, 1.999, 600.1])
+def test_bad_seconds_are_refused(seconds: float) -> None:
+    with pytest.raises(ConfigurationError, match="from 2 to 600 s") as caught:
+        viewer.stand(headless=True, seconds=seconds)
+    assert caught.value.field == "seconds"
+
+
+# ------------------------------------------------------------------------------------- the view
+
+
+@pytest.mark.parametrize(
+    ("fixed", "sizes", "acceleration"),
+    [(True, "nq=12, nv=12, nu=12", GRAVITY), (False, "nq=19, nv=18, nu=12", 0.0)],
+)
+def test_view_tells_sizes_joints_and_imu(
+    capsys: pytest.CaptureFixture[str], fixed: bool, sizes: str, acceleration: float
+) -> None:
+    viewer.view(fixed=fixed, headless=True)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == sizes
+    joints = [line.split() for line in lines if re.match(r"  leg_", line)]
+    assert len(joints) == 12
+    readings = [re.match(r'  data\.sensor\("(\w+)"\)\.data +(.*)', line) for line in lines]
+    sensors = {found[1]: found[2].split() for found in readings if found}
+    assert set(sensors) == set(viewer.IMU_SENSORS)
+    assert [float(value) for value in sensors["body_quat"][:4]] == [1, 0, 0, 0]
+    assert float(sensors["body_acc"][2]) == pytest.approx(acceleration, abs=1e-3)
+    assert sensors["body_acc"][3] == "m/s^2"
+
+
+def test_the_snippet_reads_the_imu() -> None:
+    model, data = home("pupper_v3_fixed.xml")
+    names = {"data": data}
+    exec(viewer.IMU_SNIPPET, names)
+    imu = names["imu"]
+    assert set(imu) == {model.sensor(index).name for index in range(model.nsensor)}
+    np.testing.assert_allclose(imu["body_acc"], [0, 0, GRAVITY], atol=1e-9)
+
+
+def test_what_the_joints_really_do() -> None:
+    model, data = home("pupper_v3_fixed.xml")
+    actions = {action.name: action for action in viewer.joint_actions(model, data)}
+    assert list(actions) == [model.actuator(index).name for index in range(model.nu)]
+    for name, action in actions.items():
+        side = 1.0 if "_l_" in name else -1.0
+        expected = ("roll", [-1, 0, 0]) if name[-1] == "2" else ("pitch", [0, side, 0])
+        assert action.motion == expected[0]
+        np.testing.assert_allclose(action.axis, expected[1], atol=1e-9)
+
+
+@pytest.mark.parametrize("file", ["pupper_v3_fixed.xml", "pupper_v3.xml"])
+def test_feet_move_as_told(file: str) -> None:
+    model, data = home(file)
+    if file == "pupper_v3.xml":  # another attitude of the base must make no difference
+        data.qpos[3:7] = [0.5, -0.5, 0.5, 0.5]
+        mujoco.mj_forward(model, data)
+    base = model.body("base_link").id
+    for action in viewer.joint_actions(model, data):
+        site = model.site(f"{action.name[:-1]}3_foot_site").id
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, jacobian, None, site)
+        column = jacobian[:, model.joint(action.name).dofadr[0]]
+        expected = data.xmat[base].reshape(3, 3).T @ column
+        np.testing.assert_allclose(action.foot_motion, expected, atol=1e-12)
+
+
+def test_an_axis_between_two_is_oblique() -> None:
+    assert viewer._motion(np.array([1.0, 1.0, 0.0]) / math.sqrt(2)) == "oblique"
+
+
+# ------------------------------------------------------------------------------------- no window
+
+
+@pytest.fixture
+def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.mark.usefixtures("no_screen")
+def test_no_screen_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    for show in (
+        lambda: viewer.view(fixed=True, headless=False),
+        lambda: viewer.stand(headless=False),
+        lambda: viewer.drop(window=True),
+    ):
+        with pytest.raises(viewer.DisplayError, match=r"no display.*--headless") as caught:
+            show()
+        assert isinstance(caught.value, PupperAnalysisError)
+        assert "\n" not in str(caught.value)
+    assert capsys.readouterr().out == ""
+
+
+def test_macos_is_told_of_mjpython(monkeypatch: pytest.MonkeyPatch) -> None:
+    from mujoco import viewer as mujoco_viewer
+
+    monkeypatch.setattr(sys, "platform", "darwin")
+    monkeypatch.setattr(sys, "argv", ["scripts/view_pupper.py", "--fixed"])
+    with pytest.raises(viewer.DisplayError, match=r"mjpython scripts/view_pupper\.py --fixed"):
+        viewer.check_display()
+    monkeypatch.setattr(mujoco_viewer, "_MJPYTHON", object())
+    viewer.check_display()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 is how Linux says so")
+def test_a_screen_that_is_not_there_ends_no_interpreter() -> None:
+    code = "from pupper_analysis import viewer; viewer.check_display()"
+    environment = {**os.environ, "DISPLAY": ":4711"}
+    environment.pop("WAYLAND_DISPLAY", None)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert "DisplayError: the display cannot be used" in done.stderr.splitlines()[-1]
+
+
+def test_play_keeps_time_and_stops_with_the_window() -> None:
+    calls: list[int] = []
+
+    class Window:
+        def __init__(self, frames: int) -> None:
+            self.frames = frames
+
+        def is_running(self) -> bool:
+            self.frames -= 1
+            return self.frames >= 0
+
+        def lock(self) -> "Window":
+            return self
+
+        def __enter__(self) -> None:
+            return None
+
+        def __exit__(self, *_: object) -> None:
+            return None
+
+        def sync(self) -> None:
+            return None
+
+    viewer._play(Window(1000), 0.002, lambda: calls.append(1), 50)
+    assert len(calls) == 50  # 0.1 s
+    calls.clear()
+    viewer._play(Window(6), 0.002, lambda: calls.append(1))
+    assert 25 <= len(calls) <= 250
+
+
+def test_a_window_that_is_closed_early_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch, dropped: viewer.Drop
+) -> None:
+    handle = SimpleNamespace(
+        is_running=lambda: False,
+        close=lambda: None,
+        lock=nullcontext,
+        cam=SimpleNamespace(lookat=np.zeros(3)),
+    )
+    from mujoco import viewer as mujoco_viewer
+
+    monkeypatch.setattr(viewer, "check_display", lambda: None)
+    monkeypatch.setattr(mujoco_viewer, "launch_passive", lambda model, data: handle)
+    seen = viewer.drop(window=True)
+    np.testing.assert_array_equal(seen.height, dropped.height)
