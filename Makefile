@@ -11,7 +11,7 @@ export PYTHONNOUSERSITE := 1
 unexport PYTHONPATH PYTHONHOME
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test lint types wheel clean
+.PHONY: help setup analyze test benchmark lint types wheel clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s  %s\n", $$1, $$2}' Makefile
@@ -23,6 +23,9 @@ analyze: $(VENV)/.ready ## analyse all variants; figures go to output/
 
 test: $(VENV)/.ready ## run the tests
 	$(BIN)/python -m pytest
+
+benchmark: $(VENV)/.ready ## measure how long each part takes
+	$(BIN)/python benchmarks/run.py
 
 lint: $(VENV)/.ready-dev ## check style and format
 	$(BIN)/ruff check

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -100,3 +101,35 @@ def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
         ):
             return geom
     return None
+
+
+def ground_forces(
+    model: mujoco.MjModel, data: mujoco.MjData, soles: Mapping[int, str]
+) -> tuple[dict[str, Array], set[str]]:
+    """Returns what the ground does to a robot at a state.
+
+    Args:
+        model: The model.
+        data: After ``mj_forward``.
+        soles: Which geom is which foot's.
+
+    Returns:
+        The force on each foot that touches, {foot: (3,)}, in world axes (N); and the names of the
+        other bodies that touch.
+    """
+    ground = ground_geom(model)
+    forces: dict[str, Array] = {}
+    others: set[str] = set()
+    wrench = np.zeros(6)
+    for number, pair in enumerate(data.contact.geom):
+        if ground not in pair:
+            continue
+        first = bool(pair[0] == ground)
+        geom = int(pair[1] if first else pair[0])
+        if geom not in soles:
+            others.add(model.body(int(model.geom_bodyid[geom])).name)
+            continue
+        mujoco.mj_contactForce(model, data, number, wrench)
+        force = data.contact.frame[number].reshape(3, 3).T @ wrench[:3]
+        forces[soles[geom]] = forces.get(soles[geom], np.zeros(3)) + (force if first else -force)
+    return forces, others

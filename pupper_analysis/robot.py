@@ -38,6 +38,9 @@ class Robot:
         joint_names: In actuator order.
         feet: The names of the feet: the keys of every per-foot dictionary.
         foot_frames: The name of each foot's frame in the URDF.
+        foot_places: For each foot, the body that carries it in ``mj_model`` (its id) and the centre
+            of its sphere in that body's frame, (3,) (m).
+        soles: Which foot's sphere a geom of ``mj_model`` is, {geom id: foot}.
         foot_radius: The radius of each foot's sphere (m).
         contacts: The effective parameters of each foot's contact with the ground.
         home: (nq,) the MJCF's keyframe ``home`` (or its first, or its zero configuration).
@@ -56,6 +59,8 @@ class Robot:
     joint_names: tuple[str, ...]
     feet: tuple[str, ...]
     foot_frames: Mapping[str, str]
+    foot_places: Mapping[str, tuple[int, Array]]
+    soles: Mapping[int, str]
     foot_radius: Mapping[str, float]
     contacts: Mapping[str, ContactParameters]
     home: Array
@@ -215,7 +220,18 @@ def _build(description: Description, *, fixed_base: bool, foot_depth: float | No
         if not pin_model.existFrame(frame, pin.FrameType.BODY):
             links = [f.name for f in pin_model.frames if f.type == pin.FrameType.BODY]
             raise UnknownNameError(description.urdf_source, "link (for a foot)", frame, links)
-    radius, contacts = _feet(description, mj_model)
+    places = {
+        foot: foot_site(mj_model, frame, description.mjcf_source)
+        for foot, (_, frame) in description.feet.items()
+    }
+    soles = _soles(description, mj_model, places)
+    radius = {foot: float(mj_model.geom_size[sole, 0]) for sole, foot in soles.items()}
+    ground = contact.ground_geom(mj_model)
+    contacts = {
+        foot: contact.combine(mj_model, sole, ground)
+        for sole, foot in soles.items()
+        if ground is not None
+    }
     # The keyframe may be that of the model with a free base.
     home = keyframe[len(keyframe) - mj_model.nq + mj_convention.qpos_index]
     return Robot(
@@ -229,10 +245,12 @@ def _build(description: Description, *, fixed_base: bool, foot_depth: float | No
         joint_names=joint_names,
         feet=tuple(description.feet),
         foot_frames=MappingProxyType(foot_frames),
+        foot_places=MappingProxyType(places),
+        soles=MappingProxyType(soles),
         foot_radius=MappingProxyType(radius),
         contacts=MappingProxyType(contacts),
         home=home,
-        stand_height=_stand_height(description, mj_model, mj_base, radius, keyframe, foot_depth),
+        stand_height=_stand_height(mj_model, mj_base, places, radius, keyframe, foot_depth),
         imu=_imu(mj_model, pin_model),
         pin_convention=pin_convention,
         mj_convention=mj_convention,
@@ -286,12 +304,14 @@ def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
 
 
 def _base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]) -> str:
-    """Returns the body with the free joint, or else the one that carries the first joint's body."""
+    """Returns the body with the free joint, or else the one that carries the first moving body."""
     if floating:
         free = int(np.argmax(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value))
         return str(model.body(int(model.jnt_bodyid[free])).name)
-    first = int(model.jnt_bodyid[model.joint(joint_names[0]).id])
-    return str(model.body(int(model.body_parentid[first])).name)
+    base = int(model.jnt_bodyid[model.joint(joint_names[0]).id])
+    while model.body_weldid[base] != 0:
+        base = int(model.body_parentid[base])
+    return str(model.body(base).name)
 
 
 def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[int, Array]:
@@ -316,26 +336,22 @@ def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[in
     raise UnknownNameError(source, "site, body or geom (for a foot)", frame, sites)
 
 
-def _feet(
-    description: Description, model: mujoco.MjModel
-) -> tuple[dict[str, float], dict[str, ContactParameters]]:
-    """Finds the feet's spheres, and their contacts with the ground."""
-    ground = contact.ground_geom(model)
-    radius: dict[str, float] = {}
-    contacts: dict[str, ContactParameters] = {}
-    for foot, (_, frame) in description.feet.items():
-        body, position = foot_site(model, frame, description.mjcf_source)
+def _soles(
+    description: Description, model: mujoco.MjModel, places: Mapping[str, tuple[int, Array]]
+) -> dict[int, str]:
+    """Finds the feet's spheres."""
+    soles: dict[int, str] = {}
+    for foot, (body, position) in places.items():
         sphere = contact.foot_geom(model, body, position)
         if sphere is None:
+            frame = description.feet[foot][1]
             raise ModelError(
                 description.mjcf_source,
                 f"foot {foot!r}: body {model.body(body).name!r} has no sphere for contact centred "
                 f"at {frame!r}; name a frame at the centre of the foot's sphere",
             )
-        radius[foot] = float(model.geom_size[sphere, 0])
-        if ground is not None:
-            contacts[foot] = contact.combine(model, sphere, ground)
-    return radius, contacts
+        soles[sphere] = foot
+    return soles
 
 
 def _imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
@@ -352,9 +368,9 @@ def _imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
 
 
 def _stand_height(
-    description: Description,
     model: mujoco.MjModel,
     base: str,
+    places: Mapping[str, tuple[int, Array]],
     radius: Mapping[str, float],
     keyframe: Array,
     foot_depth: float | None,
@@ -371,8 +387,7 @@ def _stand_height(
     base_id = model.body(base).id
     rotation = data.xmat[base_id].reshape(3, 3)
     below: list[float] = []
-    for foot, (_, frame) in description.feet.items():
-        body, position = foot_site(model, frame, description.mjcf_source)
+    for foot, (body, position) in places.items():
         if foot_depth is None:
             at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
         else:

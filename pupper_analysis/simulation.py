@@ -20,7 +20,7 @@ from pupper_analysis.configuration import Configuration
 from pupper_analysis.convention import rotation_from_quaternion
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.results import Result
-from pupper_analysis.robot import Robot, foot_site
+from pupper_analysis.robot import Robot
 from pupper_analysis.stand import Stand
 from pupper_analysis.statics import GravityCompensation, LoadSharing, gravity_compensation
 
@@ -34,6 +34,9 @@ JOINT_TOLERANCE = 1e-3
 
 FORCE_TOLERANCE = 1e-2
 """Relative error that a verified stand's torques and foot forces may have with feed-forward."""
+
+SETTLED_DRIFT = 5e-4
+"""A base whose height changes faster than this in the last second has not settled (m/s)."""
 
 FALLEN_TILT = 0.5
 """A base that is tilted by more than this against its task has fallen over (rad)."""
@@ -363,6 +366,7 @@ def verify_stand(
     )
     tilt = _tilt(robot, stand.task.rotation(), states[-1])
     deviation = float(_heights(robot, settled).std())
+    drift = float(heights[-1] - heights[-last_second]) / (timestep * (last_second - 1))
 
     failures = list(watch.failures)
     if _diverged(states, timestep):
@@ -373,6 +377,8 @@ def verify_stand(
         )
     if not deviation < STABLE_DEVIATION:
         failures.append(f"the height deviates by {1e3 * deviation:.2f} mm in the last second")
+    if not abs(drift) < SETTLED_DRIFT:
+        failures.append(f"it has not settled: the height changes by {1e3 * drift:+.2f} mm/s")
     if feedforward:
         if not joint_error < JOINT_TOLERANCE:
             failures.append(f"a joint is off by {joint_error:.1e} rad")
@@ -393,7 +399,7 @@ def verify_stand(
         kd=drive.kd,
         base_height=base_height,
         height_deviation=deviation,
-        height_drift=float(heights[-1] - heights[-last_second]) / (timestep * (last_second - 1)),
+        height_drift=drift,
         height_loss=height_loss,
         servo_sag=height_loss - contact_sag,
         contact_sag=contact_sag,
@@ -438,53 +444,26 @@ def _watch(
     """Looks at contacts all along, and at torques and forces in the last second."""
     data = mujoco.MjData(model)
     step = max(1, round(_SAMPLE / model.opt.timestep))
-    ground = contact.ground_geom(model)
-    places = {
-        foot: foot_site(model, frame, robot.name)
-        for foot, (_, frame) in robot.description.feet.items()
-    }
-    soles = {
-        contact.foot_geom(model, body, position): foot for foot, (body, position) in places.items()
-    }
     touched: dict[str, float] = {}
     lost: dict[str, float] = {}
-    settled_from = len(states) - last_second
     torques = np.zeros(robot.nu)
-    forces = {foot: np.zeros(3) for foot in robot.feet}
+    total = {foot: np.zeros(3) for foot in robot.feet}
     feet = {foot: np.zeros(3) for foot in robot.feet}
     count = 0
-    wrench = np.zeros(6)
-    for index in range(len(states) - 1, -1, -step):
+    for index in range(len(states) - 1, -1, -step):  # backwards: the first moment stays
         mujoco.mj_setState(model, data, states[index], _STATE)
         data.ctrl[:] = ctrl
         mujoco.mj_forward(model, data)
-        settled = index >= settled_from
-        carrying = set()
-        for number in range(data.ncon):
-            pair = data.contact.geom[number]
-            if ground not in pair:
-                continue
-            other = int(pair[0] if pair[1] == ground else pair[1])
-            if other not in soles:
-                body = model.body(int(model.geom_bodyid[other])).name
-                touched[body] = float(data.time)
-                continue
-            mujoco.mj_contactForce(model, data, number, wrench)
-            axes = data.contact.frame[number].reshape(3, 3)
-            sign = 1.0 if pair[0] == ground else -1.0
-            force = sign * axes.T @ wrench[:3]
-            if force[2] > 0:
-                carrying.add(soles[other])
-            if settled:
-                forces[soles[other]] += force
-        if settled:
+        forces, others = contact.ground_forces(model, data, robot.soles)
+        touched |= dict.fromkeys(others, float(data.time))
+        idle = [foot for foot in robot.feet if foot not in forces or forces[foot][2] <= 0]
+        lost |= dict.fromkeys(idle, float(data.time))
+        if index >= len(states) - last_second:
             count += 1
             torques += data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
-            for foot, (body, position) in places.items():
+            for foot, (body, position) in robot.foot_places.items():
+                total[foot] += forces.get(foot, np.zeros(3))
                 feet[foot] += data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
-        for foot in robot.feet:
-            if foot not in carrying:
-                lost[foot] = float(data.time)
     failures = [
         f"{body} touches the ground at {moment:.2f} s" for body, moment in sorted(touched.items())
     ]
@@ -494,7 +473,7 @@ def _watch(
     return _Watch(
         failures=tuple(failures),
         torques=torques / count,
-        forces={foot: force / count for foot, force in forces.items()},
+        forces={foot: force / count for foot, force in total.items()},
         feet_settled={foot: position / count for foot, position in feet.items()},
     )
 
@@ -518,8 +497,7 @@ def _mujoco_opinion(
     remainder[robot.mj_convention.qvel_index[6:]] -= prediction.joint_torques
     foot_error = 0.0
     jacobian = np.zeros((3, model.nv))
-    for foot, (_, frame) in robot.description.feet.items():
-        body, position = foot_site(model, frame, robot.name)
+    for foot, (body, position) in robot.foot_places.items():
         centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
         foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
         point = centre - (0.0, 0.0, robot.foot_radius[foot])
@@ -621,10 +599,8 @@ def sweep_gains(
     states = _rollout_in_chunks([drive.model for drive in drives], starts, control, progress)
 
     deviations = _heights(robot, states)[:, -round(1.0 / timestep) :].std(axis=1)
-    rotation = stand.task.rotation()
-    for index, rows in enumerate(states):
-        low = _heights(robot, rows[-1]) < 0.5 * stand.qpos[2]
-        if _diverged(rows, timestep) or low or _tilt(robot, rotation, rows[-1]) > FALLEN_TILT:
+    for index, (drive, rows) in enumerate(zip(drives, states, strict=True)):
+        if _diverged(rows, timestep) or _lies(robot, drive.model, stand, rows[-1], ctrl):
             deviations[index] = np.inf
     grid = deviations.reshape(len(kp), len(kd))
     row, column = divmod(int(np.argmin(grid)), len(kd))
@@ -642,6 +618,16 @@ def sweep_gains(
         duration=steps * timestep,
         integrator=drives[0].integrator,
     )
+
+
+def _lies(robot: Robot, model: mujoco.MjModel, stand: Stand, state: Array, ctrl: Array) -> bool:
+    """Tells whether a robot has fallen over, or rests on something else than its feet."""
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, state, _STATE)
+    data.ctrl[:] = ctrl
+    mujoco.mj_forward(model, data)
+    _, others = contact.ground_forces(model, data, robot.soles)
+    return bool(others) or _tilt(robot, stand.task.rotation(), state) > FALLEN_TILT
 
 
 def _rollout_in_chunks(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from numbers import Real
 
 import clarabel
 import numpy as np
@@ -121,6 +123,9 @@ def gravity_compensation(
     if not feet:
         return _result(config, {}, {}, {}, {}, gravity[:base_rows])
 
+    for given in (normals, friction):
+        for foot in given if isinstance(given, Mapping) else ():
+            robot.check_foot(foot)
     directions = {foot: _normal(foot, (normals or {}).get(foot, UP)) for foot in feet}
     coefficients = {foot: _friction(config, foot, friction) for foot in feet}
     points, jacobians = {}, []
@@ -212,6 +217,8 @@ class _Balance:
             settings,
         )
         coordinates = np.array(solver.solve().x) * scale
+        if not np.abs(coordinates).max(initial=0.0) < 1e9 * scale:
+            return None  # the certificate of an infeasible problem
         # Judge the answer itself, not the solver's opinion of it.
         excess = self._violation(particular + free @ coordinates, friction)
         return coordinates if excess <= 1e-9 * scale else None
@@ -326,7 +333,10 @@ def _result(
 
 
 def _normal(foot: str, normal: ArrayLike) -> Array:
-    vector = np.array(normal, dtype=float)
+    try:
+        vector = np.array(normal, dtype=float)
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         raise ConfigurationError("normals", f"{foot}: {normal!r} is not a direction (3,)")
     unit: Array = vector / np.linalg.norm(vector)
@@ -341,7 +351,7 @@ def _friction(
         if foot not in robot.contacts:
             raise ConfigurationError("friction", f"{robot.name} has no ground; give a coefficient")
         return robot.contacts[foot].sliding_friction
-    value = friction.get(foot) if isinstance(friction, Mapping) else friction
-    if value is None or not np.isfinite(value) or value < 0:
+    value: object = friction.get(foot) if isinstance(friction, Mapping) else friction
+    if not isinstance(value, Real) or not math.isfinite(value) or value < 0:
         raise ConfigurationError("friction", f"{foot}: {value} is no coefficient; it must be >= 0")
     return float(value)
