@@ -14,7 +14,7 @@ unexport PYTHONPATH PYTHONHOME
 .PHONY: help setup analyze test benchmark lint types wheel clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s  %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s  %s\n", $$1, $$2}' Makefile
 
 setup: $(VENV)/.ready ## only set up the virtual environment
 

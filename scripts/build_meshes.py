@@ -459,7 +459,7 @@ def main(output: Path) -> None:
 
     Look at a changed part before committing it, without touching the repository's:
 
-        python scripts/build_meshes.py --output /tmp/meshes
+        python scripts/build_meshes.py --output my_meshes
 
     To change the looks, edit the named constants at the top of this file. Those marked "from the
     Pupper v3 model" place joints, motors and feet: leave them alone.

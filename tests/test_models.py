@@ -572,3 +572,19 @@ def test_bodies_are_named_tuples_of_the_right_scale() -> None:
         torso.inertia, [[0.0024, 0, -0.0005], [0, 0.0085, 0], [-0.0005, 0, 0.0085]], atol=1e-12
     )
     np.testing.assert_allclose(torso.com, [0.025, 0, 0.015], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["pupper_v3", "pupper_skeleton"])
+def test_materials_are_defined_and_have_one_colour_in_both_files(name: str) -> None:
+    root = ElementTree.parse(ROOT / "urdf" / f"{name}.urdf").getroot()
+    defined = {
+        material.get("name"): material.find("color").get("rgba").split()
+        for material in root.findall("material")
+    }
+    used = {material.get("name") for material in root.iter("material")}
+    model = mujoco.MjModel.from_xml_path(str(ROOT / "mjcf" / f"{name}.xml"))
+    assert used == set(defined)
+    for material, colour in defined.items():
+        np.testing.assert_allclose(
+            model.mat(material).rgba, np.array(colour, dtype=float), atol=1e-6
+        )
