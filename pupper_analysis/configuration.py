@@ -220,8 +220,10 @@ class Configuration:
         In M qacc + h = tau + J^T f, with no passive joint forces in h.
         """
         drift = self.robot.pin_convention.velocity_map_rate(self.qpos, self.qvel)
-        forces: Array = self._map.T @ pin.rnea(self._model, self._data, self._q, self._v, drift)
-        return forces
+        forces = pin.rnea(self._model, self._data, self._q, self._v, drift)
+        # Armature belongs to the public coordinates, in which there is no drift.
+        bias: Array = self._map.T @ (forces - self._model.armature * drift)
+        return bias
 
     def gravity(self) -> Array:
         """Returns g (nv,): the bias forces at rest. Its first three rows are the weight (N)."""
@@ -240,9 +242,10 @@ class Configuration:
             ConfigurationError: If the vector has a wrong length or a value is not finite.
         """
         wanted = _vector("force", force, self.robot.nv)
-        # T^-T = T: T is orthogonal.
-        acceleration = pin.aba(self._model, self._data, self._q, self._v, self._map @ wanted)
         drift = self.robot.pin_convention.velocity_map_rate(self.qpos, self.qvel)
+        # T^-T = T: T is orthogonal. On the armature see bias_forces.
+        given = self._map @ wanted + self._model.armature * drift
+        acceleration = pin.aba(self._model, self._data, self._q, self._v, given)
         qacc: Array = self._map.T @ (acceleration - drift)
         return qacc
 

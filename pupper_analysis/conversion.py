@@ -116,6 +116,10 @@ def _add_frame(result: pin.Model, name: str, joint: int, placement: pin.SE3) -> 
         result.addFrame(pin.Frame(name, joint, 0, placement, pin.FrameType.BODY), False)
 
 
+def _free_joint(model: mujoco.MjModel) -> int:
+    return int(np.argmax(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value))
+
+
 def effort_limit(model: mujoco.MjModel, joint: int) -> float:
     """Returns the greatest force or torque that a joint's actuators can give; inf if unlimited."""
     limits = [np.inf]
@@ -199,8 +203,9 @@ def mujoco_from_urdf(
     model = copy.copy(mjcf.compile_spec(spec, source))
     for index in range(model.njnt):
         name = model.joint(index).name
-        if name != _ROOT:
-            armature = like.dof_armature[like.joint(name).dofadr[0]]
-            model.dof_armature[model.jnt_dofadr[index]] = armature
+        twin = _free_joint(like) if name == _ROOT else like.joint(name).id
+        start, first = int(model.jnt_dofadr[index]), int(like.jnt_dofadr[twin])
+        count = 6 if name == _ROOT else 1
+        model.dof_armature[start : start + count] = like.dof_armature[first : first + count]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pupper_analysis.configuration import Configuration
 from pupper_analysis.convention import MujocoConvention, PinocchioConvention
 from pupper_analysis.conversion import effort_limit, mujoco_from_urdf, pinocchio_from_mujoco
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot, foot_site
 
@@ -71,6 +71,12 @@ class Quantity:
 
 
 Opinion = dict[str, Quantity]
+
+_NOTES = (
+    "armature: the MJCF's, in all four; URDF cannot state it",
+    "gravity: the MJCF's, in all four; URDF cannot state it",
+    "forward dynamics: joint damping of each file; no dry friction, limits or contacts",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,35 +154,43 @@ def cross_check(
 
     Raises:
         ConfigurationError: If an argument is out of its range.
-        ModelError: If MuJoCo cannot import the URDF.
     """
     if configurations < 1:
         raise ConfigurationError("configurations", f"{configurations} is less than 1")
     if not tolerance > 0:
         raise ConfigurationError("tolerance", f"{tolerance} is not positive")
-    states = _random_states(robot, configurations, seed)
+    states = random_states(robot, configurations, seed)
     description = robot.description
-    in_mujoco = mujoco_from_urdf(
-        description.urdf, description.urdf_source, robot.mj_model, robot.mj_base, robot.imu
-    )
+    notes = list(_NOTES)
+    in_mujoco: mujoco.MjModel | None = None
+    try:
+        in_mujoco = mujoco_from_urdf(
+            description.urdf, description.urdf_source, robot.mj_model, robot.mj_base, robot.imu
+        )
+    except ModelError as error:
+        notes.insert(0, f"left out: {URDF_MUJOCO}: {error.problem}")
     in_pinocchio = pinocchio_from_mujoco(robot.mj_model)
+    # Whatever frames both files have are compared as the feet are.
+    pairs = {**description.feet, **description.frames}
+    urdf_frames = {name: pair[0] for name, pair in pairs.items()}
+    mjcf_frames = {name: pair[1] for name, pair in pairs.items()}
+    robot = replace(robot, feet=tuple(pairs), foot_frames=urdf_frames)
     mjcf_robot = replace(
         robot,
         pin_model=in_pinocchio,
         pin_convention=PinocchioConvention.of(in_pinocchio, robot.joint_names),
         base=robot.mj_base,
-        foot_frames={foot: frames[1] for foot, frames in description.feet.items()},
+        foot_frames=mjcf_frames,
     )
-    urdf_frames = {foot: frames[0] for foot, frames in description.feet.items()}
     opinions = {
         URDF_PINOCCHIO: _pinocchio_opinion(robot, states),
         MJCF_PINOCCHIO: _pinocchio_opinion(mjcf_robot, states),
-        URDF_MUJOCO: _mujoco_opinion(robot, in_mujoco, robot.base, urdf_frames, states),
-        MJCF_MUJOCO: _mujoco_opinion(
-            robot, robot.mj_model, robot.mj_base, mjcf_robot.foot_frames, states
-        ),
-        URDF_YOURDFPY: _yourdfpy_opinion(robot, states),
+        MJCF_MUJOCO: _mujoco_opinion(robot, robot.mj_model, robot.mj_base, mjcf_frames, states),
     }
+    if in_mujoco is not None:
+        opinions[URDF_MUJOCO] = _mujoco_opinion(robot, in_mujoco, robot.base, urdf_frames, states)
+    if pairs:
+        opinions[URDF_YOURDFPY] = _yourdfpy_opinion(robot, states)
     checks = tuple(_compare(name, opinions, tolerance) for name in opinions[URDF_PINOCCHIO])
     return CrossCheck(
         passed=all(check.passed for check in checks),
@@ -185,24 +199,27 @@ def cross_check(
         seed=seed,
         quantities=checks,
         worst=max(checks, key=lambda check: check.relative).name,
-        notes=(
-            "armature: the MJCF's, in all four; URDF cannot state it",
-            "gravity: the MJCF's, in all four; URDF cannot state it",
-            "forward dynamics: joint damping of each file; no dry friction, limits or contacts",
-        ),
+        notes=tuple(notes),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _States:
-    """Random states: (n, nq), (n, nv) and (n, nu)."""
+class States:
+    """States and motor torques.
+
+    Attributes:
+        qpos: (n, nq).
+        qvel: (n, nv).
+        torques: (n, nu) (N m).
+    """
 
     qpos: Array
     qvel: Array
     torques: Array
 
 
-def _random_states(robot: Robot, count: int, seed: int) -> _States:
+def random_states(robot: Robot, count: int, seed: int) -> States:
+    """Draws states: joints inside their limits, the base anywhere, with velocities and torques."""
     rng = np.random.default_rng(seed)
     lower = np.where(np.isfinite(robot.lower_limits), robot.lower_limits, -np.pi)
     upper = np.where(np.isfinite(robot.upper_limits), robot.upper_limits, np.pi)
@@ -212,7 +229,7 @@ def _random_states(robot: Robot, count: int, seed: int) -> _States:
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
         qpos = np.concatenate([rng.uniform(-1, 1, (count, 3)), quaternion, qpos], axis=1)
     efforts = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 1.0)
-    return _States(
+    return States(
         qpos=qpos,
         qvel=rng.normal(size=(count, robot.nv)),
         torques=rng.uniform(-efforts, efforts, (count, robot.nu)),
@@ -222,7 +239,7 @@ def _random_states(robot: Robot, count: int, seed: int) -> _States:
 # ------------------------------------------------------------------------------------- Pinocchio
 
 
-def _pinocchio_opinion(robot: Robot, states: _States) -> Opinion:
+def _pinocchio_opinion(robot: Robot, states: States) -> Opinion:
     model, convention = robot.pin_model, robot.pin_convention
     rest = Configuration(robot, robot.neutral())
     data = model.createData()
@@ -245,8 +262,8 @@ def _pinocchio_opinion(robot: Robot, states: _States) -> Opinion:
         damping=model.damping[v],
         friction=model.friction[v],
     )
-    damping = np.zeros(robot.nv)
-    damping[robot.nv - robot.nu :] = model.damping[v]
+    base_rows = robot.nv - robot.nu
+    damping = np.concatenate([model.damping[:base_rows], model.damping[v]])
     rows: dict[str, list[Array]] = {}
     for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
         config = Configuration(robot, qpos, qvel)
@@ -254,8 +271,6 @@ def _pinocchio_opinion(robot: Robot, states: _States) -> Opinion:
         force[robot.nv - robot.nu :] += torques
         qacc = config.forward_dynamics(force)
         values = {
-            "foot positions": np.array(list(config.foot_positions().values())),
-            "foot Jacobians": np.array(list(config.foot_jacobians().values())),
             "com": config.center_of_mass()[None],
             "com Jacobian": config.com_jacobian()[None],
             "mass matrix": config.mass_matrix(),
@@ -263,6 +278,9 @@ def _pinocchio_opinion(robot: Robot, states: _States) -> Opinion:
             "gravity": config.gravity()[:, None],
             "forward dynamics": qacc[:, None],
         }
+        if robot.feet:
+            values["foot positions"] = np.array(list(config.foot_positions().values()))
+            values["foot Jacobians"] = np.array(list(config.foot_jacobians().values()))
         if robot.imu is not None:
             gyro, accelerometer = config.imu(qacc)
             values["gyro"] = gyro[None]
@@ -280,7 +298,7 @@ def _mujoco_opinion(
     model: mujoco.MjModel,
     base: str,
     frames: Mapping[str, str],
-    states: _States,
+    states: States,
 ) -> Opinion:
     model = copy.copy(model)
     disable = mujoco.mjtDisableBit
@@ -330,8 +348,6 @@ def _mujoco_opinion(
         mujoco.mj_fullM(model, data, full)
         mujoco.mj_jacSubtreeCom(model, data, jacobian, root)
         values = {
-            "foot positions": np.array(positions),
-            "foot Jacobians": np.array(jacobians),
             "com": data.subtree_com[root][None].copy(),
             "com Jacobian": jacobian[:, public][None].copy(),
             "mass matrix": full[np.ix_(public, public)],
@@ -339,6 +355,9 @@ def _mujoco_opinion(
             "gravity": gravity[:, None],
             "forward dynamics": data.qacc[public][:, None].copy(),
         }
+        if robot.feet:
+            values["foot positions"] = np.array(positions)
+            values["foot Jacobians"] = np.array(jacobians)
         if sensors is not None:
             for name, address in zip(("gyro", "accelerometer"), sensors, strict=True):
                 values[name] = data.sensordata[address : address + 3][None].copy()
@@ -381,7 +400,7 @@ def _imu_sensors(model: mujoco.MjModel) -> tuple[int, int] | None:
 # ------------------------------------------------------------------------------------- yourdfpy
 
 
-def _yourdfpy_opinion(robot: Robot, states: _States) -> Opinion:
+def _yourdfpy_opinion(robot: Robot, states: States) -> Opinion:
     """Returns the feet's positions by yourdfpy's forward kinematics of the URDF."""
     import yourdfpy  # slow to import
 
@@ -478,7 +497,7 @@ def _compare(name: str, opinions: Mapping[str, Opinion], tolerance: float) -> Qu
     edges: dict[str, float] = {}
     worst: tuple[float, float, float, tuple[str, str], str] | None = None
     for pair, whose in EDGES.items():
-        if any(name not in opinions[opinion] for opinion in pair):
+        if any(name not in opinions.get(opinion, {}) for opinion in pair):
             continue
         one, two = (opinions[opinion][name] for opinion in pair)
         found = _deviation(one, two)

@@ -149,7 +149,7 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
     """
     spec = variant_spec(variant)
     base = BASES[spec.base]
-    robot = _build(
+    robot = build_robot(
         describe(spec), fixed_base=fixed_base, foot_depth=base.foot_depth(spec.leg_scale)
     )
     return replace(robot, notes=(*filter(None, [base.remark]), *robot.notes))
@@ -197,10 +197,24 @@ def load_robot(
         mjcf_source=mjcf_path,
         feet={foot: (frame, frame) for foot, frame in frames.items()},
     )
-    return _build(description, fixed_base=fixed_base, foot_depth=None)
+    return build_robot(description, fixed_base=fixed_base, foot_depth=None)
 
 
-def _build(description: Description, *, fixed_base: bool, foot_depth: float | None) -> Robot:
+def build_robot(
+    description: Description, *, fixed_base: bool = False, foot_depth: float | None = None
+) -> Robot:
+    """Builds the robot of a description.
+
+    Args:
+        description: Both files' contents.
+        fixed_base: Fix the base in the world, at the pose that the MJCF gives it.
+        foot_depth: How far below the hips the nominal stand has its feet (m); by default the lowest
+            foot of the keyframe ``home`` touches the ground.
+
+    Raises:
+        ModelError: If a model cannot be built, or the two do not have the same joints.
+        UnknownNameError: If a foot is not in a model.
+    """
     notes: list[str] = []
     mj_model, keyframe = _mujoco_model(description, fixed_base, notes)
     floating = bool((mj_model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any())
@@ -212,9 +226,16 @@ def _build(description: Description, *, fixed_base: bool, foot_depth: float | No
     armature = np.zeros(pin_model.nv)
     dofs = mj_convention.qvel_index[pin_convention.base_nv :]
     armature[pin_convention.v_index] = mj_model.dof_armature[dofs]
+    base = mj_convention.qvel_index[: pin_convention.base_nv]
+    armature[: pin_convention.base_nv] = mj_model.dof_armature[base]
     pin_model.armature = armature
     if armature.any():
         notes.append("armature is the MJCF's: URDF cannot carry it")
+    if armature[: pin_convention.base_nv].any():
+        notes.append(
+            f"the MJCF's free joint has an armature of {armature[0]:g}, as if the base were "
+            "heavier: a default class meant for the joints reaches it; use <freejoint/>"
+        )
     foot_frames = {foot: frames[0] for foot, frames in description.feet.items()}
     for frame in foot_frames.values():
         if not pin_model.existFrame(frame, pin.FrameType.BODY):
@@ -395,7 +416,7 @@ def _stand_height(
                 body = int(model.body_parentid[body])
             at = data.xpos[body] - foot_depth * rotation[:, 2]
         below.append(float(rotation[:, 2] @ (data.xpos[base_id] - at)) + radius[foot])
-    return max(below)
+    return max(below, default=0.0)
 
 
 # ------------------------------------------------------------------------------------- Pinocchio

@@ -128,6 +128,8 @@ def solve_stand(robot: Robot, task: StandTask | None = None) -> Stand:
     """
     if not robot.floating:
         raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
+    if not robot.feet:
+        raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
     task = task or StandTask()
     if task.height is None:
         task = replace(task, height=robot.stand_height)

@@ -58,9 +58,9 @@ def _with_urdf(robot: pa.Robot, old: str, new: str) -> pa.Robot:
     path = robot.description.urdf_source
     text = robot.description.urdf.replace(old, new, 1)
     description = replace(robot.description, urdf=text, urdf_source=path)
-    from pupper_analysis.robot import _build
+    from pupper_analysis.robot import build_robot
 
-    return _build(description, fixed_base=False, foot_depth=None)
+    return build_robot(description, fixed_base=False, foot_depth=None)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
@@ -23,6 +23,7 @@ class Description:
         mjcf: The MJCF's spec, not to be changed (take ``mjcf.copy()``).
         mjcf_source: The file it came from.
         feet: For each foot, the URDF's link and the MJCF's site, body or geom.
+        frames: Likewise for further frames that both files have.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Description:
     mjcf: mujoco.MjSpec
     mjcf_source: Path
     feet: Mapping[str, tuple[str, str]]
+    frames: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
 
 def describe(variant: str | VariantSpec) -> Description:

@@ -1,0 +1,80 @@
+"""What an audit finds: severities, findings and the audit as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from pupper_analysis.results import Result
+
+
+class Severity(StrEnum):
+    """How bad a finding is."""
+
+    ERROR = "error"
+    """Physically impossible, or refused by an engine."""
+    WARNING = "warning"
+    """Very likely a slip."""
+    INFO = "info"
+    """Worth knowing; often on purpose."""
+
+    @property
+    def rank(self) -> int:
+        """0 for the worst."""
+        return list(Severity).index(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Finding(Result):
+    """One thing that is wrong in a file.
+
+    Attributes:
+        rule: The id of the rule that found it.
+        severity: The rule's, or a lesser one where the case is less bad.
+        file: The file in which it stands (an included one, perhaps).
+        line: Its line, from 1; None where it is nowhere in particular.
+        element: ``link 'FL_calf'``.
+        message: One sentence with the numbers, in SI units (or mm and degrees, where it says so).
+        why: Why it matters.
+        todo: What to do.
+    """
+
+    rule: str
+    severity: Severity
+    file: str
+    line: int | None
+    element: str
+    message: str
+    why: str
+    todo: str
+
+    def __str__(self) -> str:
+        where = Path(self.file).name + ("" if self.line is None else f":{self.line}")
+        return f"{self.severity} {where} {self.element}: {self.message} [{self.rule}]"
+
+
+@dataclass(frozen=True, eq=False)
+class Audit(Result):
+    """What is wrong in one file.
+
+    Attributes:
+        file: The file.
+        format: ``"urdf"`` or ``"mjcf"``.
+        passed: Whether nothing of severity ERROR was found.
+        counts: How many findings of each severity.
+        findings: The worst first, then by line.
+        rules_run: The ids of the rules that were run.
+        disabled: The ids of those that were not, on demand.
+        notes: What was left out, in plain words.
+    """
+
+    file: str
+    format: str
+    passed: bool
+    counts: Mapping[str, int]
+    findings: tuple[Finding, ...]
+    rules_run: tuple[str, ...]
+    disabled: tuple[str, ...]
+    notes: tuple[str, ...]

@@ -1,0 +1,246 @@
+"""A neutral view of a model: the same for a URDF and an MJCF, so that most rules are written once.
+
+Unlike in an engine's model, bodies that are fixed to others are kept apart, as in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.loading import MjcfFile, UrdfFile
+
+Array = NDArray[np.float64]
+
+HINGE, SLIDE, BALL, FREE, FIXED = "hinge", "slide", "ball", "free", "fixed"
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A pose: x = position + rotation x'.
+
+    Attributes:
+        position: (3,) (m).
+        rotation: (3, 3).
+    """
+
+    position: Array = field(default_factory=lambda: np.zeros(3))
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+
+    def __mul__(self, other: Pose) -> Pose:
+        return Pose(self.point(other.position), self.rotation @ other.rotation)
+
+    def point(self, local: Array) -> Array:
+        """Returns a point (3,), or points (n, 3), given in this pose's frame, in the outer one."""
+        moved: Array = local @ self.rotation.T + self.position
+        return moved
+
+    def inverse(self) -> Pose:
+        """Returns the pose of the outer frame in this one."""
+        return Pose(-self.rotation.T @ self.position, self.rotation.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A shape that is drawn or touches things.
+
+    Attributes:
+        name: Its name, "" if it has none.
+        kind: ``sphere``, ``box``, ``cylinder``, ``capsule``, ``ellipsoid``, ``mesh`` or another.
+        pose: In its body's frame.
+        size: Radius; radius and half length; or three half sizes (m).
+        collides: Whether it can touch things.
+        vertices: Returns a mesh's (n, 3) in the shape's frame (m); None if unknown.
+    """
+
+    name: str
+    kind: str
+    pose: Pose
+    size: tuple[float, ...]
+    collides: bool
+    vertices: Callable[[], Array | None] = lambda: None
+
+
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    """What a file states, or what follows from shapes.
+
+    Attributes:
+        mass: kg.
+        com: (3,) in the body's frame (m).
+        inertia: (3, 3) about the com, in the body's axes (kg m^2).
+        stated: Whether the file states it, and does not leave it to the shapes.
+        rounding: Half a unit of the last digit of the stated inertia, at most (kg m^2).
+    """
+
+    mass: float
+    com: Array
+    inertia: Array
+    stated: bool
+    rounding: float = 0.0
+
+    @property
+    def moments(self) -> Array:
+        """The principal moments (kg m^2), ascending."""
+        moments: Array = np.linalg.eigvalsh(self.inertia)
+        return moments
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint.
+
+    Attributes:
+        name: Its name.
+        kind: One of HINGE, SLIDE, BALL, FREE, FIXED.
+        parent: The body it is fixed to.
+        child: The body it moves.
+        position: (3,) at zero angles, in the base frame (m).
+        axis: (3,) unit vector at zero angles, in the base frame; (0, 0, 0) where it has none.
+        raw_axis: (3,) as written.
+        lower: rad or m; -inf if unlimited.
+        upper: rad or m.
+        effort: N m or N; inf if unlimited.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    position: Array
+    axis: Array
+    raw_axis: Array
+    lower: float
+    upper: float
+    effort: float
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a hinge or a slide."""
+        return self.kind in (HINGE, SLIDE)
+
+    @property
+    def unit(self) -> str:
+        """The unit of its coordinate."""
+        return "m" if self.kind == SLIDE else "rad"
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A named frame on a body: a site of an MJCF.
+
+    Attributes:
+        name: Its name.
+        position: (3,) in the body's frame (m).
+    """
+
+    name: str
+    position: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A link of a URDF, a body of an MJCF.
+
+    Attributes:
+        name: Its name.
+        parent: Its parent's; None for a root (a child of the world).
+        pose: At zero angles, in the base frame.
+        joints: Those between its parent and it (several only in an MJCF).
+        inertial: None if the file gives it neither mass nor shapes with mass.
+        shapes: Drawn or touching.
+        frames: Named frames on it.
+    """
+
+    name: str
+    parent: str | None
+    pose: Pose
+    joints: tuple[Joint, ...]
+    inertial: Inertial | None
+    shapes: tuple[Shape, ...]
+    frames: tuple[Frame, ...] = ()
+
+    @property
+    def moving(self) -> bool:
+        """Whether it can move relative to its parent."""
+        return any(joint.kind != FIXED for joint in self.joints)
+
+    @property
+    def mass(self) -> float:
+        """kg."""
+        return 0.0 if self.inertial is None else self.inertial.mass
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A model.
+
+    Attributes:
+        format: ``"urdf"`` or ``"mjcf"``.
+        body_tag: What a body is called in the format.
+        base: The name of the base; "" if there is no body.
+        bodies: By name, parents first.
+        notes: What was left out.
+    """
+
+    format: str
+    body_tag: str
+    base: str
+    bodies: dict[str, Body]
+    notes: tuple[str, ...]
+
+    @property
+    def joints(self) -> dict[str, Joint]:
+        """All joints, by name."""
+        return {joint.name: joint for body in self.bodies.values() for joint in body.joints}
+
+    def children(self, name: str) -> list[Body]:
+        """Returns the bodies whose parent is the one named."""
+        return [body for body in self.bodies.values() if body.parent == name]
+
+    def fixed_group(self, name: str) -> list[Body]:
+        """Returns a body and all that is fixed to it, directly or not."""
+        group = [self.bodies[name]]
+        for child in self.children(name):
+            if not child.moving:
+                group += self.fixed_group(child.name)
+        return group
+
+    def ancestors(self, name: str) -> Iterator[str]:
+        """Yields the parent of a body, its parent, and so on."""
+        parent = self.bodies[name].parent
+        while parent is not None:
+            yield parent
+            parent = self.bodies[parent].parent
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfView(View):
+    """A model in a URDF.
+
+    Attributes:
+        file: The file.
+    """
+
+    file: UrdfFile
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfView(View):
+    """A model in an MJCF.
+
+    Attributes:
+        file: The file.
+        model: What MuJoCo makes of it, perhaps after repair; None if it refuses even that.
+        refusal: MuJoCo's message if it refuses the file as it stands.
+        body_names: The view's name of each of MuJoCo's bodies, by id.
+    """
+
+    file: MjcfFile
+    model: mujoco.MjModel | None
+    refusal: str | None
+    body_names: tuple[str, ...]

@@ -1,0 +1,212 @@
+"""Compares any robot's URDF with its MJCF: whether they agree, and which number is to blame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pupper_analysis.crosscheck import CrossCheck, cross_check
+from pupper_analysis.explain import (
+    EXPLAINED,
+    Difference,
+    Effect,
+    Explanation,
+    Tolerances,
+    explain,
+)
+from pupper_analysis.loading import MjcfFile, UrdfFile, read_mjcf, read_urdf
+from pupper_analysis.matching import Match, match
+from pupper_analysis.results import Result
+
+ENGINES_AGREE = 1e-8
+"""How far the two engines may deviate on one model, relative to a quantity's scale."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison(Result):
+    """What became of the comparison of a URDF with an MJCF.
+
+    Attributes:
+        urdf: The URDF's path.
+        mjcf: The MJCF's path.
+        joints: The joints that both have, by the MJCF's names.
+        guessed: {joint in the URDF: joint in the MJCF} matched by structure, not by name.
+        only_urdf: Joints of the URDF alone, fixed at zero for the comparison.
+        only_mjcf: Joints of the MJCF alone, likewise.
+        notes: What was assumed or left out.
+        check: The cross-check: both models in both engines.
+        differences: Of the files, the one with the greatest effect first.
+        deviations: {quantity: relative deviation between the models}.
+        left: {quantity: relative deviation that is left when all differences are taken away}.
+        explained: Share of the worst deviation that the differences explain (1 is all).
+        complete: Whether nothing is left unexplained.
+        engines: Quantities on which the engines deviate for one and the same model.
+        agree: Whether the models agree, within the tolerances.
+    """
+
+    urdf: str
+    mjcf: str
+    joints: tuple[str, ...]
+    guessed: dict[str, str]
+    only_urdf: tuple[str, ...]
+    only_mjcf: tuple[str, ...]
+    notes: tuple[str, ...]
+    check: CrossCheck
+    differences: tuple[Difference, ...]
+    deviations: dict[str, float]
+    left: dict[str, float]
+    explained: float
+    complete: bool
+    engines: tuple[str, ...]
+    agree: bool
+
+
+def compare_models(
+    urdf: str | Path,
+    mjcf: str | Path,
+    *,
+    names: Mapping[str, str] | None = None,
+    packages: Mapping[str, Path] | None = None,
+    feet: Sequence[str] = (),
+    tolerances: Tolerances | None = None,
+    configurations: int = 20,
+    seed: int = 0,
+) -> Comparison:
+    """Compares a URDF with an MJCF of the same robot, and explains how they differ.
+
+    Args:
+        urdf: Path of the URDF.
+        mjcf: Path of the MJCF.
+        names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
+        packages: {ROS package: its folder}, for ``package://`` paths.
+        feet: Frames, by their names in the MJCF, that count as feet; by default all frames that
+            both files have are compared.
+        tolerances: What counts as a difference; by default for files of 5 to 6 digits.
+        configurations: Number of random configurations of the cross-check.
+        seed: Of the random numbers.
+
+    Returns:
+        The comparison.
+
+    Raises:
+        ModelError: If a file cannot be read, or the two cannot be matched.
+        UnknownNameError: If a name is not in its file.
+        ConfigurationError: If an argument is out of its range.
+    """
+    tolerances = tolerances or Tolerances()
+    urdf_file, mjcf_file = read_urdf(urdf, packages), read_mjcf(mjcf)
+    matched = match(urdf_file, mjcf_file, names=names, feet=feet)
+    robot = matched.robot
+    check = cross_check(
+        robot, configurations=configurations, tolerance=tolerances.dynamics, seed=seed
+    )
+    explanation = explain(robot, tolerances=tolerances)
+    differences = tuple(
+        replace(
+            difference,
+            urdf_place=str(_urdf_place(difference, matched, urdf_file)),
+            mjcf_place=str(_mjcf_place(difference, matched, mjcf_file)),
+        )
+        for difference in explanation.differences
+    )
+    worst = max(explanation.deviations.values())
+    left = max(explanation.left.values())
+    engines = tuple(
+        f"{quantity.name}: {relative:.1e} ({whose})"
+        for quantity in check.quantities
+        for whose, relative in quantity.edges.items()
+        if not whose.startswith("models") and relative > ENGINES_AGREE
+    )
+    unmatched = matched.only_urdf or matched.only_mjcf
+    return Comparison(
+        urdf=str(urdf_file.path),
+        mjcf=str(mjcf_file.path),
+        joints=robot.joint_names,
+        guessed=dict(matched.guessed),
+        only_urdf=matched.only_urdf,
+        only_mjcf=matched.only_mjcf,
+        notes=(*matched.notes, *_armature_notes(explanation)),
+        check=check,
+        differences=differences,
+        deviations=explanation.deviations,
+        left=explanation.left,
+        explained=1.0 if worst <= EXPLAINED else max(0.0, 1.0 - left / worst),
+        complete=explanation.complete,
+        engines=engines,
+        agree=not differences and not unmatched and explanation.complete,
+    )
+
+
+def _armature_notes(explanation: Explanation) -> list[str]:
+    """Says what the armature does, which the URDF cannot state, for who builds models from it."""
+    effects = explanation.armature
+    values: dict[str, list[str]] = {}
+    for name, value in effects.values.items():
+        values.setdefault(f"{value:.6g}", []).append(name)
+    if set(values) == {"0"}:
+        return []
+    listed = ", ".join(
+        f"{value} on {len(names)} joints" if len(names) > 3 else f"{value} on {' '.join(names)}"
+        for value, names in values.items()
+    )
+    off = effects.effects.get("mass matrix", Effect(0.0, 0.0, 0.0)).relative
+    forward = effects.effects.get("forward dynamics", Effect(0.0, 0.0, 0.0)).relative
+    return [
+        f"armature ({listed}; kg m^2) is in the MJCF alone, and was given to both. A model of the "
+        f"URDF without it has its mass matrix off by {off:.2g} and its accelerations by {forward:.2g}: "
+        "set pin.Model.armature"
+    ]
+
+
+# ------------------------------------------------------------------------------------- places
+
+_URDF_CHILD = {
+    "mass": "inertial/mass",
+    "com": "inertial/origin",
+    "inertia": "inertial/inertia",
+    "position": "origin",
+    "rotation": "origin",
+    "axis": "axis",
+    "lower limit": "limit",
+    "upper limit": "limit",
+    "effort": "limit",
+    "velocity": "limit",
+    "damping": "dynamics",
+    "friction": "dynamics",
+}
+
+
+def _urdf_place(difference: Difference, matched: Match, file: UrdfFile) -> object:
+    child = _URDF_CHILD.get(difference.kind)
+    if difference.kind in ("mass", "com", "inertia") or difference.element == matched.robot.base:
+        return file.place("link", matched.urdf_link[difference.element], child)
+    if difference.kind == "frame":
+        link = matched.robot.description.frames[difference.element][0]
+        joint = next(
+            (
+                element
+                for element in file.root.findall("joint")
+                if element.find("child") is not None and element.find("child").get("link") == link
+            ),
+            None,
+        )
+        if joint is None:
+            return file.place("link", link)
+        return file.place("joint", str(joint.get("name")), "origin")
+    return file.place("joint", matched.urdf_joint[difference.element], child)
+
+
+def _mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> object:
+    element = difference.element
+    if difference.kind in ("mass", "com", "inertia"):
+        return file.place("body", matched.mjcf_body[element], "inertial")
+    if element == matched.robot.base:
+        return file.place("body", matched.mjcf_body[element], "joint")
+    if difference.kind in ("position", "rotation", "parent"):
+        return file.place("body", matched.mjcf_body[element])
+    if difference.kind == "effort":
+        return file.place("actuator", element)
+    if difference.kind == "frame":
+        return file.place("site", matched.robot.description.frames[element][1])
+    return file.place("joint", element)

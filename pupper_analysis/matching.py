@@ -1,0 +1,392 @@
+"""Brings a URDF and an MJCF of one robot to the same base, the same joints and the same names."""
+
+from __future__ import annotations
+
+import copy
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+from numpy.typing import NDArray
+
+from pupper_analysis import parameters
+from pupper_analysis.conversion import pinocchio_from_mujoco
+from pupper_analysis.description import Description
+from pupper_analysis.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.loading import MjcfFile, UrdfFile
+from pupper_analysis.robot import Robot, build_robot
+
+Array = NDArray[np.float64]
+
+_MOVING = ("revolute", "continuous", "prismatic")
+_PARALLEL = 0.99  # least |cosine| between the axes of joints that may be one
+_NEAR = 0.25  # greatest distance of joints that may be one, relative to the robot's size
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """A URDF and an MJCF that have been matched.
+
+    Attributes:
+        robot: Both as one robot, with the MJCF's joint names.
+        urdf_joint: {joint: its name in the URDF}.
+        urdf_link: {base or joint: the URDF's link that it moves}.
+        mjcf_body: {base or joint: the MJCF's body that it moves}.
+        guessed: {joint in the URDF: joint in the MJCF} matched by structure.
+        only_urdf: Joints that the MJCF does not have; fixed at zero for the comparison.
+        only_mjcf: Joints that the URDF does not have; likewise.
+        notes: What was assumed or left out, in plain words.
+    """
+
+    robot: Robot
+    urdf_joint: Mapping[str, str]
+    urdf_link: Mapping[str, str]
+    mjcf_body: Mapping[str, str]
+    guessed: Mapping[str, str]
+    only_urdf: tuple[str, ...]
+    only_mjcf: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def read_mapping(path: Path) -> dict[str, str]:
+    """Reads names from a TOML file: ``"name in the URDF" = "name in the MJCF"``, a line each.
+
+    Raises:
+        ModelError: If it cannot be read, or holds anything but text.
+    """
+    try:
+        values = tomllib.loads(path.read_text())
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ModelError(path, f"not a TOML file of names: {error}") from error
+    for name, value in values.items():
+        if not isinstance(value, str):
+            raise ModelError(path, f"{name} = {value!r}: give the name in the MJCF, in quotes")
+    return values
+
+
+def match(
+    urdf: UrdfFile,
+    mjcf: MjcfFile,
+    *,
+    names: Mapping[str, str] | None = None,
+    feet: Sequence[str] = (),
+) -> Match:
+    """Matches joints and frames by name, then by ``names``, and the rest by structure.
+
+    Dummy root links, and a floating joint at the base, are left out of the URDF. A joint that only
+    one file has is fixed at zero. Where the MJCF's base is fixed, so is the URDF's.
+
+    Args:
+        urdf: The URDF.
+        mjcf: The MJCF.
+        names: {name in the URDF: name in the MJCF} of joints or frames.
+        feet: Frames, by their names in the MJCF, to be compared as feet.
+
+    Raises:
+        ModelError: If the two have no joint in common, or one cannot be analysed.
+        UnknownNameError: If ``names`` or ``feet`` name what is not there.
+    """
+    notes = [*urdf.notes, *mjcf.notes]
+    root = copy.deepcopy(urdf.root)
+    for link in root.iter("link"):
+        for tag in ("visual", "collision"):
+            for shape in link.findall(tag):
+                link.remove(shape)
+    _strip_roots(root, urdf.path, notes)
+    spec = mjcf.spec.copy()
+    _name_joints(spec, notes)
+    _drop_other_objects(spec, mjcf.path, notes)
+    if any(joint.find("mimic") is not None for joint in root.findall("joint")):
+        notes.append("mimic joints of the URDF are compared as independent joints")
+    if spec.equalities:
+        notes.append(f"{len(spec.equalities)} equality constraint(s) of the MJCF are left out")
+
+    mine = _moving_joints(root, urdf.path)
+    theirs = _hinges(spec, mjcf.path)
+    wanted = dict(names or {})
+    links = {link.get("name") for link in root.findall("link")}
+    places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
+    for old, new in wanted.items():
+        if old not in mine and old not in links:
+            raise UnknownNameError(urdf.path, "joint or link (of a mapping)", old, mine)
+        if new not in theirs and new not in places:
+            raise UnknownNameError(mjcf.path, "joint or frame (of a mapping)", new, theirs)
+    pairs = {old: new for old, new in wanted.items() if old in mine and new in theirs}
+    taken = set(pairs.values())
+    pairs |= {name: name for name in mine if name in theirs and name not in {*pairs, *taken}}
+    guessed = _guess(root, spec, urdf.path, mjcf.path, pairs)
+    pairs |= guessed
+    if not pairs:
+        raise ModelError(
+            urdf.path,
+            f"no joint in common with {mjcf.path}: {', '.join(mine[:6])} … against "
+            f"{', '.join(theirs[:6])} …; name the pairs with a mapping",
+        )
+    only_urdf = tuple(name for name in mine if name not in pairs)
+    only_mjcf = tuple(name for name in theirs if name not in pairs.values())
+    _fix_in_urdf(root, only_urdf)
+    for joint in list(spec.joints):
+        if joint.name in only_mjcf:
+            _delete_joint(spec, joint)
+    for joint in root.findall("joint"):
+        joint.set("name", pairs.get(joint.get("name"), joint.get("name")))
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            joint.remove(mimic)
+
+    frames = _common_frames(root, spec, wanted)
+    for foot in feet:
+        if foot not in frames:
+            raise UnknownNameError(urdf.path, "frame of both files (for a foot)", foot, frames)
+    for key in list(spec.keys):
+        spec.delete(key)  # its size may no longer fit
+    description = Description(
+        name=spec.modelname,
+        urdf=etree.tostring(root, encoding="unicode"),
+        urdf_source=urdf.path,
+        mjcf=spec,
+        mjcf_source=mjcf.path,
+        feet={},
+        frames={name: frames[name] for name in (feet or frames)},
+    )
+    robot = build_robot(description)
+    return Match(
+        robot=robot,
+        urdf_joint={new: old for old, new in pairs.items()},
+        urdf_link=_links(root, robot),
+        mjcf_body=_bodies(robot),
+        guessed=guessed,
+        only_urdf=only_urdf,
+        only_mjcf=only_mjcf,
+        notes=(*notes, *(note for note in robot.notes if "free joint" in note)),
+    )
+
+
+# ------------------------------------------------------------------------------------- the URDF
+
+
+def _root_link(root: etree._Element) -> etree._Element:
+    children = {child.get("link") for child in root.findall("joint/child")}
+    return next(link for link in root.findall("link") if link.get("name") not in children)
+
+
+def _strip_roots(root: etree._Element, source: Path, notes: list[str]) -> None:
+    """Takes out root links without mass, as long as they carry one fixed or floating joint."""
+    while True:
+        link = _root_link(root)
+        name = link.get("name")
+        mass = link.find("inertial/mass")
+        heavy = mass is not None and float(mass.get("value")) > 0
+        joints = [joint for joint in root.findall("joint") if _end(joint, "parent") == name]
+        if heavy or len(joints) != 1 or joints[0].get("type") not in ("fixed", "floating"):
+            break
+        notes.append(f"{source.name}: root link {name!r} has no mass and was left out")
+        root.remove(link)
+        root.remove(joints[0])
+
+
+def _end(joint: etree._Element, tag: str) -> str:
+    return str(joint.find(tag).get("link"))
+
+
+def _moving_joints(root: etree._Element, source: Path) -> list[str]:
+    moving = []
+    for joint in root.findall("joint"):
+        kind = joint.get("type")
+        if kind in _MOVING:
+            moving.append(str(joint.get("name")))
+        elif kind != "fixed":
+            raise ModelError(
+                source,
+                f"joint {joint.get('name')!r} is {kind}; revolute, continuous, prismatic and fixed "
+                "joints, and a floating one at the root, can be analysed",
+            )
+    return moving
+
+
+def _fix_in_urdf(root: etree._Element, names: Iterable[str]) -> None:
+    fixed = set(names)
+    for joint in root.findall("joint"):
+        if joint.get("name") in fixed:
+            joint.set("type", "fixed")
+
+
+def _links(root: etree._Element, robot: Robot) -> dict[str, str]:
+    links = {robot.base: str(_root_link(root).get("name"))}
+    for joint in root.findall("joint"):
+        if joint.get("name") in robot.joint_names:
+            links[str(joint.get("name"))] = _end(joint, "child")
+    return links
+
+
+# ------------------------------------------------------------------------------------- the MJCF
+
+
+def _name_joints(spec: mujoco.MjSpec, notes: list[str]) -> None:
+    for joint in spec.joints:
+        if not joint.name and joint.type != mujoco.mjtJoint.mjJNT_FREE:
+            joint.name = f"{joint.parent.name}_joint"
+            notes.append(f"a joint without a name in the MJCF is called {joint.name!r}")
+
+
+def _hinges(spec: mujoco.MjSpec, source: Path) -> list[str]:
+    names = []
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_BALL:
+            raise ModelError(
+                source,
+                f"joint {joint.name!r} is a ball joint; hinge and slide joints, and one free joint "
+                "at the base, can be analysed",
+            )
+        if joint.type != mujoco.mjtJoint.mjJNT_FREE:
+            names.append(joint.name)
+    return names
+
+
+def _drop_other_objects(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> None:
+    """Keeps the largest tree of joints: a scene may have loose objects besides the robot."""
+    trees = [
+        body
+        for body in spec.worldbody.bodies
+        if body.find_all(mujoco.mjtObj.mjOBJ_JOINT) or body.joints
+    ]
+    if not trees:
+        raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")
+    size = {body.name: len(body.find_all(mujoco.mjtObj.mjOBJ_JOINT)) for body in trees}
+    robot = max(trees, key=lambda body: size[body.name])
+    for body in trees:
+        if body is not robot:
+            notes.append(f"{source.name}: body {body.name!r} is not part of the robot: left out")
+            spec.delete(body)
+
+
+def _delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
+    """Deletes a joint with all that refers to it."""
+    name = joint.name
+    for actuator in list(spec.actuators):
+        if actuator.target == name:
+            _delete_sensors(spec, actuator.name)
+            spec.delete(actuator)
+    for equality in list(spec.equalities):
+        if name in (equality.name1, equality.name2):
+            spec.delete(equality)
+    _delete_sensors(spec, name)
+    spec.delete(joint)
+
+
+def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
+    for sensor in list(spec.sensors):
+        if name and name in (sensor.objname, sensor.refname):
+            spec.delete(sensor)
+
+
+def _bodies(robot: Robot) -> dict[str, str]:
+    model = robot.mj_model
+    bodies = {robot.base: robot.mj_base}
+    for name in robot.joint_names:
+        bodies[name] = str(model.body(int(model.jnt_bodyid[model.joint(name).id])).name)
+    return bodies
+
+
+# ------------------------------------------------------------------------------------- matching
+
+
+def _common_frames(
+    root: etree._Element, spec: mujoco.MjSpec, names: Mapping[str, str]
+) -> dict[str, tuple[str, str]]:
+    """Returns the frames of both: links on fixed joints, and sites or bodies without joints."""
+    places = {site.name for site in spec.sites if site.name}
+    places |= {body.name for body in spec.bodies if body.name and not list(body.joints)}
+    frames = {}
+    for joint in root.findall("joint"):
+        link = _end(joint, "child")
+        place = names.get(link, link)
+        if joint.get("type") == "fixed" and place in places:
+            frames[place] = (link, place)
+    return frames
+
+
+def _guess(
+    root: etree._Element,
+    spec: mujoco.MjSpec,
+    urdf: Path,
+    mjcf: Path,
+    pairs: Mapping[str, str],
+) -> dict[str, str]:
+    """Matches joints without a partner by structure.
+
+    Below the same parent, with parallel axes at zero angles, each the nearest to the other.
+    """
+    one = _urdf_tree(root, urdf)
+    two = _mjcf_tree(spec, mjcf)
+    free_one = [name for name in one.joints if name not in pairs]
+    free_two = [name for name in two.joints if name not in pairs.values()]
+    if not free_one or not free_two:
+        return {}
+    place_one, place_two = _at_zero(one), _at_zero(two)
+    size = max(float(np.linalg.norm(place[0])) for place in place_one.values())
+    partner = {one.base: two.base, **pairs}
+    guessed: dict[str, str] = {}
+    for name in one.joints:  # parents first
+        parent = partner.get(one.joints[name].parent)
+        if name not in free_one or parent is None:
+            continue
+        candidates = []
+        for other in free_two:
+            if other in guessed.values() or two.joints[other].parent != parent:
+                continue
+            (here, axis), (there, other_axis) = place_one[name], place_two[other]
+            distance = float(np.linalg.norm(here - there))
+            if abs(float(axis @ other_axis)) > _PARALLEL and distance < _NEAR * size:
+                candidates.append((distance, other))
+        candidates.sort()
+        if candidates and (len(candidates) == 1 or candidates[0][0] < 0.5 * candidates[1][0]):
+            guessed[name] = partner[name] = candidates[0][1]
+    return guessed
+
+
+def _urdf_tree(root: etree._Element, source: Path) -> parameters.Parameters:
+    text = etree.tostring(root, encoding="unicode")
+    try:
+        model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(source, f"not a valid URDF: {' '.join(str(error).split())}") from error
+    return parameters.from_pinocchio(model, "", list(model.names)[2:], {})
+
+
+def _mjcf_tree(spec: mujoco.MjSpec, source: Path) -> parameters.Parameters:
+    try:
+        compiled = spec.copy().compile()
+    except (ValueError, RuntimeError) as error:
+        message = " ".join(str(error).split())
+        raise ModelError(source, f"MuJoCo cannot compile it: {message}") from error
+    model = pinocchio_from_mujoco(compiled)
+    names = [joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
+    return parameters.from_pinocchio(model, "", names, {})
+
+
+def _at_zero(tree: parameters.Parameters) -> dict[str, tuple[Array, Array]]:
+    """Returns where each joint is at zero, and its axis, both in the base's frame."""
+    poses = {tree.base: pin.SE3.Identity()}
+    places = {}
+    for name, joint in tree.joints.items():
+        poses[name] = poses[joint.parent] * pin.SE3(joint.rotation, joint.position)
+        places[name] = (np.array(poses[name].translation), poses[name].rotation @ joint.axis)
+    return places
+
+
+def check_mapping(text: str) -> tuple[str, str]:
+    """Splits ``old=new``.
+
+    Raises:
+        ConfigurationError: If it is no such thing.
+    """
+    old, separator, new = text.partition("=")
+    if not (old and separator and new):
+        raise ConfigurationError("map", f"{text!r} is not NAME_IN_URDF=NAME_IN_MJCF")
+    return old, new

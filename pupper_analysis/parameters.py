@@ -1,0 +1,269 @@
+"""The parameters of a tree of joints, as both files share them: and how those of two files differ.
+
+Fixed children are folded into the body that carries them. Frames of bodies are a matter of choice:
+two files can describe one robot with differently turned link frames. So before two sets are
+compared, the frames of the second are turned to those of the first, body by body from the base
+outwards, in the way that leaves the fewest differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A moving body.
+
+    Attributes:
+        mass: kg.
+        com: (3,) in the body's frame (m).
+        inertia: (3, 3) about the com, in the body's axes (kg m^2).
+    """
+
+    mass: float
+    com: Array
+    inertia: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint, and how the body that it moves is attached to its parent.
+
+    Attributes:
+        parent: The joint that moves the parent body, or the base's name.
+        position: (3,) of the joint, in the parent body's frame (m).
+        rotation: (3, 3) from the body's axes to the parent's, at zero.
+        axis: (3,) unit vector in the body's frame.
+        slides: Whether it is prismatic.
+        lower: rad (or m).
+        upper: rad (or m).
+        effort: N m (or N).
+        velocity: rad/s (or m/s); infinite where a file cannot state it.
+        armature: kg m^2 (or kg).
+        damping: N m s/rad (or N s/m).
+        friction: N m (or N).
+    """
+
+    parent: str
+    position: Array
+    rotation: Array
+    axis: Array
+    slides: bool
+    lower: float
+    upper: float
+    effort: float
+    velocity: float
+    armature: float
+    damping: float
+    friction: float
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """All parameters of a robot.
+
+    Attributes:
+        base: The base's name.
+        floating: Whether the base is free.
+        bodies: {base or joint: the body it moves}.
+        joints: {joint: joint}, parents first.
+        frames: {frame: (base or joint that moves it, (3,) position in that body's frame (m))}.
+        gravity: (3,) m/s^2.
+        base_damping: Of the free joint, in all six directions: an MJCF's default class may give it
+            some (N s/m and N m s/rad).
+        base_armature: Likewise (kg and kg m^2).
+    """
+
+    base: str
+    floating: bool
+    bodies: Mapping[str, Body]
+    joints: Mapping[str, Joint]
+    frames: Mapping[str, tuple[str, Array]]
+    gravity: Array
+    base_damping: float = 0.0
+    base_armature: float = 0.0
+
+    def children(self, body: str) -> list[str]:
+        """Returns the joints whose parent is a body."""
+        return [name for name, joint in self.joints.items() if joint.parent == body]
+
+
+def from_pinocchio(
+    model: pin.Model, base: str, joint_names: Iterable[str], frames: Mapping[str, str]
+) -> Parameters:
+    """Reads the parameters of a Pinocchio model.
+
+    Args:
+        model: The model; joints of one degree of freedom, and a free flyer if the base is free.
+        base: A name for the base.
+        joint_names: The joints.
+        frames: {name: BODY frame of the model}.
+    """
+    names = set(joint_names)
+    floating = model.nv > len(names)
+    root = 1 if floating else 0
+    data = model.createData()
+    owner = {0: base, root: base}
+    bodies = {base: _body(model.inertias[root])}
+    joints: dict[str, Joint] = {}
+    for index in range(root + 1, model.njoints):
+        name = str(model.names[index])
+        owner[index] = name
+        kind = model.joints[index]
+        motion = np.array(data.joints[index].S).reshape(6)
+        slides = not motion[3:].any()
+        q, v = kind.idx_q, kind.idx_v
+        bounded = kind.nq == 1
+        joints[name] = Joint(
+            parent=owner[int(model.parents[index])],
+            position=np.array(model.jointPlacements[index].translation),
+            rotation=np.array(model.jointPlacements[index].rotation),
+            axis=motion[:3] if slides else motion[3:],
+            slides=slides,
+            lower=float(model.lowerPositionLimit[q]) if bounded else -np.inf,
+            upper=float(model.upperPositionLimit[q]) if bounded else np.inf,
+            effort=float(model.effortLimit[v]),
+            velocity=float(model.velocityLimit[v]),
+            armature=float(model.armature[v]),
+            damping=float(model.damping[v]),
+            friction=float(model.friction[v]),
+        )
+        bodies[name] = _body(model.inertias[index])
+    places = {}
+    for name, frame in frames.items():
+        found = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
+        places[name] = (owner[int(found.parentJoint)], np.array(found.placement.translation))
+    return Parameters(
+        base=base,
+        floating=floating,
+        bodies=bodies,
+        joints=joints,
+        frames=places,
+        gravity=np.array(model.gravity.linear),
+        base_damping=float(model.damping[0]) if floating else 0.0,
+        base_armature=float(model.armature[0]) if floating else 0.0,
+    )
+
+
+def _body(inertia: pin.Inertia) -> Body:
+    return Body(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia))
+
+
+def to_pinocchio(parameters: Parameters) -> pin.Model:
+    """Builds a Pinocchio model of the parameters; frames are of type BODY."""
+    model = pin.Model()
+    model.gravity = pin.Motion(parameters.gravity, np.zeros(3))
+    index = {parameters.base: 0}
+    if parameters.floating:
+        flyer = pin.JointModelFreeFlyer()
+        index[parameters.base] = model.addJoint(0, flyer, pin.SE3.Identity(), "__free__")
+    _append(model, index[parameters.base], parameters.bodies[parameters.base])
+    order = _parents_first(parameters)
+    for name in order:
+        joint = parameters.joints[name]
+        motion = (
+            pin.JointModelPrismaticUnaligned(joint.axis)
+            if joint.slides
+            else pin.JointModelRevoluteUnaligned(joint.axis)
+        )
+        index[name] = model.addJoint(
+            index[joint.parent],
+            motion,
+            pin.SE3(joint.rotation, joint.position),
+            name,
+            np.array([joint.effort]),
+            np.array([joint.velocity]),
+            np.array([joint.lower]),
+            np.array([joint.upper]),
+        )
+        _append(model, index[name], parameters.bodies[name])
+    offset = 6 if parameters.floating else 0
+    joints = [parameters.joints[name] for name in order]
+    for values, field in (
+        (model.armature, "armature"),
+        (model.damping, "damping"),
+        (model.friction, "friction"),
+    ):
+        values[offset:] = [getattr(joint, field) for joint in joints]
+    model.damping[:offset] = parameters.base_damping
+    model.armature[:offset] = parameters.base_armature
+    for name, (body, position) in parameters.frames.items():
+        placement = pin.SE3(np.eye(3), position)
+        frame = pin.Frame(name, index[body], 0, placement, pin.FrameType.BODY)
+        model.addFrame(frame, False)
+    return model
+
+
+def _parents_first(parameters: Parameters) -> list[str]:
+    """Returns the joints branch by branch: Pinocchio wants each subtree in one piece."""
+    order: list[str] = []
+    waiting = parameters.children(parameters.base)
+    while waiting:
+        order.append(waiting.pop(0))
+        waiting = parameters.children(order[-1]) + waiting
+    return order
+
+
+def _append(model: pin.Model, joint: int, body: Body) -> None:
+    inertia = pin.Inertia(body.mass, body.com, body.inertia)
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+
+
+# ------------------------------------------------------------------------------------- alignment
+
+
+def aligned(
+    second: Parameters, first: Parameters, count: Callable[[Parameters, Parameters, str], int]
+) -> Parameters:
+    """Turns the body frames of one set of parameters to those of another.
+
+    The frame of each body is either taken as it is, or turned so that its rotation at zero equals
+    the other's, whichever leaves the fewer differences in the body and in what it carries.
+
+    Args:
+        second: The parameters whose frames are turned.
+        first: Whose frames are kept; it has joints of the same names.
+        count: Counts the differences of a body, its joint, and what it carries.
+
+    Returns:
+        The same robot as ``second``.
+    """
+    result = second
+    for name in first.joints:
+        mine, other = first.joints[name], result.joints[name]
+        if mine.parent != other.parent:
+            continue
+        turn = mine.rotation.T @ other.rotation
+        if np.allclose(turn, np.eye(3), atol=1e-12):
+            continue
+        turned = _turned(result, name, turn)
+        if count(first, turned, name) <= count(first, result, name):
+            result = turned
+    return result
+
+
+def _turned(parameters: Parameters, name: str, turn: Array) -> Parameters:
+    """Describes the body that a joint moves in other axes: x' = turn x."""
+    joint, body = parameters.joints[name], parameters.bodies[name]
+    joints = dict(parameters.joints)
+    joints[name] = replace(joint, rotation=joint.rotation @ turn.T, axis=turn @ joint.axis)
+    for child in parameters.children(name):
+        carried = joints[child]
+        joints[child] = replace(
+            carried, position=turn @ carried.position, rotation=turn @ carried.rotation
+        )
+    bodies = dict(parameters.bodies)
+    bodies[name] = replace(body, com=turn @ body.com, inertia=turn @ body.inertia @ turn.T)
+    frames = {
+        frame: (owner, turn @ position if owner == name else position)
+        for frame, (owner, position) in parameters.frames.items()
+    }
+    return replace(parameters, joints=joints, bodies=bodies, frames=frames)
