@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pupper_analysis.errors import OutputError, PupperAnalysisError
+from pupper_analysis.errors import ConfigurationError, OutputError, PupperAnalysisError
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis import Analysis
@@ -175,8 +175,6 @@ def _finish(
     """Compares the variants, and writes figures and JSON."""
     from pupper_analysis import report
     from pupper_analysis.analysis import leg_lengths, thigh_shape_length
-    from pupper_analysis.files import whole_file
-    from pupper_analysis.results import to_json
     from pupper_analysis.robot import load_variant
     from pupper_analysis.variants import VariantSpec
 
@@ -200,8 +198,7 @@ def _finish(
             "variants": {analysis.name: analysis for analysis in analyses},
             "comparison": rows,
         }
-        with whole_file(json_path) as temporary:
-            temporary.write_text(to_json(content) + "\n")
+        _write_json(json_path, content)
         out.print(f"results: {json_path}")
     good = sum(analysis.verified for analysis in analyses)
     out.print(f"{good} of {len(analyses)} verified")
@@ -243,6 +240,129 @@ def _print_list(specs: list[VariantSpec]) -> None:
     from pupper_analysis.robot import load_variant
 
     report.print_variants(report.console(), [(spec, load_variant(spec)) for spec in specs])
+
+
+@group.command(context_settings=_CONTEXT, short_help="Find what makes a URDF and an MJCF disagree.")
+@click.argument("urdf", type=click.Path(path_type=Path))
+@click.argument("mjcf", type=click.Path(path_type=Path))
+@click.option(
+    "--map",
+    "pairs",
+    multiple=True,
+    metavar="URDF=MJCF",
+    help="A joint's or frame's name in the URDF, and in the MJCF. May be repeated.",
+)
+@click.option(
+    "--map-file",
+    type=click.Path(path_type=Path),
+    help='TOML file of such names: a line "name in the URDF" = "name in the MJCF" each.',
+)
+@click.option(
+    "--package",
+    "packages",
+    multiple=True,
+    metavar="NAME=DIR",
+    help="Where package://NAME/ is; else ROS_PACKAGE_PATH, then the folders above the URDF.",
+)
+@click.option(
+    "--foot", "feet", multiple=True, metavar="FRAME", help="Compare this frame (all common ones)."
+)
+@click.option(
+    "--tolerance",
+    "changes",
+    multiple=True,
+    metavar="KIND=VALUE",
+    help="Of mass, com, inertia, position, rotation, axis, limit, effort, velocity, damping, "
+    "friction or dynamics. May be repeated.",
+)
+@click.option("--strict", is_flag=True, help="Tolerate rounding errors alone (1e-9), not digits.")
+@click.option("--all", "everything", is_flag=True, help="Print every difference.")
+@click.option(
+    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
+)
+@click.option(
+    "--format",
+    "style",
+    type=click.Choice(["text", "github", "junit"]),
+    default="text",
+    show_default=True,
+    help="For people, as GitHub annotations, or as JUnit XML.",
+)
+def crosscheck(
+    urdf: Path,
+    mjcf: Path,
+    pairs: tuple[str, ...],
+    map_file: Path | None,
+    packages: tuple[str, ...],
+    feet: tuple[str, ...],
+    changes: tuple[str, ...],
+    strict: bool,
+    everything: bool,
+    json_path: Path | None,
+    style: str,
+) -> None:
+    """Find which number in which file makes a robot's URDF and MJCF disagree.
+
+    Both models are compared in both engines, and body by body; each difference is shown with its
+    place in both files and its effect, the greatest first, and the list is proven complete.
+    Joints are matched by name, by --map, and the rest by structure (which is then printed).
+
+    \b
+    Examples:
+      pupper-analysis crosscheck go1.urdf go1.xml
+      pupper-analysis crosscheck robot.urdf robot.xml --map lf_haa=FL_hip --tolerance mass=1e-3
+      pupper-analysis crosscheck robot.urdf robot.xml --strict --format github
+
+    \b
+    Exit status: 0 they agree within the tolerances, 1 they differ, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis import comparison_report, formats, matching, report
+    from pupper_analysis.comparison import compare_models
+    from pupper_analysis.explain import Tolerances
+
+    names = matching.read_mapping(map_file) if map_file is not None else {}
+    names |= dict(_assignment("map", text) for text in pairs)
+    folders = {name: Path(value) for name, value in (_assignment("package", p) for p in packages)}
+    tolerances = Tolerances.strict() if strict else Tolerances()
+    tolerances = tolerances.changed(dict(_number("tolerance", text) for text in changes))
+    _check_outputs(None, json_path)
+    comparison = compare_models(
+        urdf, mjcf, names=names, packages=folders, feet=feet, tolerances=tolerances
+    )
+    if style == "text":
+        comparison_report.print_models(report.console(), comparison, everything=everything)
+    elif style == "github":
+        click.echo(formats.github(comparison_report.annotations(comparison)))
+    else:
+        suite = f"{urdf.name} against {mjcf.name}"
+        click.echo(formats.junit(suite, comparison_report.cases(comparison)))
+    _write_json(json_path, comparison)
+    if not comparison.agree:
+        click.get_current_context().exit(FAILED)
+
+
+def _assignment(option: str, text: str) -> tuple[str, str]:
+    name, separator, value = text.partition("=")
+    if not (name and separator and value):
+        raise ConfigurationError(option, f"{text!r} is not of the form NAME=VALUE")
+    return name, value
+
+
+def _number(option: str, text: str) -> tuple[str, float]:
+    name, value = _assignment(option, text)
+    try:
+        return name, float(value)
+    except ValueError as error:
+        raise ConfigurationError(option, f"{value!r} in {text!r} is not a number") from error
+
+
+def _write_json(path: Path | None, content: object) -> None:
+    from pupper_analysis.files import whole_file
+    from pupper_analysis.results import to_json
+
+    if path is not None:
+        with whole_file(path) as temporary:
+            temporary.write_text(to_json(content) + "\n")
 
 
 @group.command(context_settings=_CONTEXT, short_help="Show Pupper v3 in MuJoCo's viewer.")

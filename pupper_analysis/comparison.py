@@ -154,8 +154,8 @@ def _armature_notes(explanation: Explanation) -> list[str]:
     forward = effects.effects.get("forward dynamics", Effect(0.0, 0.0, 0.0)).relative
     return [
         f"armature ({listed}; kg m^2) is in the MJCF alone, and was given to both. A model of the "
-        f"URDF without it has its mass matrix off by {off:.2g} and its accelerations by {forward:.2g}: "
-        "set pin.Model.armature"
+        f"URDF without it has its mass matrix off by {off:.2g}, and its accelerations by "
+        f"{forward:.2g}, of their scale: set pin.Model.armature"
     ]
 
 
@@ -174,6 +174,7 @@ _URDF_CHILD = {
     "velocity": "limit",
     "damping": "dynamics",
     "friction": "dynamics",
+    "armature": "dynamics",
 }
 
 

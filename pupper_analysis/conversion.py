@@ -121,27 +121,38 @@ def _free_joint(model: mujoco.MjModel) -> int:
 
 
 def effort_limit(model: mujoco.MjModel, joint: int) -> float:
-    """Returns the greatest force or torque that a joint's actuators can give; inf if unlimited."""
-    limits = [np.inf]
+    """Returns the greatest force or torque that a joint's actuators can give; inf if unlimited.
+
+    It is bounded by the joint's actuatorfrcrange, the actuators' forcerange, and the ctrlrange of
+    plain motors, whose force is proportional to ctrl.
+    """
+    limit = np.inf
     if model.jnt_actfrclimited[joint]:
-        limits.append(float(np.abs(model.jnt_actfrcrange[joint]).max()))
+        limit = float(np.abs(model.jnt_actfrcrange[joint]).max())
     drives = [
         actuator
         for actuator in range(model.nu)
         if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
         and model.actuator_trnid[actuator, 0] == joint
     ]
-    if drives and all(model.actuator_forcelimited[actuator] for actuator in drives):
-        limits.append(
-            sum(
-                float(
-                    np.abs(model.actuator_forcerange[actuator]).max()
-                    * abs(model.actuator_gear[actuator, 0])
-                )
-                for actuator in drives
-            )
-        )
-    return min(limits)
+    if not drives:
+        return limit
+    return min(limit, sum(_actuator_limit(model, actuator) for actuator in drives))
+
+
+def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
+    """Returns the greatest torque of an actuator at its joint."""
+    force = np.inf
+    if model.actuator_forcelimited[actuator]:
+        force = float(np.abs(model.actuator_forcerange[actuator]).max())
+    plain = (
+        model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE.value
+        and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED.value
+    )
+    if plain and model.actuator_ctrllimited[actuator]:
+        gain = abs(float(model.actuator_gainprm[actuator, 0]))
+        force = min(force, gain * float(np.abs(model.actuator_ctrlrange[actuator]).max()))
+    return force * abs(float(model.actuator_gear[actuator, 0]))
 
 
 def mujoco_from_urdf(

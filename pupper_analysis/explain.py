@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 
@@ -111,7 +112,8 @@ class Difference(Result):
     Attributes:
         kind: ``mass``, ``com``, ``inertia``, ``position``, ``rotation``, ``axis``, ``lower limit``,
             ``upper limit``, ``effort``, ``velocity``, ``damping``, ``friction``, ``frame``,
-            ``parent`` or ``type``.
+            ``parent``, ``type``, or ``armature`` (which a URDF cannot state: then it differs from
+            that of the joints at the same place of other legs).
         element: The joint, the body (named by the joint that moves it, or the base) or the frame.
         urdf: The URDF's value, in the URDF's frames.
         mjcf: The MJCF's, in the URDF's frames.
@@ -208,8 +210,9 @@ def explain(robot: Robot, *, tolerances: Tolerances | None = None) -> Explanatio
     )
 
     def count(one: Parameters, two: Parameters, name: str) -> int:
-        bodies = {name, *one.children(name)}
-        return sum(1 for change in _changes(one, two, tolerances) if change.element in bodies)
+        carried = {frame for frame, (owner, _) in one.frames.items() if owner == name}
+        concerned = {name, *one.children(name), *carried}
+        return sum(1 for change in _changes(one, two, tolerances) if change.element in concerned)
 
     second = parameters.aligned(raw, first, count)
     changes = list(_changes(first, second, tolerances))
@@ -225,6 +228,16 @@ def explain(robot: Robot, *, tolerances: Tolerances | None = None) -> Explanatio
             alone = _behaviour(robot, change.apply(first, second), states)
             effects = _effects(urdf, alone, scale, total)
         differences.append(change.difference(effects))
+    for name, usual in _unusual_armatures(first).items():
+        joint = replace(first.joints[name], armature=usual)
+        alone = _behaviour(robot, replace(first, joints={**first.joints, name: joint}), states)
+        value = first.joints[name].armature
+        message = (
+            f"joint {name}: armature {value:.6g} kg m^2 in the MJCF, but {usual:.6g} kg m^2 on the "
+            "joints at the same place of the other legs (a URDF cannot state it)"
+        )
+        effects = _effects(urdf, alone, scale, total)
+        differences.append(Difference("armature", name, None, value, "kg m^2", message, effects))
     everything = first
     # What is within the tolerance is taken over as well, so that only what was overlooked is left.
     for change in _changes(first, second, _NOTHING):
@@ -239,6 +252,34 @@ def explain(robot: Robot, *, tolerances: Tolerances | None = None) -> Explanatio
         complete=all(value <= EXPLAINED for value in left.values()),
         armature=_armature(robot, first, states, urdf, scale, total),
     )
+
+
+def _unusual_armatures(values: Parameters) -> dict[str, float]:
+    """Returns the joints whose armature differs from that of most at the same place of a leg.
+
+    Joints are at the same place if as many joints are above as below them.
+
+    Returns:
+        {joint: the usual armature there}.
+    """
+    places: dict[tuple[int, int], list[str]] = {}
+    depth = {values.base: 0}
+    below = dict.fromkeys(values.joints, 0)
+    for name, joint in values.joints.items():
+        depth[name] = depth[joint.parent] + 1
+        ancestor = joint.parent
+        while ancestor != values.base:
+            below[ancestor] += 1
+            ancestor = values.joints[ancestor].parent
+    for name in values.joints:
+        places.setdefault((depth[name], below[name]), []).append(name)
+    unusual = {}
+    for names in places.values():
+        found = Counter(values.joints[name].armature for name in names)
+        usual, count = found.most_common(1)[0]
+        if 2 * count > len(names) >= 3:
+            unusual |= {n: usual for n in names if values.joints[n].armature != usual}
+    return unusual
 
 
 def _effects(
@@ -336,6 +377,7 @@ _ORDER = (
     "axis",
     "frame",
     "damping",
+    "armature",
     "lower limit",
     "upper limit",
     "effort",
@@ -554,7 +596,10 @@ def _take_frame(name: str) -> Callable[[Parameters, Parameters], Parameters]:
 
 
 def _pair(urdf: float, mjcf: float, unit: str) -> str:
-    return f"{urdf:.6g} {unit} in the URDF, {mjcf:.6g} {unit} in the MJCF"
+    one, two = (
+        f"{value:.6g} {unit}" if math.isfinite(value) else "unlimited" for value in (urdf, mjcf)
+    )
+    return f"{one} in the URDF, {two} in the MJCF"
 
 
 def _triple(urdf: Array, mjcf: Array, unit: str) -> str:

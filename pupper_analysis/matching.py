@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pupper_analysis import parameters
 from pupper_analysis.conversion import pinocchio_from_mujoco
 from pupper_analysis.description import Description
-from pupper_analysis.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.loading import MjcfFile, UrdfFile
 from pupper_analysis.robot import Robot, build_robot
 
@@ -378,15 +378,3 @@ def _at_zero(tree: parameters.Parameters) -> dict[str, tuple[Array, Array]]:
         poses[name] = poses[joint.parent] * pin.SE3(joint.rotation, joint.position)
         places[name] = (np.array(poses[name].translation), poses[name].rotation @ joint.axis)
     return places
-
-
-def check_mapping(text: str) -> tuple[str, str]:
-    """Splits ``old=new``.
-
-    Raises:
-        ConfigurationError: If it is no such thing.
-    """
-    old, separator, new = text.partition("=")
-    if not (old and separator and new):
-        raise ConfigurationError("map", f"{text!r} is not NAME_IN_URDF=NAME_IN_MJCF")
-    return old, new

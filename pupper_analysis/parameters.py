@@ -225,8 +225,8 @@ def aligned(
 ) -> Parameters:
     """Turns the body frames of one set of parameters to those of another.
 
-    The frame of each body is either taken as it is, or turned so that its rotation at zero equals
-    the other's, whichever leaves the fewer differences in the body and in what it carries.
+    The frame of each body is taken as it is, or turned so that its rotation at zero equals the
+    other's if that leaves fewer differences in the body and in what it carries.
 
     Args:
         second: The parameters whose frames are turned.
@@ -245,7 +245,7 @@ def aligned(
         if np.allclose(turn, np.eye(3), atol=1e-12):
             continue
         turned = _turned(result, name, turn)
-        if count(first, turned, name) <= count(first, result, name):
+        if count(first, turned, name) < count(first, result, name):
             result = turned
     return result
 
