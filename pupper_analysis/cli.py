@@ -87,6 +87,12 @@ def group() -> None:
     "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
 )
 @click.option("--no-figures", is_flag=True, help="Print only.")
+@click.option(
+    "--write",
+    "write_folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Write the variants' URDF, MJCF and meshes into this folder.",
+)
 def analyze(
     names: tuple[str, ...],
     list_only: bool,
@@ -100,6 +106,7 @@ def analyze(
     output: Path,
     json_path: Path | None,
     no_figures: bool,
+    write_folder: Path | None,
 ) -> None:
     """Take variants of Pupper from their two model files to a verified stand.
 
@@ -122,6 +129,7 @@ def analyze(
     Exit status: 0 all verified, 1 something failed verification or the cross-check,
     2 bad input (an unknown name, a scale that is no scale, a stance out of reach).
     """  # noqa: D301 - click reads the \b
+    from pupper_analysis.description import write_variant
     from pupper_analysis.variants import VARIANTS, VariantSpec, variant_spec
 
     specs = [variant_spec(name) for name in dict.fromkeys(names)]
@@ -137,9 +145,13 @@ def analyze(
         _print_list(specs or list(VARIANTS.values()))
         return
     specs = specs or list(VARIANTS.values())
-    _check_outputs(None if no_figures else output, json_path)
+    _check_outputs([None if no_figures else output, write_folder], json_path)
     analyses, robots = _analyze_all(specs, height, roll, pitch, yaw)
     _finish(specs, robots, analyses, None if no_figures else output, json_path)
+    if write_folder is not None:
+        for spec in specs:
+            for path in write_variant(spec, write_folder):
+                click.echo(f"written: {path}")
     if not all(analysis.verified for analysis in analyses):
         click.get_current_context().exit(FAILED)
 
@@ -223,9 +235,9 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> list[s
     return lines
 
 
-def _check_outputs(folder: Path | None, json_path: Path | None) -> None:
+def _check_outputs(folders: list[Path | None], json_path: Path | None) -> None:
     """Finds out before the work begins that its results cannot be written."""
-    for path in (folder, json_path.parent if json_path is not None else None):
+    for path in (*folders, json_path.parent if json_path is not None else None):
         if path is None:
             continue
         existing = next(parent for parent in (path, *path.absolute().parents) if parent.exists())
@@ -325,7 +337,7 @@ def crosscheck(
     folders = {name: Path(value) for name, value in (_assignment("package", p) for p in packages)}
     tolerances = Tolerances.strict() if strict else Tolerances()
     tolerances = tolerances.changed(dict(_number("tolerance", text) for text in changes))
-    _check_outputs(None, json_path)
+    _check_outputs([], json_path)
     comparison = compare_models(
         urdf, mjcf, names=names, packages=folders, feet=feet, tolerances=tolerances
     )

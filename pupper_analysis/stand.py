@@ -147,7 +147,7 @@ def solve_stand(robot: Robot, task: StandTask | None = None) -> Stand:
         if best is None or stand.foot_error < best.foot_error:
             best = stand
     assert best is not None
-    raise _unreachable(robot, best)
+    raise _unreachable(robot, _nearest(robot, best))
 
 
 def _solve_from(
@@ -226,6 +226,52 @@ def _measure(
         com_error=float(np.linalg.norm(config.center_of_mass()[:2] - centre)),
         iterations=iterations,
     )
+
+
+def _nearest(robot: Robot, best: Stand) -> Stand:
+    """Finds how near the feet can come to targets that are out of reach.
+
+    The sum of the squared distances is minimised over the base's place and the joints, inside their
+    limits, with the base's orientation and height and the com's place as the task has them. PlaCo's
+    Gauss-Newton steps, made for errors that vanish, stop short of that minimum.
+    """
+    from scipy import optimize  # slow to import
+
+    centre = np.mean([target[:2] for target in best.foot_targets.values()], axis=0)
+    free = [0, 1, *range(7, robot.nq)]
+    columns = [0, 1, *range(6, robot.nv)]
+
+    def at(values: Array) -> Configuration:
+        qpos = best.qpos.copy()
+        qpos[free] = values
+        return Configuration(robot, qpos)
+
+    def distances(values: Array) -> tuple[float, Array]:
+        config = at(values)
+        positions, jacobians = config.foot_positions(), config.foot_jacobians()
+        total, gradient = 0.0, np.zeros(len(free))
+        for foot, target in best.foot_targets.items():
+            error = positions[foot] - target
+            total += float(error @ error)
+            gradient += 2 * error @ jacobians[foot][:, columns]
+        return total, gradient
+
+    limits = zip(robot.lower_limits, robot.upper_limits, strict=True)
+    outcome = optimize.minimize(
+        distances,
+        best.qpos[free],
+        jac=True,
+        method="SLSQP",
+        bounds=[(None, None), (None, None), *limits],
+        constraints={
+            "type": "eq",
+            "fun": lambda values: at(values).center_of_mass()[:2] - centre,
+            "jac": lambda values: at(values).com_jacobian()[:2, columns],
+        },
+        options={"ftol": 1e-14, "maxiter": 200},
+    )
+    stand = _measure(robot, best.task, at(outcome.x).qpos, best.foot_targets, best.iterations)
+    return stand if stand.com_error < 1e-6 else best
 
 
 def _starts(robot: Robot) -> Iterator[Array]:

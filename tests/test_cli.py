@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mujoco
 import pytest
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
@@ -82,6 +83,15 @@ def test_analyze_own_variant_in_another_stance(tmp_path: Path) -> None:
     assert "v3-leg1.2-torso1.3" in result.stdout
     assert "height 0.1500 m, roll 2.9 deg, pitch -2.9 deg, yaw 5.7 deg" in result.stdout
     assert list(tmp_path.iterdir()) == []
+
+
+def test_write_makes_files_that_load(tmp_path: Path) -> None:
+    folder = tmp_path / "models"
+    result = run("analyze_variant.py", "v3-long-leg", "--no-figures", "--write", str(folder))
+    assert result.returncode == 0, result.stderr
+    assert (folder / "urdf" / "v3-long-leg.urdf").is_file()
+    model = mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "v3-long-leg.xml"))
+    assert model.body_mass.sum() == pytest.approx(3.642)
 
 
 def test_list() -> None:

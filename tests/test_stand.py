@@ -156,14 +156,15 @@ def test_moderate_stands_are_reached(
     check(load(name), pa.solve_stand(load(name), task), task)
 
 
-@pytest.mark.parametrize("height", [0.22, 0.25, 0.5])
+@pytest.mark.parametrize("height", [0.22, 0.25, 0.5, 1.0, 3.0])
 def test_above_the_legs_length_it_is_out_of_reach_by_the_difference(height: float) -> None:
     """The skeleton's foot is at most 0.19 m from its hip, and the sphere adds 0.018 m."""
     with pytest.raises(pa.StanceUnreachableError) as caught:
         pa.solve_stand(load("original"), pa.StandTask(height))
     missing = height - 0.018 - 0.19
     assert min(caught.value.shortfall.values()) >= missing - 1e-9
-    assert max(caught.value.shortfall.values()) < missing + 0.003
+    # The com is off the hips by 5 mm, so the legs are not quite upright.
+    assert max(caught.value.shortfall.values()) < missing + 0.0004
     assert set(caught.value.shortfall) == {"FL", "FR", "RL", "RR"}
     assert "mm" in str(caught.value)
     assert f"{height:.3f}" in str(caught.value)

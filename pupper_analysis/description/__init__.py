@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 
 from pupper_analysis.description import mjcf
+from pupper_analysis.files import whole_file
 from pupper_analysis.variants import BASES, VariantSpec, model_folder, variant_spec
 
 
@@ -76,6 +77,10 @@ def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path,
 
     Returns:
         The paths of the URDF and of the MJCF.
+
+    Raises:
+        VariantError: If the name is unknown.
+        OutputError: If a file cannot be written.
     """
     description = describe(variant)
     folder = Path(folder)
@@ -84,12 +89,11 @@ def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path,
     mjcf_text = mjcf.to_xml(description.mjcf)
     meshes = {mesh.file for mesh in description.mjcf.meshes}
     meshdir = description.mjcf.compiler.meshdir
-    for path in (urdf_path, mjcf_path):
-        path.parent.mkdir(parents=True, exist_ok=True)
     for mesh in sorted(meshes):
-        target = mjcf_path.parent / meshdir / mesh
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes((description.mjcf_source.parent / meshdir / mesh).read_bytes())
-    urdf_path.write_text(description.urdf)
-    mjcf_path.write_text(mjcf_text)
+        content = (description.mjcf_source.parent / meshdir / mesh).read_bytes()
+        with whole_file(mjcf_path.parent / meshdir / mesh) as temporary:
+            temporary.write_bytes(content)
+    for path, text in ((urdf_path, description.urdf), (mjcf_path, mjcf_text)):
+        with whole_file(path) as temporary:
+            temporary.write_text(text)
     return urdf_path, mjcf_path
