@@ -15,8 +15,9 @@ from pupper_analysis.crosscheck import CrossCheck, cross_check
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
 from pupper_analysis.simulation import GainSweep, StandVerification, sweep_gains, verify_stand
-from pupper_analysis.stand import Stand, StandTask, solve_stand
+from pupper_analysis.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.statics import GravityCompensation, gravity_compensation
+from pupper_analysis.task import StandTask
 
 Array = NDArray[np.float64]
 
@@ -172,7 +173,7 @@ def analyze_variant(
         joints=joint_summaries(robot),
         notes=robot.notes,
         stand=stand,
-        statics=gravity_compensation(config),
+        statics=stand_statics(robot, stand),
         hanging_torques=gravity_compensation(config, contacts=[]).joint_torques,
         foot_jacobians=leg_jacobians(config),
         verification=verification,

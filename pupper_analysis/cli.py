@@ -163,7 +163,8 @@ def _analyze_all(
     from pupper_analysis import report
     from pupper_analysis.analysis import analyze_variant
     from pupper_analysis.robot import load_variant
-    from pupper_analysis.stand import StandTask, solve_stand
+    from pupper_analysis.stand import solve_stand
+    from pupper_analysis.task import StandTask
 
     task = StandTask(height=height, roll=roll, pitch=pitch, yaw=yaw)
     robots = [load_variant(spec) for spec in specs]
@@ -344,7 +345,7 @@ def crosscheck(
     if style == "text":
         comparison_report.print_models(report.console(), comparison, everything=everything)
     elif style == "github":
-        click.echo(formats.github(comparison_report.annotations(comparison)))
+        click.echo(formats.github(comparison_report.remarks(comparison)))
     else:
         suite = f"{urdf.name} against {mjcf.name}"
         click.echo(formats.junit(suite, comparison_report.cases(comparison)))

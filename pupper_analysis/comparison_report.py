@@ -115,9 +115,9 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
         out.print(f"note: the engines differ on one model: {engine}", style="yellow")
 
 
-def annotations(comparison: Comparison) -> list[Annotation]:
+def remarks(comparison: Comparison) -> list[Annotation]:
     """Returns a remark per difference, at its place in the URDF, and one per joint left over."""
-    remarks = [
+    found = [
         Annotation(
             "error",
             f"{difference.kind} of {difference.element}",
@@ -130,15 +130,15 @@ def annotations(comparison: Comparison) -> list[Annotation]:
         (comparison.only_urdf, comparison.urdf, comparison.mjcf),
         (comparison.only_mjcf, comparison.mjcf, comparison.urdf),
     ):
-        remarks += [
+        found += [
             Annotation("error", f"joint {name}", f"joint {name} is not in {other}", file)
             for name in joints
         ]
     if comparison.guessed:
         pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
         message = f"matched by structure, not by name: {pairs}"
-        remarks.append(Annotation("warning", "guessed joints", message, comparison.urdf))
-    return remarks
+        found.append(Annotation("warning", "guessed joints", message, comparison.urdf))
+    return found
 
 
 def cases(comparison: Comparison) -> list[Case]:

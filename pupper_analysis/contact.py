@@ -117,14 +117,14 @@ def ground_forces(
         The force on each foot that touches, {foot: (3,)}, in world axes (N); and the names of the
         other bodies that touch.
     """
-    ground = ground_geom(model)
     forces: dict[str, Array] = {}
     others: set[str] = set()
     wrench = np.zeros(6)
     for number, pair in enumerate(data.contact.geom):
-        if ground not in pair:
+        bodies = model.geom_bodyid[pair]
+        if 0 not in bodies:
             continue
-        first = bool(pair[0] == ground)
+        first = bool(bodies[0] == 0)  # the floor, or a step
         geom = int(pair[1] if first else pair[0])
         if geom not in soles:
             others.add(model.body(int(model.geom_bodyid[geom])).name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from os import PathLike
+from typing import Any
 
 
 class PupperAnalysisError(Exception):
@@ -75,13 +76,23 @@ class StanceUnreachableError(PupperAnalysisError):
     Attributes:
         shortfall: How far each foot that cannot be planted ends from its target, in metres.
         at_limit: Joints that are at a limit in the best configuration found, with the limit (rad).
+        possible: {demand: how far it can go}, for each demand that alone is in the way, in words.
+        nearest: A stand that is in reach, with all demands shrunk alike towards the nominal stand;
+            None if there is none, or it was not asked for.
     """
 
     def __init__(
-        self, task: str, shortfall: Mapping[str, float], at_limit: Mapping[str, float]
+        self,
+        task: str,
+        shortfall: Mapping[str, float],
+        at_limit: Mapping[str, float],
+        possible: Mapping[str, str] | None = None,
+        nearest: Any = None,
     ) -> None:
         self.shortfall = dict(shortfall)
         self.at_limit = dict(at_limit)
+        self.possible = dict(possible or {})
+        self.nearest = nearest
         feet = ", ".join(f"{foot} by {1e3 * gap:.1f} mm" for foot, gap in self.shortfall.items())
         text = f"stance out of reach ({task}): the feet miss their targets: {feet}"
         if self.at_limit:
@@ -89,7 +100,11 @@ class StanceUnreachableError(PupperAnalysisError):
                 f"{name} ({limit:+.2f} rad)" for name, limit in self.at_limit.items()
             )
             text += f"; joints at a limit: {joints}"
-        super().__init__(f"{text}. Try another height, or less roll, pitch or yaw.")
+        if self.possible:
+            text += f". Possible with all else as asked: {', or '.join(self.possible.values())}"
+        else:
+            text += ". Try another height, or less roll, pitch or yaw"
+        super().__init__(f"{text}.")
 
 
 class Infeasibility(StrEnum):

@@ -273,7 +273,7 @@ def _unusual_armatures(values: Parameters) -> dict[str, float]:
             ancestor = values.joints[ancestor].parent
     for name in values.joints:
         places.setdefault((depth[name], below[name]), []).append(name)
-    unusual = {}
+    unusual: dict[str, float] = {}
     for names in places.values():
         found = Counter(values.joints[name].armature for name in names)
         usual, count = found.most_common(1)[0]

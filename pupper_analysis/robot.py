@@ -18,9 +18,13 @@ from pupper_analysis.convention import MujocoConvention, PinocchioConvention
 from pupper_analysis.description import Description, describe
 from pupper_analysis.description import mjcf as mjcf_description
 from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.task import Ground
 from pupper_analysis.variants import BASES, VariantSpec, variant_spec
 
 Array = NDArray[np.float64]
+
+STEP_HALF_WIDTH = 0.03
+"""Half the edge of the box that is put under a foot on a step (m)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,6 +281,56 @@ def build_robot(
         mj_convention=mj_convention,
         notes=tuple(notes),
     )
+
+
+def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:
+    """Puts a robot on a slope or on steps, in its MuJoCo model.
+
+    Args:
+        robot: The robot; its MJCF has a floor.
+        ground: The slope and the steps.
+        places: {foot: (3,) where its centre will be (m)}, for the steps.
+
+    Returns:
+        The same robot, whose MuJoCo model has the floor turned and a box for each step. The steps
+        have the floor's contact parameters.
+
+    Raises:
+        ModelError: If the MJCF has no floor.
+    """
+    if ground.level:
+        return robot
+    spec = robot.description.mjcf.copy()
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    floor = next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
+    if floor is None:
+        raise ModelError(robot.description.mjcf_source, "it has no floor to be sloped or stepped")
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), ground.normal())
+    quat = turn.coeffs()[[3, 0, 1, 2]]
+    floor.quat = quat
+    for foot, height in ground.heights.items():
+        if height <= 0:
+            continue
+        top = places[foot] - robot.foot_radius[foot] * ground.normal()
+        half = np.array([STEP_HALF_WIDTH, STEP_HALF_WIDTH, height / 2 * np.cos(ground.slope)])
+        spec.worldbody.add_geom(
+            name=f"step_{foot}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=half,
+            pos=top - half[2] * ground.normal(),
+            quat=quat,
+            condim=floor.condim,
+            contype=floor.contype,
+            conaffinity=floor.conaffinity,
+            friction=floor.friction,
+            solref=floor.solref,
+            solimp=floor.solimp,
+            solmix=floor.solmix,
+            priority=floor.priority,
+            rgba=(0.6, 0.62, 0.66, 1.0),
+        )
+    built = build_robot(replace(robot.description, mjcf=spec))
+    return replace(built, stand_height=robot.stand_height, notes=robot.notes)
 
 
 # ------------------------------------------------------------------------------------- MuJoCo

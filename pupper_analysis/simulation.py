@@ -16,13 +16,12 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis import contact
-from pupper_analysis.configuration import Configuration
 from pupper_analysis.convention import rotation_from_quaternion
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.results import Result
-from pupper_analysis.robot import Robot
-from pupper_analysis.stand import Stand
-from pupper_analysis.statics import GravityCompensation, LoadSharing, gravity_compensation
+from pupper_analysis.robot import Robot, on_ground
+from pupper_analysis.stand import Stand, stand_statics
+from pupper_analysis.statics import GravityCompensation, LoadSharing
 
 Array = NDArray[np.float64]
 
@@ -326,8 +325,8 @@ def verify_stand(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     _check_stand(robot, stand, duration)
-    config = Configuration(robot, stand.qpos)
-    prediction = gravity_compensation(config, sharing=LoadSharing.EVEN)
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    prediction = stand_statics(robot, stand, sharing=LoadSharing.EVEN)
     drive = servos(robot, kp, kd, integrator)
     positions = stand.joint_positions(robot)
     torques = prediction.joint_torques if feedforward else None
@@ -345,10 +344,8 @@ def verify_stand(
     settled = states[-last_second:]
     heights = _heights(robot, states)
 
-    watch = _watch(robot, drive.model, states, ctrl, last_second)
-    drops = {
-        foot: stand.foot_targets[foot] - position for foot, position in watch.feet_settled.items()
-    }
+    watch = _watch(robot, drive.model, stand, states, ctrl, last_second)
+    drops = {foot: stand.foot_targets[foot] - watch.feet_settled[foot] for foot in stand.carrying}
     base_height = float(_heights(robot, settled).mean())
     height_loss = float(stand.qpos[2]) - base_height
     contact_sag = _drop_at(
@@ -439,7 +436,12 @@ class _Watch:
 
 
 def _watch(
-    robot: Robot, model: mujoco.MjModel, states: Array, ctrl: Array, last_second: int
+    robot: Robot,
+    model: mujoco.MjModel,
+    stand: Stand,
+    states: Array,
+    ctrl: Array,
+    last_second: int,
 ) -> _Watch:
     """Looks at contacts all along, and at torques and forces in the last second."""
     data = mujoco.MjData(model)
@@ -456,7 +458,8 @@ def _watch(
         mujoco.mj_forward(model, data)
         forces, others = contact.ground_forces(model, data, robot.soles)
         touched |= dict.fromkeys(others, float(data.time))
-        idle = [foot for foot in robot.feet if foot not in forces or forces[foot][2] <= 0]
+        touched |= {foot: float(data.time) for foot in forces if foot not in stand.carrying}
+        idle = [foot for foot in stand.carrying if foot not in forces or forces[foot][2] <= 0]
         lost |= dict.fromkeys(idle, float(data.time))
         if index >= len(states) - last_second:
             count += 1
@@ -500,9 +503,10 @@ def _mujoco_opinion(
     for foot, (body, position) in robot.foot_places.items():
         centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
         foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
-        point = centre - (0.0, 0.0, robot.foot_radius[foot])
-        mujoco.mj_jac(model, data, jacobian, None, point, body)
-        remainder -= jacobian.T @ prediction.contact_forces[foot]
+        if foot in stand.carrying:
+            point = centre - robot.foot_radius[foot] * stand.normals[foot]
+            mujoco.mj_jac(model, data, jacobian, None, point, body)
+            remainder -= jacobian.T @ prediction.contact_forces[foot]
     return foot_error, float(np.abs(remainder).max())
 
 
@@ -577,6 +581,7 @@ def sweep_gains(
         ConfigurationError: If an argument is out of its range, or the base is fixed.
     """
     _check_stand(robot, stand, duration)
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     if not (math.isfinite(amplitude) and math.isfinite(frequency)):
         raise ConfigurationError("amplitude, frequency", "they must be finite")
     if not len(kp) or not len(kd):
@@ -592,7 +597,7 @@ def sweep_gains(
     control[0, :, : model.nu] = ctrl
     force = amplitude * np.sin(2 * math.pi * frequency * timestep * np.arange(steps))
     control[0, :, model.nu + 6 * base + 2] = force
-    balance = gravity_compensation(Configuration(robot, stand.qpos), sharing=LoadSharing.EVEN)
+    balance = stand_statics(robot, stand, sharing=LoadSharing.EVEN)
     starts = np.array(
         [place_on_ground(robot, drive, stand, balance.joint_torques) for drive in drives]
     )

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from numbers import Real
+from itertools import pairwise
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 import placo
+import shapely
 from numpy.typing import NDArray
 
 from pupper_analysis.configuration import UP, Configuration
 from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
+from pupper_analysis.statics import (
+    GravityCompensation,
+    LoadSharing,
+    com_margin,
+    gravity_compensation,
+)
+from pupper_analysis.task import StandTask
 
 Array = NDArray[np.float64]
 
@@ -28,57 +36,6 @@ _MAX_ITERATIONS = 200
 _TRUST_RADIUS = 0.5  # rad per joint and iteration
 
 
-@dataclass(frozen=True)
-class StandTask:
-    """How the robot shall stand on level ground at z = 0.
-
-    Every foot's sphere touches the ground where the foot is, seen from above, at zero angles with
-    the base at the origin; the com is above the mean of the feet's positions; and the base has the
-    orientation Rz(yaw) Ry(pitch) Rx(roll).
-
-    Attributes:
-        height: Of the base frame above the ground (m); the robot's ``stand_height`` by default.
-        roll: About x, forward (rad).
-        pitch: About y, left (rad); positive looks down.
-        yaw: About z, up (rad), against the feet.
-    """
-
-    height: float | None = None
-    roll: float = 0.0
-    pitch: float = 0.0
-    yaw: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("height", "roll", "pitch", "yaw"):
-            value = getattr(self, name)
-            if value is None and name == "height":
-                continue
-            if isinstance(value, bool) or not isinstance(value, Real):
-                raise ConfigurationError(name, f"{value!r} is not a number")
-            value = float(value)
-            object.__setattr__(self, name, value)
-            if not math.isfinite(value):
-                raise ConfigurationError(name, f"{value} is not finite")
-            if name == "height" and value <= 0:
-                raise ConfigurationError(name, f"{value} m is not above the ground")
-            if name != "height" and abs(value) > math.pi:
-                raise ConfigurationError(name, f"{value} rad is not between -pi and pi")
-
-    def rotation(self) -> Array:
-        """Returns the base's rotation (3, 3) in the world."""
-        rotation: Array = pin.rpy.rpyToMatrix(self.roll, self.pitch, self.yaw)
-        return rotation
-
-    def __str__(self) -> str:
-        """Names the values, with units."""
-        height = "" if self.height is None else f"height {self.height:.4f} m, "
-        angles = (
-            f"{name} {math.degrees(getattr(self, name)):.1f} deg"
-            for name in ("roll", "pitch", "yaw")
-        )
-        return height + ", ".join(angles)
-
-
 @dataclass(frozen=True, eq=False)
 class Stand(Result):
     """A solved stand. Its errors are Pinocchio's, computed anew from ``qpos``.
@@ -87,16 +44,21 @@ class Stand(Result):
         task: The task, with its height filled in.
         qpos: (nq,) the configuration.
         foot_targets: {foot: (3,)} where the centre of each foot's sphere shall be (m).
+        carrying: The feet that carry.
+        normals: {foot that carries: (3,) direction out of the ground}.
         foot_error: The largest distance of a foot from its target (m).
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Of the base frame (m).
-        com_error: Horizontal distance of the com from the mean of the feet (m).
+        com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
+            base frame.
         iterations: Quadratic programmes solved.
     """
 
     task: StandTask
     qpos: Array
     foot_targets: dict[str, Array]
+    carrying: tuple[str, ...]
+    normals: dict[str, Array]
     foot_error: float
     orientation_error: float
     height_error: float
@@ -108,7 +70,34 @@ class Stand(Result):
         return self.qpos[robot.nq - robot.nu :]
 
 
-def solve_stand(robot: Robot, task: StandTask | None = None) -> Stand:
+@dataclass(frozen=True, eq=False)
+class _Goal:
+    """A task in numbers, for one robot.
+
+    Attributes:
+        task: The task, with its height filled in.
+        targets: {foot: (3,)} of the feet's centres.
+        carrying: The feet that carry.
+        contacts: (n, 3) contact points of these.
+        height: z of the base frame.
+        place: (2,) of the com, or of the base frame.
+        by_base: Whether ``place`` is the base frame's.
+        lower: (nu,) joint limits, less the margin.
+        upper: (nu,) likewise.
+    """
+
+    task: StandTask
+    targets: dict[str, Array]
+    carrying: tuple[str, ...]
+    contacts: Array
+    height: float
+    place: Array
+    by_base: bool
+    lower: Array
+    upper: Array
+
+
+def solve_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = True) -> Stand:
     """Finds the configuration that satisfies a stand task, within the joint limits.
 
     PlaCo solves a sequence of quadratic programmes on the floating base: the base's orientation
@@ -118,72 +107,151 @@ def solve_stand(robot: Robot, task: StandTask | None = None) -> Stand:
     Args:
         robot: A robot with a floating base.
         task: How to stand; the nominal stand by default.
+        explain: Where the stance is out of reach, find out which single demand is in the way and
+            how far it would have to give (some tenths of a second).
 
     Returns:
         The stand; every error is under 1e-9 m or rad.
 
     Raises:
-        ConfigurationError: If the robot's base is fixed.
-        StanceUnreachableError: If it is out of reach; names the feet and how far they miss.
+        ConfigurationError: If the robot's base is fixed, or it has no feet; or if the margins leave
+            nothing.
+        UnknownNameError: If the task names a foot that the robot does not have.
+        StanceUnreachableError: If it is out of reach; names the feet and how far they miss, and the
+            demands of which one would have to give.
     """
+    goal = _goal(robot, task or StandTask())
+    wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _bare_urdf(robot))
+    outcome = _attempt(robot, wrapper, goal)
+    if outcome.foot_error < TASK_TOLERANCE:
+        return outcome
+    nearest = _nearest(robot, goal, outcome.qpos)
+    if goal.task.com == "inside":
+        # Wherever the com came to lie inside, there the feet may be in reach.
+        place = Configuration(robot, nearest.qpos).center_of_mass()[:2]
+        moved = replace(goal, place=place)
+        outcome = _solve_from(robot, wrapper, moved, nearest.joint_positions(robot))
+        if outcome.foot_error < TASK_TOLERANCE:
+            return outcome
+    raise _unreachable(robot, wrapper, goal, nearest, explain)
+
+
+def stand_statics(
+    robot: Robot, stand: Stand, *, sharing: LoadSharing = LoadSharing.LEAST_TORQUE
+) -> GravityCompensation:
+    """Computes what the motors hold in a stand, on the feet that carry and on its ground.
+
+    Args:
+        robot: The robot.
+        stand: The stand.
+        sharing: Which of the feasible contact forces: by default those of least torque.
+
+    Raises:
+        StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.
+    """
+    config = Configuration(robot, stand.qpos)
+    return gravity_compensation(config, stand.carrying, normals=stand.normals, sharing=sharing)
+
+
+def _goal(robot: Robot, task: StandTask) -> _Goal:
     if not robot.floating:
         raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
     if not robot.feet:
         raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
-    task = task or StandTask()
+    for foot in (*task.feet, *task.foot_offsets, *task.lifted, *task.ground.heights):
+        robot.check_foot(foot)
+    carrying = tuple(foot for foot in robot.feet if foot not in task.lifted)
+    if len(carrying) < 3:
+        raise ConfigurationError("lifted", f"only {len(carrying)} feet carry; at least 3 must")
+    if task.posture is not None and len(task.posture) != robot.nu:
+        raise ConfigurationError("posture", f"it must have {robot.nu} values")
+    ground, normal = task.ground, task.ground.normal()
+    nominal = Configuration(robot, robot.neutral()).foot_positions()
+    targets = {}
+    for foot in robot.feet:
+        place = np.array(task.feet.get(foot, nominal[foot][:2])) + task.foot_offsets.get(foot, 0.0)
+        targets[foot] = ground.centre(foot, place, robot.foot_radius[foot])
+        targets[foot][2] += task.lifted.get(foot, 0.0)
+    contacts = np.array([targets[foot] - robot.foot_radius[foot] * normal for foot in carrying])
+    centre = contacts.mean(axis=0)
+    lower, upper = robot.lower_limits + task.joint_margin, robot.upper_limits - task.joint_margin
+    if (lower > upper).any():
+        name = robot.joint_names[int(np.argmax(lower - upper))]
+        raise ConfigurationError(
+            "joint_margin", f"{task.joint_margin} rad leaves nothing of the range of {name}"
+        )
+    place, by_base = centre[:2], False
+    if task.offset is not None:
+        place, by_base = centre[:2] + task.offset, True
+    elif not isinstance(task.com, str):
+        place = np.array(task.com)
+    points = dict(zip(carrying, contacts, strict=True))
+    if not by_base and com_margin(np.append(place, 0.0), points) < task.com_margin:
+        raise ConfigurationError(
+            "com_margin", f"{task.com_margin} m is more than the support polygon has at the com"
+        )
     if task.height is None:
         task = replace(task, height=robot.stand_height)
     assert task.height is not None
-    targets = {
-        foot: np.array([position[0], position[1], robot.foot_radius[foot]])
-        for foot, position in Configuration(robot, robot.neutral()).foot_positions().items()
-    }
-    wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _bare_urdf(robot))
+    return _Goal(
+        task=task,
+        targets=targets,
+        carrying=carrying,
+        contacts=contacts,
+        height=float(centre[2]) + task.height,
+        place=place,
+        by_base=by_base,
+        lower=lower,
+        upper=upper,
+    )
+
+
+def _attempt(robot: Robot, wrapper: placo.RobotWrapper, goal: _Goal) -> Stand:
+    """Tries all starts; returns the first success, or else the best failure."""
     best: Stand | None = None
-    for start in _starts(robot):
-        stand = _solve_from(robot, wrapper, task, targets, start)
-        if stand.foot_error < TASK_TOLERANCE:
-            return stand
+    for start in _starts(robot, goal):
+        stand = _solve_from(robot, wrapper, goal, start)
         if best is None or stand.foot_error < best.foot_error:
             best = stand
+        if stand.foot_error < TASK_TOLERANCE:
+            break
     assert best is not None
-    raise _unreachable(robot, _nearest(robot, best))
+    return best
 
 
-def _solve_from(
-    robot: Robot,
-    wrapper: placo.RobotWrapper,
-    task: StandTask,
-    targets: dict[str, Array],
-    joints: Array,
-) -> Stand:
-    assert task.height is not None
+def _solve_from(robot: Robot, wrapper: placo.RobotWrapper, goal: _Goal, joints: Array) -> Stand:
     convention = robot.pin_convention
-    centre = np.mean([target[:2] for target in targets.values()], axis=0)
     qpos = robot.neutral()
-    qpos[:3] = (*centre, task.height)
-    x, y, z, w = pin.Quaternion(task.rotation()).coeffs()
+    qpos[:3] = (*goal.place, goal.height)
+    x, y, z, w = pin.Quaternion(goal.task.rotation()).coeffs()
     qpos[3:7] = w, x, y, z
-    qpos[7:] = joints
+    qpos[7:] = np.clip(joints, goal.lower, goal.upper)
     wrapper.state.q = convention.q(qpos)
     wrapper.update_kinematics()
 
     solver = placo.KinematicsSolver(wrapper)
+    for name, low, high in zip(robot.joint_names, goal.lower, goal.upper, strict=True):
+        if np.isfinite(low) and np.isfinite(high):
+            wrapper.set_joint_limits(name, low, high)
     solver.enable_joint_limits(True)
     wrapper.set_velocity_limits(1.0)
     solver.enable_velocity_limits(True)
     feet = []
-    for foot, target in targets.items():
+    for foot, target in goal.targets.items():
         feet.append(solver.add_position_task(robot.foot_frames[foot], target))
         feet[-1].configure(foot, "soft", 1.0)
-    orientation = solver.add_orientation_task(robot.base, task.rotation())
+    orientation = solver.add_orientation_task(robot.base, goal.task.rotation())
     orientation.configure("orientation", "hard")
-    height = solver.add_position_task(robot.base, task.height * UP)
+    height = solver.add_position_task(robot.base, goal.height * UP)
     height.mask.set_axises("z")
     height.configure("height", "hard")
-    com = solver.add_com_task(np.array([*centre, 0.0]))
-    com.mask.set_axises("xy")
-    com.configure("com", "hard")
+    where = np.array([*goal.place, 0.0])
+    if goal.by_base:
+        place = solver.add_position_task(robot.base, where)
+    else:
+        place = solver.add_com_task(where)
+    place.mask.set_axises("xy")
+    place.configure("place", "hard")
     # Decides between configurations that place the feet equally well; too small to move a foot.
     solver.add_regularization_task(1e-9)
 
@@ -196,7 +264,7 @@ def _solve_from(
         solver.dt = radius
         step = solver.solve(True)
         wrapper.update_kinematics()
-        new_error = sum(foot.error_norm() ** 2 for foot in feet) + com.error_norm() ** 2
+        new_error = sum(foot.error_norm() ** 2 for foot in feet) + place.error_norm() ** 2
         if new_error > error and new_error > TASK_TOLERANCE**2:
             radius /= 4
             wrapper.state.q = q
@@ -205,30 +273,31 @@ def _solve_from(
         error, q = new_error, np.array(wrapper.state.q)
         if np.abs(step).max() < _STEP_TOLERANCE:
             break
-    return _measure(robot, task, convention.qpos(np.array(wrapper.state.q)), targets, iterations)
+    return _measure(robot, goal, convention.qpos(np.array(wrapper.state.q)), iterations)
 
 
-def _measure(
-    robot: Robot, task: StandTask, qpos: Array, targets: dict[str, Array], iterations: int
-) -> Stand:
-    assert task.height is not None
+def _measure(robot: Robot, goal: _Goal, qpos: Array, iterations: int) -> Stand:
     config = Configuration(robot, qpos)
     feet = config.foot_positions()
-    centre = np.mean([target[:2] for target in targets.values()], axis=0)
-    turn = task.rotation().T @ config.base_rotation()
+    turn = goal.task.rotation().T @ config.base_rotation()
+    at = config.qpos[:2] if goal.by_base else config.center_of_mass()[:2]
+    errors = [float(np.linalg.norm(feet[foot] - target)) for foot, target in goal.targets.items()]
+    normal = goal.task.ground.normal()
     return Stand(
-        task=task,
+        task=goal.task,
         qpos=config.qpos.copy(),
-        foot_targets=targets,
-        foot_error=max(float(np.linalg.norm(feet[foot] - targets[foot])) for foot in feet),
+        foot_targets=goal.targets,
+        carrying=goal.carrying,
+        normals=dict.fromkeys(goal.carrying, normal),
+        foot_error=max(errors),
         orientation_error=float(np.linalg.norm(pin.log3(turn))),
-        height_error=abs(float(config.qpos[2]) - task.height),
-        com_error=float(np.linalg.norm(config.center_of_mass()[:2] - centre)),
+        height_error=abs(float(config.qpos[2]) - goal.height),
+        com_error=float(np.linalg.norm(at - goal.place)),
         iterations=iterations,
     )
 
 
-def _nearest(robot: Robot, best: Stand) -> Stand:
+def _nearest(robot: Robot, goal: _Goal, start: Array) -> Stand:
     """Finds how near the feet can come to targets that are out of reach.
 
     The sum of the squared distances is minimised over the base's place and the joints, inside their
@@ -237,12 +306,11 @@ def _nearest(robot: Robot, best: Stand) -> Stand:
     """
     from scipy import optimize  # slow to import
 
-    centre = np.mean([target[:2] for target in best.foot_targets.values()], axis=0)
     free = [0, 1, *range(7, robot.nq)]
     columns = [0, 1, *range(6, robot.nv)]
 
     def at(values: Array) -> Configuration:
-        qpos = best.qpos.copy()
+        qpos = start.copy()
         qpos[free] = values
         return Configuration(robot, qpos)
 
@@ -250,48 +318,166 @@ def _nearest(robot: Robot, best: Stand) -> Stand:
         config = at(values)
         positions, jacobians = config.foot_positions(), config.foot_jacobians()
         total, gradient = 0.0, np.zeros(len(free))
-        for foot, target in best.foot_targets.items():
+        for foot, target in goal.targets.items():
             error = positions[foot] - target
             total += float(error @ error)
             gradient += 2 * error @ jacobians[foot][:, columns]
         return total, gradient
 
-    limits = zip(robot.lower_limits, robot.upper_limits, strict=True)
+    constraint: dict[str, object]
+    if goal.task.com == "inside":
+        sides = _sides(goal.contacts)
+        constraint = {
+            "type": "ineq",
+            "fun": lambda values: (
+                sides[:, :2] @ at(values).center_of_mass()[:2] + sides[:, 2] - goal.task.com_margin
+            ),
+            "jac": lambda values: sides[:, :2] @ at(values).com_jacobian()[:2, columns],
+        }
+    elif goal.by_base:
+        constraint = {
+            "type": "eq",
+            "fun": lambda values: values[:2] - goal.place,
+            "jac": lambda values: np.eye(2, len(values)),
+        }
+    else:
+        constraint = {
+            "type": "eq",
+            "fun": lambda values: at(values).center_of_mass()[:2] - goal.place,
+            "jac": lambda values: at(values).com_jacobian()[:2, columns],
+        }
     outcome = optimize.minimize(
         distances,
-        best.qpos[free],
+        start[free],
         jac=True,
         method="SLSQP",
-        bounds=[(None, None), (None, None), *limits],
-        constraints={
-            "type": "eq",
-            "fun": lambda values: at(values).center_of_mass()[:2] - centre,
-            "jac": lambda values: at(values).com_jacobian()[:2, columns],
-        },
+        bounds=[(None, None), (None, None), *zip(goal.lower, goal.upper, strict=True)],
+        constraints=constraint,
         options={"ftol": 1e-14, "maxiter": 200},
     )
-    stand = _measure(robot, best.task, at(outcome.x).qpos, best.foot_targets, best.iterations)
-    return stand if stand.com_error < 1e-6 else best
+    return _measure(robot, goal, at(outcome.x).qpos, 0)
 
 
-def _starts(robot: Robot) -> Iterator[Array]:
-    """Yields joint positions to start from: the home keyframe, then the middle of the limits."""
-    lower, upper = robot.lower_limits, robot.upper_limits
-    yield np.clip(robot.home[7:], lower, upper)
-    bounded = np.isfinite(lower) & np.isfinite(upper)
-    yield np.where(bounded, (np.where(bounded, lower, 0) + np.where(bounded, upper, 0)) / 2, 0.0)
+def _sides(contacts: Array) -> Array:
+    """Returns the support polygon as (n, 3): a x + b y + c is the distance inside each edge (m)."""
+    hull = shapely.MultiPoint(contacts[:, :2]).convex_hull
+    corners = np.array(shapely.get_coordinates(shapely.geometry.polygon.orient(hull).exterior))
+    rows = []
+    for one, two in pairwise(corners):
+        along = (two - one) / np.linalg.norm(two - one)
+        inward = np.array([-along[1], along[0]])  # the corners run counter-clockwise
+        rows.append([*inward, -float(inward @ one)])
+    return np.array(rows)
 
 
-def _unreachable(robot: Robot, best: Stand) -> StanceUnreachableError:
-    feet = Configuration(robot, best.qpos).foot_positions()
-    gaps = {foot: float(np.linalg.norm(feet[foot] - best.foot_targets[foot])) for foot in feet}
-    joints = best.joint_positions(robot)
+def _starts(robot: Robot, goal: _Goal) -> Iterator[Array]:
+    """Yields joint positions to start from: the posture, then the middle of the limits."""
+    yield robot.home[7:] if goal.task.posture is None else np.array(goal.task.posture)
+    bounded = np.isfinite(goal.lower) & np.isfinite(goal.upper)
+    middle = (np.where(bounded, goal.lower, 0) + np.where(bounded, goal.upper, 0)) / 2
+    yield np.where(bounded, middle, 0.0)
+
+
+# ------------------------------------------------------------------------------------- refusals
+
+_DEMANDS = ("height", "roll", "pitch", "yaw", "offset", "feet", "foot_offsets", "lifted", "ground")
+
+
+def _unreachable(
+    robot: Robot, wrapper: placo.RobotWrapper, goal: _Goal, nearest: Stand, explain: bool
+) -> StanceUnreachableError:
+    feet = Configuration(robot, nearest.qpos).foot_positions()
+    gaps = {foot: float(np.linalg.norm(feet[foot] - goal.targets[foot])) for foot in feet}
+    joints = nearest.joint_positions(robot)
     at_limit: dict[str, float] = {}
-    for limits in (robot.lower_limits, robot.upper_limits):
+    for limits in (goal.lower, goal.upper):
         for index in np.flatnonzero(np.abs(joints - limits) < 1e-6):
             at_limit[robot.joint_names[index]] = float(limits[index])
     missed = {foot: gap for foot, gap in gaps.items() if gap >= TASK_TOLERANCE}
-    return StanceUnreachableError(str(best.task), missed, at_limit)
+    possible: dict[str, str] = {}
+    feasible: Stand | None = None
+    if explain:
+        for demand in _DEMANDS:
+            stand = _furthest(robot, wrapper, goal.task, [demand])
+            if stand is not None:
+                possible[demand] = f"{demand} {_value(stand.task, demand)}"
+        feasible = _furthest(robot, wrapper, goal.task, _DEMANDS)
+    return StanceUnreachableError(str(goal.task), missed, at_limit, possible, feasible)
+
+
+def _furthest(
+    robot: Robot, wrapper: placo.RobotWrapper, task: StandTask, demands: Sequence[str]
+) -> Stand | None:
+    """Finds how far demands can go from the nominal stand's towards the task's.
+
+    Bisection: between a share that is in reach and one that is not; to 1 part in 1000.
+
+    Returns:
+        The stand there; None if the demands do not differ from the nominal stand's, or giving them
+        up altogether does not help.
+    """
+    if _shrunk(robot, task, demands, 0.0) == _shrunk(robot, task, demands, 1.0):
+        return None
+    best: Stand | None = None
+    low, high = 0.0, 1.0
+    share = 0.0
+    while high - low > 1e-3 or share == 0.0:
+        try:
+            stand = _attempt(robot, wrapper, _goal(robot, _shrunk(robot, task, demands, share)))
+        except ConfigurationError:
+            return None
+        if stand.foot_error < TASK_TOLERANCE:
+            best, low = stand, share
+        elif share == 0.0:
+            return None
+        else:
+            high = share
+        share = (low + high) / 2
+    return best
+
+
+def _shrunk(robot: Robot, task: StandTask, demands: Sequence[str], share: float) -> StandTask:
+    """Returns a task with some demands between the nominal stand's (0) and its own (1)."""
+    changes: dict[str, object] = {}
+    nominal = Configuration(robot, robot.neutral()).foot_positions()
+    for demand in demands:
+        value = getattr(task, demand)
+        if demand == "height":
+            height = robot.stand_height if value is None else value
+            changes[demand] = robot.stand_height + share * (height - robot.stand_height)
+        elif demand in ("roll", "pitch", "yaw"):
+            changes[demand] = share * value
+        elif demand == "offset" and value is not None:
+            changes[demand] = (share * value[0], share * value[1])
+        elif demand == "feet":
+            moved = {
+                f: nominal[f][:2] + share * (np.array(p) - nominal[f][:2]) for f, p in value.items()
+            }
+            changes[demand] = {f: (float(p[0]), float(p[1])) for f, p in moved.items()}
+        elif demand == "foot_offsets":
+            changes[demand] = {foot: (share * x, share * y) for foot, (x, y) in value.items()}
+        elif demand == "lifted":
+            changes[demand] = {foot: max(share, 1e-9) * height for foot, height in value.items()}
+        elif demand == "ground":
+            heights = {foot: share * height for foot, height in value.heights.items()}
+            changes[demand] = replace(value, slope=share * value.slope, heights=heights)
+    return replace(task, **changes)  # type: ignore[arg-type]
+
+
+def _value(task: StandTask, demand: str) -> str:
+    value = getattr(task, demand)
+    if demand == "height":
+        return f"{value:.3f} m"
+    if demand in ("roll", "pitch", "yaw"):
+        return f"{math.degrees(value):.1f} deg"
+    if demand == "ground":
+        steps = ", ".join(f"{foot} {1e3 * h:.0f} mm" for foot, h in value.heights.items())
+        return f"slope {math.degrees(value.slope):.1f} deg" + (f", steps {steps}" if steps else "")
+    if demand == "lifted":
+        return ", ".join(f"{foot} {1e3 * h:.0f} mm" for foot, h in value.items())
+    if demand == "offset":
+        return f"({1e3 * value[0]:.0f}, {1e3 * value[1]:.0f}) mm"
+    return ", ".join(f"{foot} ({1e3 * x:.0f}, {1e3 * y:.0f}) mm" for foot, (x, y) in value.items())
 
 
 def _bare_urdf(robot: Robot) -> str:

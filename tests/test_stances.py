@@ -1,0 +1,187 @@
+"""Stances: on slopes and steps, on three legs, with the com elsewhere; and why some are refused."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import NAMES, load
+
+import pupper_analysis as pa
+from pupper_analysis.stand import stand_statics
+
+TASKS = {
+    "offset": pa.StandTask(offset=(0.012, -0.008)),
+    "com": pa.StandTask(com=(0.005, 0.01)),
+    "moved foot": pa.StandTask(foot_offsets={"FR": (0.02, -0.01)}),
+    "placed feet": pa.StandTask(feet={"FL": (0.08, 0.10), "RR": (-0.08, -0.09)}),
+    "slope": pa.StandTask(ground=pa.Ground(slope=0.15, uphill=2.0)),
+    "steps": pa.StandTask(ground=pa.Ground(heights={"FL": 0.015, "RR": 0.01})),
+    "joint margin": pa.StandTask(joint_margin=0.1, roll=0.05),
+    "three legs": pa.StandTask(lifted={"FL": 0.01}),
+    "everything": pa.StandTask(
+        roll=0.05,
+        pitch=-0.05,
+        yaw=0.1,
+        lifted={"FR": 0.005},
+        com="inside",
+        com_margin=0.01,
+        ground=pa.Ground(slope=0.05, uphill=-1.0, heights={"RL": 0.005}),
+        foot_offsets={"RR": (-0.005, 0.0)},
+    ),
+}
+
+
+def mujoco_feet(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
+    """The feet's centres by MuJoCo's kinematics of the MJCF."""
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    return {
+        foot: data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+        for foot, (body, place) in robot.foot_places.items()
+    }
+
+
+@pytest.mark.parametrize(("name", "kind"), product(NAMES, TASKS))
+def test_a_stance_is_what_was_asked(name: str, kind: str) -> None:
+    robot, task = load(name), TASKS[kind]
+    stand = pa.solve_stand(robot, task)
+    for error in (stand.foot_error, stand.orientation_error, stand.height_error, stand.com_error):
+        assert error < 1e-9
+    feet, ground = mujoco_feet(robot, stand.qpos), task.ground
+    normal = ground.normal()
+    for foot, centre in feet.items():
+        np.testing.assert_allclose(centre, stand.foot_targets[foot], atol=1e-9)
+        above = centre[2] - task.lifted.get(foot, 0.0) - ground.heights.get(foot, 0.0)
+        distance = normal @ (centre[0], centre[1], above)
+        assert distance == pytest.approx(robot.foot_radius[foot], abs=1e-9)
+    assert set(stand.carrying) == set(robot.feet) - set(task.lifted)
+    contacts = [feet[foot] - robot.foot_radius[foot] * normal for foot in stand.carrying]
+    centre = np.mean(contacts, axis=0)
+    config = pa.Configuration(robot, stand.qpos)
+    wanted = robot.stand_height if task.height is None else task.height
+    assert stand.qpos[2] - centre[2] == pytest.approx(wanted, abs=1e-9)
+    com = config.center_of_mass()[:2]
+    if task.offset is not None:
+        np.testing.assert_allclose(stand.qpos[:2] - centre[:2], task.offset, atol=1e-9)
+    elif task.com == "centre":
+        np.testing.assert_allclose(com, centre[:2], atol=1e-9)
+    elif not isinstance(task.com, str):
+        np.testing.assert_allclose(com, task.com, atol=1e-9)
+    joints = stand.joint_positions(robot)
+    assert (joints >= robot.lower_limits + task.joint_margin - 1e-9).all()
+    assert (joints <= robot.upper_limits - task.joint_margin + 1e-9).all()
+    statics = stand_statics(robot, stand)
+    assert statics.residual_force < 1e-9
+    assert statics.residual_torque < 1e-9
+    assert statics.com_margin is not None
+    assert statics.com_margin > task.com_margin - 1e-9
+    for foot, force in statics.contact_forces.items():
+        assert force @ stand.normals[foot] > 0
+        assert statics.friction_utilisation[foot] <= 1 + 1e-6
+
+
+def lift(robot: pa.Robot, foot: str) -> tuple[pa.Stand, pa.StanceUnreachableError | None]:
+    """Lifts a foot by 20 mm, or else as high as the refusal says."""
+    try:
+        return pa.solve_stand(robot, pa.StandTask(lifted={foot: 0.02})), None
+    except pa.StanceUnreachableError as error:
+        return error.nearest, error
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_three_legs_hold_for_six_seconds(name: str) -> None:
+    """Each foot in turn; the skeleton's hind legs reach their HFE limit, and it says so."""
+    robot = load(name)
+    for foot in robot.feet:
+        stand, refusal = lift(robot, foot)
+        if refusal is not None:
+            assert "lifted" in refusal.possible
+            assert set(refusal.at_limit) == {f"{foot}_HFE"}
+            assert stand.task.lifted[foot] > 0.01
+        report = pa.verify_stand(robot, stand, duration=6.0)
+        assert report.passed, (foot, report.failures)
+        assert report.foot_forces[foot] == pytest.approx(np.zeros(3))
+
+
+@pytest.mark.parametrize("name", ["long-leg", "v3"])
+def test_a_step_and_a_slope_hold_in_simulation(name: str) -> None:
+    robot = load(name)
+    for ground in (pa.Ground(heights={"FL": 0.02}), pa.Ground(slope=0.08, uphill=0.7)):
+        stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
+        report = pa.verify_stand(robot, stand)
+        assert report.passed, report.failures
+        assert report.mujoco_foot_error < 1e-9
+        assert report.mujoco_residual < 1e-9
+
+
+def test_reached_but_not_held_is_told_from_not_reached() -> None:
+    """On a slope of 48 degrees the feet can be planted, but friction 1.0 cannot hold them."""
+    robot = load("v3")
+    task = pa.StandTask(ground=pa.Ground(slope=math.radians(48)), pitch=-0.7)
+    stand = pa.solve_stand(robot, task)
+    with pytest.raises(pa.StaticsInfeasibleError) as caught:
+        stand_statics(robot, stand)
+    assert caught.value.reason is pa.Infeasibility.FRICTION
+    assert caught.value.friction_needed == pytest.approx(math.tan(math.radians(48)), rel=1e-3)
+
+
+def test_a_refusal_says_which_demand_is_in_the_way_and_how_far_it_can_go() -> None:
+    robot = load("v3")
+    asked = {"height": 0.16, "roll": 0.4}
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, pa.StandTask(**asked))
+    error = caught.value
+    assert set(error.possible) == {"height", "roll"}
+    # What it says is possible is so, and a little more is not.
+    roll = math.radians(float(error.possible["roll"].split()[1]))
+    height = float(error.possible["height"].split()[1])
+    assert pa.solve_stand(robot, pa.StandTask(height=0.16, roll=roll - 0.002)).foot_error < 1e-9
+    assert pa.solve_stand(robot, pa.StandTask(height=height - 0.001, roll=0.4)).foot_error < 1e-9
+    for task in (pa.StandTask(0.16, roll + 0.01), pa.StandTask(height + 0.002, 0.4)):
+        with pytest.raises(pa.StanceUnreachableError):
+            pa.solve_stand(robot, task, explain=False)
+    assert error.nearest is not None
+    assert error.nearest.foot_error < 1e-9
+    share = (error.nearest.task.height - robot.stand_height) / (0.16 - robot.stand_height)
+    assert error.nearest.task.roll == pytest.approx(share * 0.4)
+
+
+def test_a_com_that_may_be_anywhere_inside_is_moved_only_if_need_be() -> None:
+    robot = load("original")
+    free = pa.solve_stand(robot, pa.StandTask(com="inside", com_margin=0.02))
+    centred = pa.solve_stand(robot)
+    np.testing.assert_allclose(free.qpos, centred.qpos, atol=1e-12)
+    # A hind foot lifted 14 mm is out of reach over the centre, but not elsewhere.
+    lifted = {"RL": 0.014}
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, pa.StandTask(lifted=lifted), explain=False)
+    stand = pa.solve_stand(robot, pa.StandTask(lifted=lifted, com="inside", com_margin=0.005))
+    assert stand.foot_error < 1e-9
+    assert stand_statics(robot, stand).com_margin >= 0.005 - 1e-9
+
+
+@pytest.mark.parametrize(
+    ("task", "named"),
+    [
+        (pa.StandTask(lifted={"FL": 0.01, "FR": 0.01}), "lifted"),
+        (pa.StandTask(posture=[0.0]), "posture"),
+        (pa.StandTask(joint_margin=3.0), "joint_margin"),
+        (pa.StandTask(com=(1.0, 0.0), com_margin=0.01), "com_margin"),
+        (pa.StandTask(com_margin=0.5), "com_margin"),
+    ],
+)
+def test_requests_that_no_robot_can_meet(task: pa.StandTask, named: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=named):
+        pa.solve_stand(load("v3"), task)
+
+
+@pytest.mark.parametrize("field", ["feet", "foot_offsets", "lifted"])
+def test_unknown_feet(field: str) -> None:
+    value = 0.01 if field == "lifted" else (0.0, 0.0)
+    with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
+        pa.solve_stand(load("v3"), pa.StandTask(**{field: {"XX": value}}))

@@ -1,0 +1,97 @@
+"""What may be asked of a stand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pupper_analysis as pa
+
+angles = st.floats(0.0, 1.2)
+
+
+@given(angles, st.floats(-math.pi, math.pi), st.floats(-1, 1), st.floats(-1, 1))
+def test_a_sphere_touches_the_plane(slope: float, uphill: float, x: float, y: float) -> None:
+    ground = pa.Ground(slope, uphill, {"FL": 0.05})
+    normal = ground.normal()
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    for foot, step in (("FR", 0.0), ("FL", 0.05 * math.cos(slope))):
+        centre = ground.centre(foot, (x, y), 0.02)
+        # The plane goes through the origin; a step is 0.05 m above it, along z.
+        assert normal @ centre == pytest.approx(0.02 + step, abs=1e-12)
+        np.testing.assert_array_equal(centre[:2], (x, y))
+
+
+@given(st.floats(0.01, 1.2), st.floats(-math.pi, math.pi))
+def test_uphill_is_where_the_plane_rises(slope: float, uphill: float) -> None:
+    ground = pa.Ground(slope, uphill)
+    ahead = (math.cos(uphill), math.sin(uphill))
+    aside = (-ahead[1], ahead[0])
+    assert ground.height(ahead) == pytest.approx(math.tan(slope))
+    assert ground.height(aside) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_level() -> None:
+    assert pa.Ground().level
+    assert pa.Ground(uphill=1.0, heights={"FL": 0.0}).level
+    assert not pa.Ground(slope=0.1).level
+    assert not pa.Ground(heights={"FL": 0.01}).level
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"roll": math.nan}, "roll"),
+        ({"pitch": 4.0}, "pitch"),
+        ({"yaw": "left"}, "yaw"),
+        ({"height": True}, "height"),
+        ({"height": 0}, "height"),
+        ({"offset": (0.1,)}, "offset"),
+        ({"offset": (0.1, math.inf)}, "offset"),
+        ({"offset": (0.0, 0.0), "com": (0.0, 0.0)}, "offset"),
+        ({"feet": {"FL": 0.1}}, "feet"),
+        ({"feet": {"FL": (0, 0)}, "foot_offsets": {"FL": (0, 0)}}, "feet"),
+        ({"lifted": {"FL": 0.0}}, "lifted"),
+        ({"lifted": {"FL": math.nan}}, "lifted"),
+        ({"com": "middle"}, "com"),
+        ({"com": (1, 2, 3)}, "com"),
+        ({"com_margin": -0.01}, "com_margin"),
+        ({"joint_margin": -0.01}, "joint_margin"),
+        ({"posture": ["straight"]}, "posture"),
+    ],
+)
+def test_bad_requests(arguments: dict[str, object], named: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=named):
+        pa.StandTask(**arguments)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("slope", [-0.1, math.pi / 2, math.nan, "steep"])
+def test_bad_slopes(slope: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match="slope"):
+        pa.Ground(slope=slope)  # type: ignore[arg-type]
+
+
+def test_a_task_says_what_it_asks() -> None:
+    task = pa.StandTask(
+        height=0.15,
+        roll=0.1,
+        foot_offsets={"FL": (0.01, -0.02)},
+        lifted={"RR": 0.02},
+        ground=pa.Ground(slope=0.1, heights={"FR": 0.03}),
+        com="inside",
+        com_margin=0.01,
+    )
+    for words in (
+        "height 0.1500 m",
+        "roll 5.7 deg",
+        "FL moved by (10, -20) mm",
+        "RR lifted 20 mm",
+        "slope 5.7 deg",
+        "FR on 30 mm",
+        "com inside by 10 mm",
+    ):
+        assert words in str(task)
