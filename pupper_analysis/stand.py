@@ -46,6 +46,7 @@ class Stand(Result):
         foot_targets: {foot: (3,)} where the centre of each foot's sphere shall be (m).
         carrying: The feet that carry.
         normals: {foot that carries: (3,) direction out of the ground}.
+        contact_points: {foot that carries: (3,) where it touches the ground (m)}.
         foot_error: The largest distance of a foot from its target (m).
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Of the base frame (m).
@@ -59,6 +60,7 @@ class Stand(Result):
     foot_targets: dict[str, Array]
     carrying: tuple[str, ...]
     normals: dict[str, Array]
+    contact_points: dict[str, Array]
     foot_error: float
     orientation_error: float
     height_error: float
@@ -107,8 +109,9 @@ def solve_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = 
     Args:
         robot: A robot with a floating base.
         task: How to stand; the nominal stand by default.
-        explain: Where the stance is out of reach, find out which single demand is in the way and
-            how far it would have to give (some tenths of a second).
+        explain: Where the stance is out of reach, find out how near the feet can come, which single
+            demand is in the way, and how far it would have to give (some tenths of a second).
+            Otherwise the shortfall is PlaCo's, which may be a little too large.
 
     Returns:
         The stand; every error is under 1e-9 m or rad.
@@ -125,8 +128,9 @@ def solve_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = 
     outcome = _attempt(robot, wrapper, goal)
     if outcome.foot_error < TASK_TOLERANCE:
         return outcome
-    nearest = _nearest(robot, goal, outcome.qpos)
-    if goal.task.com == "inside":
+    inside = goal.task.com == "inside"
+    nearest = _nearest(robot, goal, outcome.qpos) if explain or inside else outcome
+    if inside:
         # Wherever the com came to lie inside, there the feet may be in reach.
         place = Configuration(robot, nearest.qpos).center_of_mass()[:2]
         moved = replace(goal, place=place)
@@ -289,6 +293,7 @@ def _measure(robot: Robot, goal: _Goal, qpos: Array, iterations: int) -> Stand:
         foot_targets=goal.targets,
         carrying=goal.carrying,
         normals=dict.fromkeys(goal.carrying, normal),
+        contact_points=dict(zip(goal.carrying, goal.contacts, strict=True)),
         foot_error=max(errors),
         orientation_error=float(np.linalg.norm(pin.log3(turn))),
         height_error=abs(float(config.qpos[2]) - goal.height),
