@@ -18,19 +18,30 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis import Analysis, analyze_variant
+    from pupper_analysis.audit import Audit, audit_model
+    from pupper_analysis.comparison import Comparison, compare_models
     from pupper_analysis.configuration import Configuration
     from pupper_analysis.crosscheck import CrossCheck, cross_check
     from pupper_analysis.description import write_variant
+    from pupper_analysis.envelope import (
+        Interval,
+        PoseEnvelope,
+        pose_envelope,
+        reachable_heights,
+    )
     from pupper_analysis.errors import (
         ConfigurationError,
         Infeasibility,
         ModelError,
+        OutputError,
         PupperAnalysisError,
         StanceUnreachableError,
         StaticsInfeasibleError,
         UnknownNameError,
         VariantError,
     )
+    from pupper_analysis.explain import Tolerances
+    from pupper_analysis.payload import PayloadLimit, payload_limit
     from pupper_analysis.results import to_json
     from pupper_analysis.robot import Robot, load_robot, load_variant
     from pupper_analysis.simulation import (
@@ -39,8 +50,9 @@ if TYPE_CHECKING:
         sweep_gains,
         verify_stand,
     )
-    from pupper_analysis.stand import Stand, StandTask, solve_stand
+    from pupper_analysis.stand import Stand, solve_stand, stand_statics
     from pupper_analysis.statics import GravityCompensation, LoadSharing, gravity_compensation
+    from pupper_analysis.task import Ground, StandTask
     from pupper_analysis.variants import VARIANTS, VariantSpec
 
 __version__ = "0.1.0"
@@ -48,6 +60,19 @@ __version__ = "0.1.0"
 _HOME = {
     "Analysis": "analysis",
     "analyze_variant": "analysis",
+    "Audit": "audit",
+    "audit_model": "audit",
+    "Comparison": "comparison",
+    "Interval": "envelope",
+    "PoseEnvelope": "envelope",
+    "pose_envelope": "envelope",
+    "reachable_heights": "envelope",
+    "PayloadLimit": "payload",
+    "payload_limit": "payload",
+    "stand_statics": "stand",
+    "compare_models": "comparison",
+    "Tolerances": "explain",
+    "OutputError": "errors",
     "Configuration": "configuration",
     "CrossCheck": "crosscheck",
     "cross_check": "crosscheck",
@@ -69,7 +94,8 @@ _HOME = {
     "sweep_gains": "simulation",
     "verify_stand": "simulation",
     "Stand": "stand",
-    "StandTask": "stand",
+    "Ground": "task",
+    "StandTask": "task",
     "solve_stand": "stand",
     "GravityCompensation": "statics",
     "LoadSharing": "statics",
@@ -81,14 +107,21 @@ _HOME = {
 __all__ = [
     "VARIANTS",
     "Analysis",
+    "Audit",
+    "Comparison",
     "Configuration",
     "ConfigurationError",
     "CrossCheck",
     "GainSweep",
     "GravityCompensation",
+    "Ground",
     "Infeasibility",
+    "Interval",
     "LoadSharing",
     "ModelError",
+    "OutputError",
+    "PayloadLimit",
+    "PoseEnvelope",
     "PupperAnalysisError",
     "Robot",
     "StanceUnreachableError",
@@ -96,15 +129,22 @@ __all__ = [
     "StandTask",
     "StandVerification",
     "StaticsInfeasibleError",
+    "Tolerances",
     "UnknownNameError",
     "VariantError",
     "VariantSpec",
     "analyze_variant",
+    "audit_model",
+    "compare_models",
     "cross_check",
     "gravity_compensation",
     "load_robot",
     "load_variant",
+    "payload_limit",
+    "pose_envelope",
+    "reachable_heights",
     "solve_stand",
+    "stand_statics",
     "sweep_gains",
     "to_json",
     "verify_stand",

@@ -354,6 +354,85 @@ def crosscheck(
         click.get_current_context().exit(FAILED)
 
 
+@group.command(
+    "audit", context_settings=_CONTEXT, short_help="Find what is wrong in one URDF or MJCF."
+)
+@click.argument("file", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--package",
+    "packages",
+    multiple=True,
+    metavar="NAME=DIR",
+    help="Where package://NAME/ is. May be repeated.",
+)
+@click.option(
+    "--disable", "disabled", multiple=True, metavar="RULE", help="Do not run this rule. Repeatable."
+)
+@click.option("--list-rules", is_flag=True, help="List the rules, and stop.")
+@click.option(
+    "--fail-on",
+    type=click.Choice(["error", "warning", "info"]),
+    default="error",
+    show_default=True,
+    help="The least severity that makes the exit status 1.",
+)
+@click.option(
+    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
+)
+@click.option(
+    "--format",
+    "style",
+    type=click.Choice(["text", "github", "junit"]),
+    default="text",
+    show_default=True,
+    help="For people, as GitHub annotations, or as JUnit XML.",
+)
+def audit_command(
+    file: Path | None,
+    packages: tuple[str, ...],
+    disabled: tuple[str, ...],
+    list_rules: bool,
+    fail_on: str,
+    json_path: Path | None,
+    style: str,
+) -> None:
+    """Find what is physically or practically wrong in one model file, URDF or MJCF.
+
+    Masses and inertias that no body can have, legs that are no mirror images, shapes that end
+    beside their joints, limits in degrees, servos that jitter, feet that begin in the floor, and
+    more: each finding has its place, why it matters, and what to do.
+
+    \b
+    Examples:
+      pupper-analysis audit robot.urdf
+      pupper-analysis audit scene.xml --disable armature-zero --fail-on warning
+      pupper-analysis audit --list-rules
+
+    \b
+    Exit status: 0 nothing as bad as --fail-on was found, 1 something was, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis import audit_report, formats, report
+    from pupper_analysis.audit import audit_model
+
+    if list_rules:
+        audit_report.print_rules(report.console())
+        return
+    if file is None:
+        raise ConfigurationError("FILE", "give the URDF or MJCF to audit")
+    folders = {name: Path(value) for name, value in (_assignment("package", p) for p in packages)}
+    _check_outputs([], json_path)
+    result = audit_model(file, packages=folders, disabled=disabled)
+    if style == "text":
+        audit_report.print_audit(report.console(), result)
+    elif style == "github":
+        click.echo(formats.github(audit_report.remarks(result)))
+    else:
+        click.echo(formats.junit(f"audit of {file.name}", audit_report.cases(result)))
+    _write_json(json_path, result)
+    if audit_report.worst_rank(result) <= audit_report.rank(fail_on):
+        click.get_current_context().exit(FAILED)
+
+
 def _assignment(option: str, text: str) -> tuple[str, str]:
     name, separator, value = text.partition("=")
     if not (name and separator and value):

@@ -41,7 +41,7 @@ def print_variants(out: Console, variants: Iterable[tuple[VariantSpec, Robot]]) 
         "mass\n(kg)",
         "stand height\n(m)",
     )
-    table = _table(out, "Variants", *columns, left=2)
+    table = titled_table(out, "Variants", *columns, left=2)
     for spec, robot in variants:
         table.add_row(
             spec.name,
@@ -70,7 +70,7 @@ def print_analysis(out: Console, analysis: Analysis) -> None:
         out.print(f"[bold red]FAILED[/] {analysis.name}: {'; '.join(analysis.failures)}\n")
 
 
-def _table(out: Console, title: str, *columns: str, left: int = 1) -> Table:
+def titled_table(out: Console, title: str, *columns: str, left: int = 1) -> Table:
     """Prints a title; returns a table with ``left`` columns of text, the others of numbers."""
     out.print(f"\n{title}", style="bold")
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, header_style="dim")
@@ -97,7 +97,7 @@ def _print_structure(out: Console, analysis: Analysis) -> None:
         f"thigh {1e3 * analysis.thigh_length:.1f} mm, calf {1e3 * analysis.calf_length:.1f} mm; "
         f"bodies: {_masses(analysis.link_masses)}"
     )
-    table = _table(
+    table = titled_table(
         out,
         "Joints, in actuator order (axes at zero angles, base frame)",
         "joint",
@@ -151,7 +151,7 @@ def _print_stand(out: Console, analysis: Analysis) -> None:
 
 
 def _print_jacobians(out: Console, analysis: Analysis) -> None:
-    table = _table(
+    table = titled_table(
         out,
         "Foot Jacobians (m/rad, world axes, by the joints of the leg)",
         "foot",
@@ -170,7 +170,7 @@ def _print_jacobians(out: Console, analysis: Analysis) -> None:
 
 def _print_statics(out: Console, analysis: Analysis) -> None:
     statics, verification = analysis.statics, analysis.verification
-    table = _table(
+    table = titled_table(
         out,
         "Motor torques (N m)",
         "joint",
@@ -202,7 +202,7 @@ def _print_statics(out: Console, analysis: Analysis) -> None:
         "hanging: the same pose, base held",
         style="dim",
     )
-    table = _table(
+    table = titled_table(
         out,
         "Contact forces on the feet (N, world axes)",
         "foot",
@@ -229,7 +229,7 @@ def _print_statics(out: Console, analysis: Analysis) -> None:
 
 
 def _print_verification(out: Console, analysis: Analysis) -> None:
-    table = _table(
+    table = titled_table(
         out,
         "MuJoCo, on the floating base "
         f"({analysis.verification.integrator}, {1e3 * analysis.verification.timestep:g} ms; "
@@ -276,7 +276,7 @@ def _range(values: Array) -> str:
 
 def _print_sweep(out: Console, analysis: Analysis) -> None:
     sweep = analysis.sweep
-    table = _table(
+    table = titled_table(
         out,
         f"Height deviation (mm) under {sweep.amplitude:g} N at {sweep.frequency:g} Hz "
         f"({sweep.integrator}, {sweep.duration:g} s, last second)",
@@ -294,7 +294,7 @@ def _print_sweep(out: Console, analysis: Analysis) -> None:
 
 def _print_check(out: Console, analysis: Analysis) -> None:
     check = analysis.check
-    table = _table(
+    table = titled_table(
         out,
         "Cross-check: URDF and MJCF, each in Pinocchio and in MuJoCo, at "
         f"{check.configurations} random configurations (#); tolerance {check.tolerance:g}",
@@ -422,7 +422,7 @@ def compare(analysis: Analysis, base: str, reference: Reference) -> ComparisonRo
 
 def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
     """Prints the table that compares robots."""
-    table = _table(
+    table = titled_table(
         out,
         "Comparison (ratios to the unscaled base model)",
         "",

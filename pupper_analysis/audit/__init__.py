@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+
+import numpy as np
 
 from pupper_analysis.audit import rules as _rules  # noqa: F401  (registers the rules)
 from pupper_analysis.audit.from_mjcf import mjcf_view
@@ -11,12 +14,12 @@ from pupper_analysis.audit.from_urdf import urdf_view
 from pupper_analysis.audit.registry import CHECKS, RULES, Found, Rule
 from pupper_analysis.audit.result import Audit, Finding, Severity
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.loading import MjcfFile, Place, UrdfFile, read_model
+from pupper_analysis.loading import MjcfFile, Place, UrdfFile, _quiet, read_model
 
-__all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit"]
+__all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 
 
-def audit(
+def audit_model(
     path: str | Path,
     *,
     packages: Mapping[str, Path] | None = None,
@@ -42,6 +45,12 @@ def audit(
             "disabled", f"no rule {', '.join(map(repr, unknown))}; there are: {', '.join(RULES)}"
         )
     file = read_model(path, packages)
+    with warnings.catch_warnings(), np.errstate(all="ignore"), _quiet():
+        warnings.simplefilter("ignore")  # MuJoCo's, about models that the rules are about
+        return _audited(str(path), file, unwanted)
+
+
+def _audited(path: str, file: UrdfFile | MjcfFile, unwanted: tuple[str, ...]) -> Audit:
     view = urdf_view(file) if isinstance(file, UrdfFile) else mjcf_view(file)
     findings, run = [], []
     for rule in RULES.values():
@@ -55,7 +64,7 @@ def audit(
         for severity in Severity
     }
     return Audit(
-        file=str(path),
+        file=path,
         format=view.format,
         passed=counts[Severity.ERROR] == 0,
         counts=counts,
@@ -69,7 +78,7 @@ def audit(
 def _finding(file: UrdfFile | MjcfFile, rule: Rule, found: Found) -> Finding:
     place = found.place
     if place is None and found.name:
-        place = file.place(found.kind, found.name, found.child)
+        place = file.place(found.kind, found.name.strip("()"), found.child)
     if place is None:
         place = Place(file.path)
     return Finding(

@@ -9,28 +9,30 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from pupper_analysis.audit.from_urdf import half_digit
 from pupper_analysis.audit.geometry import hull_points
+from pupper_analysis.audit.pose import Array, Pose
+from pupper_analysis.audit.repair import MUJOCO_ERRORS, full_matrix, repaired, switched_off_ranges
 from pupper_analysis.audit.view import (
     BALL,
     FREE,
     HINGE,
     SLIDE,
-    Array,
     Body,
     Frame,
     Inertial,
     Joint,
     MjcfView,
-    Pose,
     Shape,
 )
 from pupper_analysis.convention import rotation_from_quaternion
 from pupper_analysis.conversion import effort_limit
+from pupper_analysis.errors import ModelError
 from pupper_analysis.loading import MjcfFile, Place
 
 _KINDS = {
@@ -42,20 +44,22 @@ _KINDS = {
 
 
 def mjcf_view(file: MjcfFile) -> MjcfView:
-    """Returns the neutral view of an MJCF; without bodies if MuJoCo refuses even a repaired copy."""
+    """Returns the neutral view of an MJCF; empty if MuJoCo refuses even a repaired copy."""
     spec, notes = file.spec.copy(), list(file.notes)
     refusal = None
     try:
         model = spec.compile()
-    except (ValueError, RuntimeError) as error:
-        refusal = " ".join(str(error).split())
-        spec, model = _repaired(file.spec)
+    except MUJOCO_ERRORS:
+        refusal = _refusal(file)
+        spec, model = repaired(file.spec)
         if model is None:
             notes.append("MuJoCo compiles the file not even after repair: only its text is audited")
     if model is None:
         return MjcfView("mjcf", "body", "", {}, tuple(notes), file, None, refusal, ())
     if refusal:
-        notes.append("MuJoCo refuses the file as it is: what it would compute is of a repaired copy")
+        notes.append(
+            "MuJoCo refuses the file as it is: what it would compute is of a repaired copy"
+        )
     names = body_names(model)
     base = _base(model)
     data = mujoco.MjData(model)
@@ -71,7 +75,11 @@ def mjcf_view(file: MjcfFile) -> MjcfView:
         copied.id: np.array(original.axis)
         for original, copied in zip(file.spec.joints, spec.joints, strict=True)
     }
-    ranges = _stated_ranges(file.spec, spec)
+    ranges = switched_off_ranges(file.spec, spec)
+    frames: dict[int, list[Frame]] = {}
+    for site in range(model.nsite):
+        frame = Frame(model.site(site).name, np.array(model.site_pos[site]))
+        frames.setdefault(int(model.site_bodyid[site]), []).append(frame)
     bodies = {}
     for body in range(1, model.nbody):
         parent = int(model.body_parentid[body])
@@ -82,60 +90,32 @@ def mjcf_view(file: MjcfFile) -> MjcfView:
             pose=pose,
             joints=tuple(
                 _joint(model, data, joint, names, to_base, raw_axes, ranges)
-                for joint in range(model.njnt)
-                if model.jnt_bodyid[joint] == body
+                for joint in _range(model.body_jntadr[body], model.body_jntnum[body])
             ),
             inertial=_inertial(model, body, stated.get(body)),
             shapes=tuple(
                 _shape(model, geom)
-                for geom in range(model.ngeom)
-                if model.geom_bodyid[geom] == body
+                for geom in _range(model.body_geomadr[body], model.body_geomnum[body])
             ),
-            frames=tuple(
-                Frame(model.site(site).name, np.array(model.site_pos[site]))
-                for site in range(model.nsite)
-                if model.site_bodyid[site] == body
-            ),
+            frames=tuple(frames.get(body, ())),
         )
     return MjcfView(
         "mjcf", "body", names[base], bodies, tuple(notes), file, model, refusal, tuple(names)
     )
 
 
-def _repaired(original: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel | None]:
-    """Returns a copy whose usual faults are mended, and what MuJoCo compiles it to, if it does."""
-    spec = original.copy()
-    spec.compiler.balanceinertia = True
-    spec.compiler.boundmass = 1e-9
-    spec.compiler.boundinertia = 1e-12
-    for body in spec.bodies:
-        body.mass = max(body.mass, 0.0)
-        body.inertia = np.maximum(body.inertia, 0.0)
-        if not math.isnan(body.fullinertia[0]):
-            moments = np.linalg.eigvalsh(full_matrix(np.array(body.fullinertia)))
-            if moments[0] <= 0 or moments[0] + moments[1] < moments[2]:
-                body.fullinertia = np.full(6, np.nan)
-                body.inertia = np.full(3, max(float(np.abs(moments).max()), 1e-9))
-    for joint in spec.joints:
-        if joint.range[0] >= joint.range[1]:
-            joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
-        if not np.linalg.norm(joint.axis) > 1e-9:
-            joint.axis = (0.0, 0.0, 1.0)
-    for actuator in spec.actuators:
-        for what in ("ctrl", "force"):
-            low, high = getattr(actuator, f"{what}range")
-            if low >= high:
-                setattr(actuator, f"{what}limited", mujoco.mjtLimited.mjLIMITED_FALSE)
+def _refusal(file: MjcfFile) -> tuple[str, Place]:
+    """Returns MuJoCo's message and the place that it names."""
     try:
-        return spec, spec.compile()
-    except (ValueError, RuntimeError):
-        return spec, None
-
-
-def full_matrix(full: Array) -> Array:
-    """Returns the (3, 3) matrix of MuJoCo's fullinertia (xx, yy, zz, xy, xz, yz)."""
-    xx, yy, zz, xy, xz, yz = full
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        file.compile()
+    except ModelError as error:
+        line = re.search(r"line ([1-9]\d*)", error.problem)
+        if line and len(file.files) == 1:
+            return error.problem, Place(file.path, int(line[1]))
+        place = re.fullmatch(r"(.*):(\d+)", error.source)
+        where = Place(Path(place[1]), int(place[2])) if place else Place(file.path)
+        return error.problem, where
+    return "it compiles only at the second attempt", Place(file.path)
 
 
 def body_names(model: mujoco.MjModel) -> list[str]:
@@ -145,20 +125,21 @@ def body_names(model: mujoco.MjModel) -> list[str]:
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
     """Returns a joint's name; one without is called after its body: ``(FL_calf)``."""
-    body = body_names(model)[int(model.jnt_bodyid[joint])]
-    return str(model.joint(joint).name) or f"({body})"
+    body = int(model.jnt_bodyid[joint])
+    return str(model.joint(joint).name) or f"({model.body(body).name or f'#{body}'})"
 
 
 def line_of(file: MjcfFile, element: object, body: str) -> Place:
-    """Returns the place of an element without a name, which MuJoCo's parser has written down.
+    """Returns the place of an element without a name: MuJoCo's parser notes lines of the main file.
 
     Args:
         file: The file.
         element: Of the spec.
-        body: A named body around it, whose file is taken.
+        body: A named body around it; its place is returned where there is no such line.
     """
-    found = re.search(r"line (\d+)", getattr(element, "info", ""))
-    return Place(file.place("body", body).file, int(found[1]) if found else None)
+    found = re.search(r"line ([1-9]\d*)", getattr(element, "info", ""))
+    around = file.place("body", body)
+    return Place(around.file, int(found[1])) if found else around
 
 
 def zero_configuration(model: mujoco.MjModel) -> Array:
@@ -185,24 +166,12 @@ def _base(model: mujoco.MjModel) -> int:
     return best
 
 
+def _range(first: int, count: int) -> range:
+    return range(int(first), int(first) + int(count))
+
+
 def _world_pose(data: mujoco.MjData, body: int) -> Pose:
     return Pose(data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy())
-
-
-def _stated_ranges(
-    original: mujoco.MjSpec, compiled: mujoco.MjSpec
-) -> dict[int, tuple[float, float]]:
-    """Returns the ranges of those joints whose limits the repair has switched off (rad, m)."""
-    ranges = {}
-    for joint, copied in zip(original.joints, compiled.joints, strict=True):
-        if joint.limited == copied.limited:
-            continue
-        angular = joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL)
-        unit = math.pi / 180 if angular and original.compiler.degree else 1.0
-        stated = any(joint.range) or joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE
-        if stated:
-            ranges[copied.id] = (float(joint.range[0]) * unit, float(joint.range[1]) * unit)
-    return ranges
 
 
 def _joint(
@@ -234,16 +203,12 @@ def _joint(
     )
 
 
-def _inertial(
-    model: mujoco.MjModel, body: int, stated: mujoco.MjsBody | None
-) -> Inertial | None:
+def _inertial(model: mujoco.MjModel, body: int, stated: mujoco.MjsBody | None) -> Inertial | None:
     axes = rotation_from_quaternion(model.body_iquat[body])
     if stated is not None:
         full = np.array(stated.fullinertia)
         written = np.array(stated.inertia) if math.isnan(full[0]) else full
-        tensor = (
-            axes @ np.diag(written) @ axes.T if math.isnan(full[0]) else full_matrix(written)
-        )
+        tensor = axes @ np.diag(written) @ axes.T if math.isnan(full[0]) else full_matrix(written)
         rounding = max(half_digit(repr(float(value))) for value in written)
         return Inertial(float(stated.mass), np.array(stated.ipos), tensor, True, rounding)
     if model.body_mass[body] == 0:

@@ -11,16 +11,15 @@ import pinocchio as pin
 from lxml import etree
 
 from pupper_analysis.audit.geometry import mesh_vertices
+from pupper_analysis.audit.pose import Array, Pose
 from pupper_analysis.audit.view import (
     FIXED,
     FREE,
     HINGE,
     SLIDE,
-    Array,
     Body,
     Inertial,
     Joint,
-    Pose,
     Shape,
     UrdfView,
 )
@@ -31,38 +30,21 @@ _PAIRS = (("ixx", 0, 0), ("iyy", 1, 1), ("izz", 2, 2), ("ixy", 0, 1), ("ixz", 0,
 
 
 def urdf_view(file: UrdfFile) -> UrdfView:
-    """Returns the neutral view of a URDF; what hangs on no root is left out."""
+    """Returns the neutral view of a URDF; the reader has made sure that it is one tree."""
     links = {str(link.get("name")): link for link in file.root.findall("link")}
-    joints = [joint for joint in file.root.findall("joint") if _end(joint, "child") in links]
-    by_parent: dict[str, list[etree._Element]] = {}
-    for joint in joints:
-        by_parent.setdefault(_end(joint, "parent"), []).append(joint)
-    held = {_end(joint, "child") for joint in joints if _end(joint, "parent") in links}
-    roots = [name for name in links if name not in held]
-    bodies: dict[str, Body] = {}
-    for root in roots:
-        bodies[root] = _body(file, links[root], None, Pose(), ())
-        waiting = [root]
-        while waiting:
-            parent = waiting.pop(0)
-            for element in by_parent.get(parent, []):
-                name = _end(element, "child")
-                if name in bodies:
-                    continue
-                pose = bodies[parent].pose * origin(element)
-                joint = _joint(element, pose)
-                bodies[name] = _body(file, links[name], parent, pose, (joint,))
-                waiting.append(name)
-    heaviest = max(roots, key=lambda root: _tree_size(bodies, root), default="")
-    return UrdfView("urdf", "link", heaviest, bodies, file.notes, file)
-
-
-def _tree_size(bodies: dict[str, Body], root: str) -> int:
-    size = {root}
-    for body in bodies.values():
-        if body.parent in size:
-            size.add(body.name)
-    return len(size)
+    below: dict[str, list[etree._Element]] = {}
+    for element in file.root.findall("joint"):
+        below.setdefault(_end(element, "parent"), []).append(element)
+    held = {_end(element, "child") for element in file.root.findall("joint")}
+    root = next(name for name in links if name not in held)
+    bodies = {root: _body(file, links[root], None, Pose(), ())}
+    for parent in (waiting := [root]):
+        for element in below.get(parent, []):
+            name = _end(element, "child")
+            pose = bodies[parent].pose * origin(element)
+            bodies[name] = _body(file, links[name], parent, pose, (_joint(element, pose),))
+            waiting.append(name)
+    return UrdfView("urdf", "link", root, bodies, file.notes, file)
 
 
 def _end(joint: etree._Element, tag: str) -> str:

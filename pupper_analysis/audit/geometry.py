@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from pupper_analysis.audit.view import Array, Body, Shape, View
+from pupper_analysis.audit.pose import Array
+from pupper_analysis.audit.view import Body, Shape, View
 
 _SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
@@ -19,7 +20,6 @@ _CIRCLE = np.array([(np.cos(a), np.sin(a), 0.0) for a in np.linspace(0, 2 * np.p
 _Z = np.array([0.0, 0.0, 1.0])
 
 
-@lru_cache(maxsize=256)
 def mesh_vertices(path: Path) -> Array | None:
     """Returns the vertices (n, 3) of an STL or OBJ file's convex hull; None if it cannot be read.
 
@@ -27,6 +27,11 @@ def mesh_vertices(path: Path) -> Array | None:
     """
     if path.suffix.lower() not in (".stl", ".obj"):
         return None
+    return _read_vertices(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=256)
+def _read_vertices(path: Path, _changed: int) -> Array | None:
     import trimesh  # slow to import; yourdfpy depends on it
 
     try:
@@ -92,7 +97,7 @@ def extent_points(bodies: Sequence[Body], frame: Body) -> Array | None:
 
 
 def link_points(view: View, body: Body) -> Array:
-    """Returns the joints and fixed frames of a body (n, 3), its own origin first, in its frame (m)."""
+    """Returns a body's origin, frames and children's origins (n, 3), in its frame (m)."""
     to_frame = body.pose.inverse()
     points = [np.zeros(3), *(frame.position for frame in body.frames)]
     points += [to_frame.point(child.pose.position) for child in view.children(body.name)]

@@ -6,42 +6,16 @@ Unlike in an engine's model, bodies that are fixed to others are kept apart, as 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from pupper_analysis.loading import MjcfFile, UrdfFile
-
-Array = NDArray[np.float64]
+from pupper_analysis.audit.pose import Array, Pose
+from pupper_analysis.loading import MjcfFile, Place, UrdfFile
 
 HINGE, SLIDE, BALL, FREE, FIXED = "hinge", "slide", "ball", "free", "fixed"
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """A pose: x = position + rotation x'.
-
-    Attributes:
-        position: (3,) (m).
-        rotation: (3, 3).
-    """
-
-    position: Array = field(default_factory=lambda: np.zeros(3))
-    rotation: Array = field(default_factory=lambda: np.eye(3))
-
-    def __mul__(self, other: Pose) -> Pose:
-        return Pose(self.point(other.position), self.rotation @ other.rotation)
-
-    def point(self, local: Array) -> Array:
-        """Returns a point (3,), or points (n, 3), given in this pose's frame, in the outer one."""
-        moved: Array = local @ self.rotation.T + self.position
-        return moved
-
-    def inverse(self) -> Pose:
-        """Returns the pose of the outer frame in this one."""
-        return Pose(-self.rotation.T @ self.position, self.rotation.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +59,10 @@ class Inertial:
 
     @property
     def moments(self) -> Array:
-        """The principal moments (kg m^2), ascending."""
-        moments: Array = np.linalg.eigvalsh(self.inertia)
-        return moments
+        """The principal moments (kg m^2), ascending; NaN if the inertia is beyond all numbers."""
+        if not np.isfinite(self.inertia).all():
+            return np.full(3, np.nan)
+        return np.asarray(np.linalg.eigvalsh(self.inertia), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +146,7 @@ class Body:
 
     @property
     def mass(self) -> float:
-        """kg."""
+        """In kg; 0 where none is stated."""
         return 0.0 if self.inertial is None else self.inertial.mass
 
 
@@ -193,14 +168,33 @@ class View:
     bodies: dict[str, Body]
     notes: tuple[str, ...]
 
-    @property
+    @cached_property
     def joints(self) -> dict[str, Joint]:
         """All joints, by name."""
         return {joint.name: joint for body in self.bodies.values() for joint in body.joints}
 
+    @cached_property
+    def total_mass(self) -> float:
+        """Of all bodies (kg)."""
+        return sum(body.mass for body in self.bodies.values())
+
+    @cached_property
+    def _children(self) -> dict[str, list[Body]]:
+        children: dict[str, list[Body]] = {name: [] for name in self.bodies}
+        for body in self.bodies.values():
+            if body.parent is not None:
+                children[body.parent].append(body)
+        return children
+
     def children(self, name: str) -> list[Body]:
         """Returns the bodies whose parent is the one named."""
-        return [body for body in self.bodies.values() if body.parent == name]
+        return self._children[name]
+
+    def descendants(self, name: str) -> Iterator[Body]:
+        """Yields the children of a body, their children, and so on."""
+        for child in self.children(name):
+            yield child
+            yield from self.descendants(child.name)
 
     def fixed_group(self, name: str) -> list[Body]:
         """Returns a body and all that is fixed to it, directly or not."""
@@ -209,6 +203,10 @@ class View:
             if not child.moving:
                 group += self.fixed_group(child.name)
         return group
+
+    def is_negligible(self, body: Body) -> bool:
+        """Whether a body weighs less than 1e-4 of all: a placeholder, or a label stuck on."""
+        return body.mass < 1e-4 * self.total_mass
 
     def ancestors(self, name: str) -> Iterator[str]:
         """Yields the parent of a body, its parent, and so on."""
@@ -236,11 +234,11 @@ class MjcfView(View):
     Attributes:
         file: The file.
         model: What MuJoCo makes of it, perhaps after repair; None if it refuses even that.
-        refusal: MuJoCo's message if it refuses the file as it stands.
+        refusal: MuJoCo's message if it refuses the file as it stands, and the place it names.
         body_names: The view's name of each of MuJoCo's bodies, by id.
     """
 
     file: MjcfFile
     model: mujoco.MjModel | None
-    refusal: str | None
+    refusal: tuple[str, Place] | None
     body_names: tuple[str, ...]

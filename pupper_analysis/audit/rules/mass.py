@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.audit.from_mjcf import line_of
-from pupper_analysis.audit.geometry import extent_points, outside_hull
+from pupper_analysis.audit.geometry import extent_points, link_points, outside_hull
 from pupper_analysis.audit.registry import Found, rule
 from pupper_analysis.audit.result import Severity
 from pupper_analysis.audit.view import FREE, MjcfView, View
@@ -18,7 +18,10 @@ LIGHT, HEAVY = 0.05, 500.0
 """Total masses between which a legged robot is expected (kg)."""
 
 COM_OUTSIDE = 0.002
-"""How far a com may be outside its shapes (m), plus 5 % of their greatest extent."""
+"""How far a com may be outside its shapes (m), plus a share of their greatest extent."""
+
+DRAWN, SIMPLIFIED = 0.05, 0.5
+"""That share where a link is drawn, and where it has but simple shapes for contacts."""
 
 DEFAULT_DENSITY = 1000.0
 """MuJoCo's density of a geom for which none is stated (kg/m^3)."""
@@ -41,7 +44,9 @@ def mass_not_positive(view: View) -> Iterator[Found]:
             continue
         child = "inertial/mass" if view.format == "urdf" else "inertial"
         largest = float(np.abs(inertial.inertia).max())
-        text = f"its mass is {inertial.mass:g} kg, with moments of inertia up to {largest:.3g} kg m^2"
+        text = (
+            f"its mass is {inertial.mass:g} kg, with moments of inertia up to {largest:.3g} kg m^2"
+        )
         yield Found(view.body_tag, body.name, text, child)
 
 
@@ -53,12 +58,16 @@ def mass_not_positive(view: View) -> Iterator[Found]:
     todo="Give it a mass and an inertia, or make the joint fixed.",
 )
 def moving_body_without_mass(view: View) -> Iterator[Found]:
-    """Finds moving bodies whose group of fixed bodies has no mass."""
+    """Finds moving bodies without mass, fixed ones counted in; WARNING if others hang on them."""
     for body in view.bodies.values():
-        if body.moving and not any(part.mass != 0 for part in view.fixed_group(body.name)):
-            joint = body.joints[0].name
-            text = f"joint {joint!r} moves it, but it and all that is fixed to it weigh 0 kg"
-            yield Found(view.body_tag, body.name, text)
+        if not body.moving or any(part.mass != 0 for part in view.fixed_group(body.name)):
+            continue
+        carries = any(other.mass > 0 for other in view.descendants(body.name))
+        joint = body.joints[0].name
+        text = f"joint {joint!r} moves it, but it and all that is fixed to it weigh 0 kg"
+        if carries:
+            text += " (bodies with mass hang on it by further joints: Pinocchio accepts that)"
+        yield Found(view.body_tag, body.name, text, severity=Severity.WARNING if carries else None)
 
 
 @rule(
@@ -69,21 +78,25 @@ def moving_body_without_mass(view: View) -> Iterator[Found]:
     todo="Check the com's axes, signs and units against the drawing of the link.",
 )
 def com_outside_shapes(view: View) -> Iterator[Found]:
-    """Compares coms with the convex hull of the shapes of a body and what is fixed to it."""
+    """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it."""
     for body in view.bodies.values():
         inertial = body.inertial
-        if inertial is None or not inertial.stated or inertial.mass <= 0 or not body.shapes:
+        if inertial is None or not inertial.stated or not body.shapes or view.is_negligible(body):
             continue
-        points = extent_points(view.fixed_group(body.name), body)
+        group = view.fixed_group(body.name)
+        points = extent_points(group, body)
         if points is None:
             continue
+        points = np.concatenate([points, link_points(view, body)])
         size = float(np.ptp(points, axis=0).max())
         outside = outside_hull(points, inertial.com)
-        if outside > COM_OUTSIDE + 0.05 * size:
+        shapes = [shape for part in group for shape in part.shapes]
+        drawn = any(shape.kind == "mesh" or not shape.collides for shape in shapes)
+        if outside > COM_OUTSIDE + (DRAWN if drawn else SIMPLIFIED) * size:
             x, y, z = inertial.com
             text = (
-                f"its com ({x:.4g}, {y:.4g}, {z:.4g}) m is {1e3 * outside:.1f} mm outside its shapes, "
-                f"which are {1e3 * size:.0f} mm long"
+                f"its com ({x:.4g}, {y:.4g}, {z:.4g}) m is {1e3 * outside:.1f} mm outside its "
+                f"shapes, which are {1e3 * size:.0f} mm long"
             )
             child = "inertial/origin" if view.format == "urdf" else "inertial"
             yield Found(view.body_tag, body.name, text, child)
@@ -98,12 +111,11 @@ def com_outside_shapes(view: View) -> Iterator[Found]:
 )
 def total_mass_unusual(view: View) -> Iterator[Found]:
     """Finds totals below 50 g and above 500 kg."""
-    tree = {view.base}
-    for body in view.bodies.values():
-        if body.parent in tree:
-            tree.add(body.name)
-    total = sum(view.bodies[name].mass for name in tree if name in view.bodies)
-    if view.bodies and not LIGHT <= total <= HEAVY:
+    base = view.bodies.get(view.base)
+    if base is None:
+        return
+    total = base.mass + sum(body.mass for body in view.descendants(base.name))
+    if not LIGHT <= total <= HEAVY:
         text = f"all bodies together weigh {total:.4g} kg; expected are {LIGHT:g} to {HEAVY:g} kg"
         yield Found(view.body_tag, view.base, text)
 
@@ -122,10 +134,8 @@ def inertial_ignored(view: MjcfView) -> Iterator[Found]:
         return
     for body in view.file.spec.bodies:
         if body.explicitinertial and body.name in view.bodies:
-            text = (
-                f"stated are {body.mass:.4g} kg, but MuJoCo takes {view.bodies[body.name].mass:.4g} kg "
-                "from its geoms"
-            )
+            mass = view.bodies[body.name].mass
+            text = f"stated are {body.mass:.4g} kg, but MuJoCo takes {mass:.4g} kg from its geoms"
             yield Found("body", body.name, text, "inertial")
 
 
@@ -183,8 +193,12 @@ def base_fixed(view: View) -> Iterator[Found]:
         if "foot" in name.lower()
     ]
     base = view.bodies.get(view.base)
-    if base is None or base.mass <= 0 or len(feet) < 2:
+    if base is None or len(feet) < 2:
         return
+    mass = sum(body.mass for body in view.fixed_group(base.name))
     if not any(joint.kind == FREE for joint in base.joints):
-        text = f"it weighs {base.mass:.4g} kg, has no free joint, and there are {len(feet)} feet"
+        text = (
+            f"with all that is fixed to it, it weighs {mass:.4g} kg; it has no free joint, and "
+            f"there are {len(feet)} feet"
+        )
         yield Found(view.body_tag, base.name, text)

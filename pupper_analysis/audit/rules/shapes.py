@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pupper_analysis.audit.pose import Array
 from pupper_analysis.audit.registry import Found, rule
 from pupper_analysis.audit.result import Severity
-from pupper_analysis.audit.view import Array, Body, Shape, View
+from pupper_analysis.audit.view import Body, Shape, View
 
 TOLERANCE = 1e-3
 """How exactly shapes are expected at joints and frames (m)."""
@@ -88,8 +89,8 @@ def shape_ends_off_joint(view: View) -> Iterator[Found]:
                 reported.add((name, round(length, 6)))
                 more = "beyond" if gap > 0 else "short of"
                 text = (
-                    f"its {shape.kind} begins at its joint and is {length:.4g} m long, but {name} is "
-                    f"{way:.4g} m away: it ends {1e3 * abs(gap):.1f} mm {more} it"
+                    f"its {shape.kind} begins at its joint and is {length:.4g} m long, but {name} "
+                    f"is {way:.4g} m away: it ends {1e3 * abs(gap):.1f} mm {more} it"
                 )
                 yield Found(view.body_tag, body.name, text, _tag(view, shape))
 
@@ -115,7 +116,11 @@ def _on_line(offset: Array, direction: Array, radius: float) -> bool:
     todo="Centre the sphere at the foot's frame, or put the frame at the sphere's lowest point.",
 )
 def foot_sphere_off_frame(view: View) -> Iterator[Found]:
-    """Compares a foot's frame with the nearest sphere that touches things, of what moves with it."""
+    """Compares a foot's frame with the nearest sphere that touches things, of what moves with it.
+
+    Spheres of the foot, by their name or their link's, come first. INFO where the frame is inside
+    the sphere: some make a flat sole that way.
+    """
     for body in view.bodies.values():
         group = view.fixed_group(body.name)
         feet = {f.name: (body, f.position, "site") for f in body.frames if _is_foot(f.name)}
@@ -125,21 +130,25 @@ def foot_sphere_off_frame(view: View) -> Iterator[Found]:
         for name, (owner, position, kind) in feet.items():
             place = owner.pose.point(position)
             spheres = [
-                (float(np.linalg.norm(part.pose.point(shape.pose.position) - place)), shape.size[0])
+                (
+                    not _is_foot(shape.name + part.name),
+                    float(np.linalg.norm(part.pose.point(shape.pose.position) - place)),
+                    shape.size[0],
+                )
                 for part in group
                 for shape in part.shapes
                 if shape.collides and shape.kind == "sphere"
             ]
             if not spheres:
                 continue
-            gap, radius = min(spheres)
+            _, gap, radius = min(spheres)
             if gap > 5 * radius or gap < TOLERANCE or abs(gap - radius) < TOLERANCE:
                 continue
             text = (
-                f"the nearest sphere that touches things, of radius {1e3 * radius:.4g} mm, is centred "
-                f"{1e3 * gap:.4g} mm away from it"
+                f"the nearest sphere that touches things, of radius {1e3 * radius:.4g} mm, is "
+                f"centred {1e3 * gap:.4g} mm away from it"
             )
-            yield Found(kind, name, text)
+            yield Found(kind, name, text, severity=Severity.INFO if gap < radius else None)
 
 
 def _carrier(view: View, body: Body) -> str:

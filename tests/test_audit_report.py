@@ -1,0 +1,119 @@
+"""The audit's output, and its command."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from rich.console import Console
+
+from pupper_analysis import audit_report, cli
+from pupper_analysis.audit import RULES, audit_model
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Our URDF with a mass that no body can have, and a limit of one leg that is off."""
+    text = (ROOT / "urdf" / "pupper_skeleton.urdf").read_text()
+    text = text.replace('<mass value="1.506"/>', '<mass value="-1.506"/>')
+    text = text.replace('lower="-2.6"', 'lower="-1.9"', 1)
+    path = tmp_path_factory.mktemp("audit") / "broken.urdf"
+    path.write_text(text)
+    return path
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    code = "from pupper_analysis.cli import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, "audit", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_prints_place_rule_reason_and_remedy(broken: Path) -> None:
+    result = run(str(broken))
+    assert result.returncode == 1
+    line = broken.read_text().splitlines().index('      <mass value="-1.506"/>') + 1
+    assert f"{broken}:{line} mass-not-positive" in result.stdout
+    assert RULES["mass-not-positive"].todo in result.stdout
+    assert "mirror-limits" in result.stdout
+    assert "UNSOUND" in result.stdout
+
+
+def test_a_sound_file(tmp_path: Path) -> None:
+    report = tmp_path / "audit.json"
+    result = run(
+        str(ROOT / "mjcf" / "pupper_v3.xml"), "--fail-on", "warning", "--json", str(report)
+    )
+    assert result.returncode == 0, result.stdout
+    assert "SOUND" in result.stdout
+    content = json.loads(report.read_text())
+    assert content["passed"] is True
+    assert len(content["rules_run"]) > 30
+
+
+def test_disabled_rules_and_the_least_severity_that_fails(broken: Path) -> None:
+    assert run(str(broken), "--disable", "mass-not-positive").returncode == 0
+    warned = run(str(broken), "--disable", "mass-not-positive", "--fail-on", "warning")
+    assert warned.returncode == 1
+    assert "mass-not-positive" not in warned.stdout
+
+
+def test_list_rules() -> None:
+    result = run("--list-rules")
+    assert result.returncode == 0
+    lines = result.stdout.splitlines()
+    assert [line.split()[0] for line in lines[:-1]] == list(RULES)
+
+
+def test_formats(broken: Path) -> None:
+    audit = audit_model(broken)
+    github = run(str(broken), "--format", "github").stdout
+    assert github.startswith(f"::error file={broken},line=")
+    assert len(github.splitlines()) == len(audit.findings)
+    root = ElementTree.fromstring(run(str(broken), "--format", "junit").stdout.encode())
+    assert int(root.get("tests", "0")) == len(audit.rules_run)
+    failed = {
+        case.get("name") for case in root.iter("testcase") if case.find("failure") is not None
+    }
+    assert {"mass-not-positive", "mirror-limits"} <= failed
+
+
+def test_equal_findings_are_printed_once() -> None:
+    audit = audit_model(ROOT / "urdf" / "pupper_v3.urdf")
+    out = Console(file=io.StringIO(), width=120)
+    audit_report.print_audit(out, audit)
+    assert isinstance(out.file, io.StringIO)
+    messages = {(finding.rule, finding.message) for finding in audit.findings}
+    for _, message in messages:
+        assert out.file.getvalue().count(message) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "give the URDF or MJCF"),
+        (["nowhere.urdf"], "no such file"),
+        ([str(ROOT)], "folder"),
+        ([str(ROOT / "README.md")], "not well-formed"),
+        ([str(ROOT / "urdf" / "pupper_v3.urdf"), "--disable", "frob"], "no rule 'frob'"),
+        ([str(ROOT / "urdf" / "pupper_v3.urdf"), "--package", "x"], "NAME=VALUE"),
+    ],
+)
+def test_bad_input_is_one_line(arguments: list[str], message: str) -> None:
+    result = run(*arguments)
+    assert result.returncode == cli.BAD_INPUT
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
