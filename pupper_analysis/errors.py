@@ -153,3 +153,15 @@ class OutputError(PupperAnalysisError):
     def __init__(self, path: str | PathLike[str], problem: object) -> None:
         self.path = path
         super().__init__(f"cannot write {path}: {problem}")
+
+
+class NoEquilibriumError(PupperAnalysisError):
+    """A servo-driven robot has no equilibrium near its stand.
+
+    Attributes:
+        share: Of the feed-forward, how much could be taken away before the equilibrium ended.
+    """
+
+    def __init__(self, share: float, problem: str) -> None:
+        self.share = share
+        super().__init__(f"no equilibrium: {problem}")

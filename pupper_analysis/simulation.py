@@ -348,7 +348,7 @@ def verify_stand(
     drops = {foot: stand.foot_targets[foot] - watch.feet_settled[foot] for foot in stand.carrying}
     base_height = float(_heights(robot, settled).mean())
     height_loss = float(stand.qpos[2]) - base_height
-    contact_sag = _drop_at(
+    contact_sag = drop_at(
         stand.qpos[:2],
         np.array([stand.foot_targets[foot] for foot in drops]),
         np.array([drop[2] for drop in drops.values()]),
@@ -481,8 +481,14 @@ def _watch(
     )
 
 
-def _drop_at(place: Array, feet: Array, drops: Array) -> float:
-    """Returns how much a plane through the feet has sunk at a place."""
+def drop_at(place: Array, feet: Array, drops: Array) -> float:
+    """Returns how much a plane through the feet has sunk at a place.
+
+    Args:
+        place: (2,) where (m).
+        feet: (n, 3) the feet (m); their heights do not matter.
+        drops: (n,) how much each has sunk (m).
+    """
     plane = np.linalg.lstsq(np.column_stack([np.ones(len(feet)), feet[:, :2]]), drops)[0]
     return float(plane @ (1.0, place[0], place[1]))
 
