@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     )
     from pupper_analysis.explain import Tolerances
     from pupper_analysis.payload import PayloadLimit, payload_limit
+    from pupper_analysis.push import PushRecovery, push_recovery
     from pupper_analysis.results import to_json
     from pupper_analysis.robot import Robot, load_robot, load_variant
     from pupper_analysis.settle import SettledPose, least_kp, settled_pose
@@ -72,6 +73,8 @@ _HOME = {
     "PayloadLimit": "payload",
     "payload_limit": "payload",
     "NoEquilibriumError": "errors",
+    "PushRecovery": "push",
+    "push_recovery": "push",
     "SettledPose": "settle",
     "least_kp": "settle",
     "settled_pose": "settle",
@@ -130,6 +133,7 @@ __all__ = [
     "PayloadLimit",
     "PoseEnvelope",
     "PupperAnalysisError",
+    "PushRecovery",
     "Robot",
     "SettledPose",
     "StanceUnreachableError",
@@ -151,6 +155,7 @@ __all__ = [
     "load_variant",
     "payload_limit",
     "pose_envelope",
+    "push_recovery",
     "reachable_heights",
     "settled_pose",
     "solve_stand",

@@ -118,18 +118,30 @@ def ground_forces(
         other bodies that touch.
     """
     forces: dict[str, Array] = {}
-    others: set[str] = set()
     wrench = np.zeros(6)
     for number, pair in enumerate(data.contact.geom):
         bodies = model.geom_bodyid[pair]
-        if 0 not in bodies:
-            continue
         first = bool(bodies[0] == 0)  # the floor, or a step
         geom = int(pair[1] if first else pair[0])
-        if geom not in soles:
-            others.add(model.body(int(model.geom_bodyid[geom])).name)
+        if 0 not in bodies or geom not in soles:
             continue
         mujoco.mj_contactForce(model, data, number, wrench)
         force = data.contact.frame[number].reshape(3, 3).T @ wrench[:3]
         forces[soles[geom]] = forces.get(soles[geom], np.zeros(3)) + (force if first else -force)
-    return forces, others
+    return forces, bodies_on_ground(model, data, soles)
+
+
+def bodies_on_ground(
+    model: mujoco.MjModel, data: mujoco.MjData, soles: Mapping[int, str]
+) -> set[str]:
+    """Returns the names of the bodies that touch the ground with something else than a sole.
+
+    Args:
+        model: The model.
+        data: After ``mj_collision``.
+        soles: Which geom is which foot's.
+    """
+    pairs = data.contact.geom
+    on_ground = (model.geom_bodyid[pairs] == 0).any(axis=1)
+    geoms = {int(geom) for geom in pairs[on_ground].flat if model.geom_bodyid[geom] != 0}
+    return {model.body(int(model.geom_bodyid[geom])).name for geom in geoms - set(soles)}

@@ -190,7 +190,7 @@ class MjcfFile:
             ModelError: If MuJoCo refuses it; the message is MuJoCo's.
         """
         try:
-            with _quiet():
+            with quiet():
                 return self.spec.copy().compile()
         except _MUJOCO_ERRORS as error:
             what = "MuJoCo cannot compile it"
@@ -648,7 +648,7 @@ def _read_mjcf(path: Path, root: etree._Element) -> MjcfFile:
     tree = _Tree(path, root)
     index = _index(tree.root)
     try:
-        with _quiet():
+        with quiet():
             spec = mujoco.MjSpec.from_file(str(path))
     except _MUJOCO_ERRORS as error:
         if "could not find decoder" in str(error):
@@ -822,7 +822,7 @@ def _mujoco_refusal(
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Keeps MuJoCo from writing its warnings to a file MUJOCO_LOG.TXT, and from issuing them."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)

@@ -18,6 +18,7 @@ from pupper_analysis.convention import MujocoConvention, PinocchioConvention
 from pupper_analysis.description import Description, describe
 from pupper_analysis.description import mjcf as mjcf_description
 from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.loading import read_mjcf, read_urdf
 from pupper_analysis.task import Ground
 from pupper_analysis.variants import BASES, VariantSpec, variant_spec
 
@@ -187,21 +188,17 @@ def load_robot(
         UnknownNameError: If a foot is not in a file; the message lists what is.
     """
     frames = dict(feet) if isinstance(feet, Mapping) else {foot: foot for foot in feet}
-    urdf_path, mjcf_path = Path(urdf), Path(mjcf)
-    try:
-        text = urdf_path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ModelError(urdf_path, f"cannot be read: {error}") from error
-    spec = mjcf_description.load(mjcf_path)
+    urdf_file, mjcf_file = read_urdf(urdf), read_mjcf(mjcf)
     description = Description(
-        name=name or spec.modelname,
-        urdf=text,
-        urdf_source=urdf_path,
-        mjcf=spec,
-        mjcf_source=mjcf_path,
+        name=name or mjcf_file.spec.modelname,
+        urdf=urdf_file.text,
+        urdf_source=urdf_file.path,
+        mjcf=mjcf_file.spec,
+        mjcf_source=mjcf_file.path,
         feet={foot: (frame, frame) for foot, frame in frames.items()},
     )
-    return build_robot(description, fixed_base=fixed_base, foot_depth=None)
+    robot = build_robot(description, fixed_base=fixed_base)
+    return replace(robot, notes=(*urdf_file.notes, *mjcf_file.notes, *robot.notes))
 
 
 def build_robot(

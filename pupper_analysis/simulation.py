@@ -51,8 +51,10 @@ INTEGRATORS = {
 }
 """MuJoCo's integrators, as MJCF names them."""
 
+STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+"""What rollouts return: time, qpos, qvel ..."""
+
 _SAMPLE = 0.02  # s between the states that are looked at closely
-_STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
 
 
 # ------------------------------------------------------------------------------------- servos
@@ -199,8 +201,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
             middle = (low + high) / 2
             low, high = (middle, high) if acceleration(middle) < 0 else (low, middle)
     acceleration(high)
-    state = np.empty(mujoco.mj_stateSize(model, _STATE))
-    mujoco.mj_getState(model, data, state, _STATE)
+    state = np.empty(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, state, STATE)
     return state
 
 
@@ -216,7 +218,14 @@ def _tilt(robot: Robot, rotation: Array, state: Array) -> float:
     return float(np.linalg.norm(pin.log3(rotation.T @ rotation_from_quaternion(quaternion))))
 
 
-def _diverged(states: Array, timestep: float) -> bool:
+def lean(robot: Robot, rotation: Array, state: Array) -> float:
+    """Returns how far the base of a state leans off a rotation's vertical (rad); yaw is no lean."""
+    quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
+    cosine = float(rotation_from_quaternion(quaternion)[2] @ rotation[2])
+    return math.acos(min(1.0, max(-1.0, cosine)))
+
+
+def diverged(states: Array, timestep: float) -> bool:
     """Tells whether a rollout broke down: MuJoCo resets the state, and so the time, if it does."""
     times = states[..., 0]
     return not bool(np.isfinite(states).all() and (np.diff(times) > timestep / 2).all())
@@ -324,7 +333,7 @@ def verify_stand(
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    _check_stand(robot, stand, duration)
+    check_stand(robot, stand, duration)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     prediction = stand_statics(robot, stand, sharing=LoadSharing.EVEN)
     drive = servos(robot, kp, kd, integrator)
@@ -362,15 +371,16 @@ def verify_stand(
         for foot, force in prediction.contact_forces.items()
     )
     tilt = _tilt(robot, stand.task.rotation(), states[-1])
+    leaning = lean(robot, stand.task.rotation(), states[-1])
     deviation = float(_heights(robot, settled).std())
     drift = float(heights[-1] - heights[-last_second]) / (timestep * (last_second - 1))
 
     failures = list(watch.failures)
-    if _diverged(states, timestep):
+    if diverged(states, timestep):
         failures.insert(0, f"the simulation diverged ({drive.integrator}, {1e3 * timestep:g} ms)")
-    if tilt > FALLEN_TILT or base_height < 0.5 * stand.qpos[2]:
+    if leaning > FALLEN_TILT or base_height < 0.5 * stand.qpos[2]:
         failures.insert(
-            0, f"it fell over: tilt {math.degrees(tilt):.0f} deg, height {base_height:.3f} m"
+            0, f"it fell over: tilt {math.degrees(leaning):.0f} deg, height {base_height:.3f} m"
         )
     if not deviation < STABLE_DEVIATION:
         failures.append(f"the height deviates by {1e3 * deviation:.2f} mm in the last second")
@@ -416,7 +426,13 @@ def verify_stand(
     )
 
 
-def _check_stand(robot: Robot, stand: Stand, duration: float) -> None:
+def check_stand(robot: Robot, stand: Stand, duration: float) -> None:
+    """Checks what a simulation of a stand is given.
+
+    Raises:
+        ConfigurationError: If the base is fixed, the stand is another robot's, or the duration (s)
+            is not between 2 and 600.
+    """
     if not robot.floating:
         raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
     if stand.qpos.shape != (robot.nq,):
@@ -453,7 +469,7 @@ def _watch(
     feet = {foot: np.zeros(3) for foot in robot.feet}
     count = 0
     for index in range(len(states) - 1, -1, -step):  # backwards: the first moment stays
-        mujoco.mj_setState(model, data, states[index], _STATE)
+        mujoco.mj_setState(model, data, states[index], STATE)
         data.ctrl[:] = ctrl
         mujoco.mj_forward(model, data)
         forces, others = contact.ground_forces(model, data, robot.soles)
@@ -586,7 +602,7 @@ def sweep_gains(
     Raises:
         ConfigurationError: If an argument is out of its range, or the base is fixed.
     """
-    _check_stand(robot, stand, duration)
+    check_stand(robot, stand, duration)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     if not (math.isfinite(amplitude) and math.isfinite(frequency)):
         raise ConfigurationError("amplitude, frequency", "they must be finite")
@@ -611,7 +627,7 @@ def sweep_gains(
 
     deviations = _heights(robot, states)[:, -round(1.0 / timestep) :].std(axis=1)
     for index, (drive, rows) in enumerate(zip(drives, states, strict=True)):
-        if _diverged(rows, timestep) or _lies(robot, drive.model, stand, rows[-1], ctrl):
+        if diverged(rows, timestep) or _lies(robot, drive.model, stand, rows[-1], ctrl):
             deviations[index] = np.inf
     grid = deviations.reshape(len(kp), len(kd))
     row, column = divmod(int(np.argmin(grid)), len(kd))
@@ -634,11 +650,11 @@ def sweep_gains(
 def _lies(robot: Robot, model: mujoco.MjModel, stand: Stand, state: Array, ctrl: Array) -> bool:
     """Tells whether a robot has fallen over, or rests on something else than its feet."""
     data = mujoco.MjData(model)
-    mujoco.mj_setState(model, data, state, _STATE)
+    mujoco.mj_setState(model, data, state, STATE)
     data.ctrl[:] = ctrl
     mujoco.mj_forward(model, data)
     _, others = contact.ground_forces(model, data, robot.soles)
-    return bool(others) or _tilt(robot, stand.task.rotation(), state) > FALLEN_TILT
+    return bool(others) or lean(robot, stand.task.rotation(), state) > FALLEN_TILT
 
 
 def _rollout_in_chunks(

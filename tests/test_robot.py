@@ -198,12 +198,12 @@ JOINT = '<joint name="push" type="slide" axis="0 0 1" range="-0.3 0.4"/>'
 @pytest.mark.parametrize(
     ("urdf", "mjcf", "message"),
     [
-        ("", TINY_MJCF, "robot.urdf: not a valid URDF"),
-        ("not xml", TINY_MJCF, "robot.urdf: not a valid URDF"),
-        ("<robot name='x'>", TINY_MJCF, "robot.urdf: not a valid URDF"),
-        (TINY_URDF, "", "robot.xml: not a valid MJCF"),
-        (TINY_URDF, "<mujoco><worldbody>", "robot.xml: not a valid MJCF"),
-        (TINY_URDF, "<mujoco><nonsense/></mujoco>", "robot.xml: not a valid MJCF"),
+        ("", TINY_MJCF, "robot.urdf: it is empty"),
+        ("not xml", TINY_MJCF, "robot.urdf:1: not well-formed XML"),
+        ("<robot name='x'>", TINY_MJCF, "robot.urdf:1: not well-formed XML"),
+        (TINY_URDF, "", "robot.xml: it is empty"),
+        (TINY_URDF, "<mujoco><worldbody>", "robot.xml:1: not well-formed XML"),
+        (TINY_URDF, "<mujoco><nonsense/></mujoco>", "robot.xml:1: not a valid MJCF"),
         (TINY_URDF, "<mujoco/>", "robot.xml: .*joint"),
         (
             TINY_URDF,
@@ -263,7 +263,7 @@ def test_missing_and_unreadable_files_are_refused(tiny_files: Files, tmp_path: P
             load_files(files)
     binary = tmp_path / "binary.urdf"
     binary.write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(pa.ModelError, match="cannot be read"):
+    with pytest.raises(pa.ModelError, match=r"binary\.urdf: "):
         load_files(Files(binary, tiny_files.mjcf))
 
 

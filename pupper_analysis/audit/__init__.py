@@ -14,7 +14,7 @@ from pupper_analysis.audit.from_urdf import urdf_view
 from pupper_analysis.audit.registry import CHECKS, RULES, Found, Rule
 from pupper_analysis.audit.result import Audit, Finding, Severity
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.loading import MjcfFile, Place, UrdfFile, _quiet, read_model
+from pupper_analysis.loading import MjcfFile, Place, UrdfFile, quiet, read_model
 
 __all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 
@@ -45,7 +45,7 @@ def audit_model(
             "disabled", f"no rule {', '.join(map(repr, unknown))}; there are: {', '.join(RULES)}"
         )
     file = read_model(path, packages)
-    with warnings.catch_warnings(), np.errstate(all="ignore"), _quiet():
+    with warnings.catch_warnings(), np.errstate(all="ignore"), quiet():
         warnings.simplefilter("ignore")  # MuJoCo's, about models that the rules are about
         return _audited(str(path), file, unwanted)
 
