@@ -334,8 +334,14 @@ def crosscheck(
     from pupper_analysis.explain import Tolerances
 
     names = matching.read_mapping(map_file) if map_file is not None else {}
-    names |= dict(_assignment("map", text) for text in pairs)
+    for text in pairs:
+        old, new = _assignment("map", text)
+        if names.setdefault(old, new) != new:
+            raise ConfigurationError("map", f"{old!r} is mapped to both {names[old]!r} and {new!r}")
     folders = {name: Path(value) for name, value in (_assignment("package", p) for p in packages)}
+    for name, folder in folders.items():
+        if not folder.is_dir():
+            raise ConfigurationError("package", f"{name}: {folder} is not a folder")
     tolerances = Tolerances.strict() if strict else Tolerances()
     tolerances = tolerances.changed(dict(_number("tolerance", text) for text in changes))
     _check_outputs([], json_path)

@@ -15,7 +15,7 @@ from pupper_analysis.explain import (
     Tolerances,
     explain,
 )
-from pupper_analysis.loading import MjcfFile, UrdfFile, read_mjcf, read_urdf
+from pupper_analysis.loading import MjcfFile, Place, UrdfFile, read_mjcf, read_urdf
 from pupper_analysis.matching import Match, match
 from pupper_analysis.results import Result
 
@@ -30,6 +30,7 @@ class Comparison(Result):
     Attributes:
         urdf: The URDF's path.
         mjcf: The MJCF's path.
+        base: The base's name.
         joints: The joints that both have, by the MJCF's names.
         guessed: {joint in the URDF: joint in the MJCF} matched by structure, not by name.
         only_urdf: Joints of the URDF alone, fixed at zero for the comparison.
@@ -47,6 +48,7 @@ class Comparison(Result):
 
     urdf: str
     mjcf: str
+    base: str
     joints: tuple[str, ...]
     guessed: dict[str, str]
     only_urdf: tuple[str, ...]
@@ -105,8 +107,8 @@ def compare_models(
     differences = tuple(
         replace(
             difference,
-            urdf_place=str(_urdf_place(difference, matched, urdf_file)),
-            mjcf_place=str(_mjcf_place(difference, matched, mjcf_file)),
+            urdf_place=_path(_urdf_place(difference, matched, urdf_file)),
+            mjcf_place=_path(_mjcf_place(difference, matched, mjcf_file)),
         )
         for difference in explanation.differences
     )
@@ -122,6 +124,7 @@ def compare_models(
     return Comparison(
         urdf=str(urdf_file.path),
         mjcf=str(mjcf_file.path),
+        base=robot.base,
         joints=robot.joint_names,
         guessed=dict(matched.guessed),
         only_urdf=matched.only_urdf,
@@ -178,7 +181,12 @@ _URDF_CHILD = {
 }
 
 
-def _urdf_place(difference: Difference, matched: Match, file: UrdfFile) -> object:
+def _path(place: Place) -> str:
+    """Returns the whole path, by which a CI service finds the file."""
+    return f"{place.file}" if place.line is None else f"{place.file}:{place.line}"
+
+
+def _urdf_place(difference: Difference, matched: Match, file: UrdfFile) -> Place:
     child = _URDF_CHILD.get(difference.kind)
     if difference.kind in ("mass", "com", "inertia") or difference.element == matched.robot.base:
         return file.place("link", matched.urdf_link[difference.element], child)
@@ -198,7 +206,7 @@ def _urdf_place(difference: Difference, matched: Match, file: UrdfFile) -> objec
     return file.place("joint", matched.urdf_joint[difference.element], child)
 
 
-def _mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> object:
+def _mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> Place:
     element = difference.element
     if difference.kind in ("mass", "com", "inertia"):
         return file.place("body", matched.mjcf_body[element], "inertial")
@@ -206,8 +214,12 @@ def _mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> objec
         return file.place("body", matched.mjcf_body[element], "joint")
     if difference.kind in ("position", "rotation", "parent"):
         return file.place("body", matched.mjcf_body[element])
+    body = matched.mjcf_body.get(element, "")
+    tries = [("joint", element, None), ("body", body, "joint")]
     if difference.kind == "effort":
-        return file.place("actuator", element)
+        tries.insert(0, ("actuator", element, None))
     if difference.kind == "frame":
-        return file.place("site", matched.robot.description.frames[element][1])
-    return file.place("joint", element)
+        name = matched.robot.description.frames[element][1]
+        tries = [("site", name, None), ("body", name, None), ("geom", name, None)]
+    places = [file.place(*one) for one in tries]
+    return next((place for place in places if place.line is not None), places[0])

@@ -37,7 +37,7 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
     out.print(f"{verdict}: {escape(first)}", soft_wrap=True)
     shown = groups if everything else groups[:SHOWN]
     for number, group in enumerate(shown, start=1):
-        _print_group(out, number, group)
+        _print_group(out, number, group, everything)
     if len(shown) < len(groups):
         out.print(f"… and {len(groups) - len(shown)} more with less effect; --all prints them")
     if groups:
@@ -73,15 +73,15 @@ def _groups(differences: Iterable[Difference]) -> list[list[Difference]]:
     return list(groups.values())
 
 
-def _print_group(out: Console, number: int, group: list[Difference]) -> None:
+def _print_group(out: Console, number: int, group: list[Difference], everything: bool) -> None:
     first = group[0]
     more = ""
     if len(group) > 1:
         names = [difference.element for difference in group[1:]]
         listed = ", ".join(names[:_GROUPED]) + (" …" if len(names) > _GROUPED else "")
-        more = f"; likewise on {len(names)} more: {listed}"
+        more = f"; likewise on {len(names)} more: {', '.join(names) if everything else listed}"
     out.print(f"\n[bold]{number}.[/] {escape(first.message + more)}", soft_wrap=True)
-    out.print(f"   {first.urdf_place}   {first.mjcf_place}", style="dim", soft_wrap=True)
+    out.print(escape(f"   {first.urdf_place}   {first.mjcf_place}"), style="dim", soft_wrap=True)
     if first.effects:
         effects = ", ".join(
             f"{name} {effect.share:.0%}" + (f" ({effect.relative:.1e})" if effect.share else "")
@@ -101,10 +101,10 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
     )
     sides = list(dict.fromkeys(side for quantity in check.quantities for side in quantity.edges))
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, header_style="dim")
-    table.add_column("quantity")
+    table.add_column("quantity", no_wrap=True)
     for side in sides:
         table.add_column(side.replace(" (", "\n("), justify="right", no_wrap=True)
-    table.add_column("worst at", no_wrap=True)
+    table.add_column("worst at", overflow="fold")
     for quantity in check.quantities:
         cells = [f"{quantity.edges[side]:.1e}" if side in quantity.edges else "" for side in sides]
         table.add_row(quantity.name, *cells, "" if quantity.passed else escape(quantity.where))
@@ -150,12 +150,12 @@ def cases(comparison: Comparison) -> list[Case]:
     unmatched = [*comparison.only_urdf, *comparison.only_mjcf]
     missing = f"in one file only: {', '.join(unmatched)}" if unmatched else None
     result = [Case("the same joints", missing)]
-    for element in dict.fromkeys([*comparison.joints, *failures]):
+    for element in dict.fromkeys([comparison.base, *comparison.joints, *failures]):
         found = failures.get(element)
         result.append(Case(f"parameters of {element}", "\n".join(found) if found else None))
     for quantity in comparison.check.quantities:
         failure = None
-        if not quantity.passed:
+        if not (quantity.passed or comparison.agree):
             failure = f"{quantity.relative:.1e} ({quantity.whose}; {quantity.where})"
         result.append(Case(f"{quantity.name} agree", failure))
     left = max(comparison.left.values())

@@ -94,7 +94,7 @@ class Configuration:
         local = pin.getFrameJacobian(
             self._model, self._data, self._frame(name), pin.LOCAL_WORLD_ALIGNED
         )
-        jacobian: Array = local @ self._map
+        jacobian: Array = local.reshape(6, -1) @ self._map  # Pinocchio's is flat for one joint
         if offset is not None:
             jacobian[:3] -= pin.skew(np.asarray(offset, dtype=float)) @ jacobian[3:]
         return jacobian
@@ -122,7 +122,7 @@ class Configuration:
             UnknownNameError: If it is no joint of the robot.
         """
         joint = self._joint(name)
-        column = self._data.J[:, self._model.joints[joint].idx_v]
+        column = self._data.J.reshape(6, -1)[:, self._model.joints[joint].idx_v]
         rotation, at_origin = column[3:], column[:3]
         axis: Array = rotation if np.linalg.norm(rotation) > 0.5 else at_origin
         return np.array(axis / np.linalg.norm(axis))
@@ -192,7 +192,8 @@ class Configuration:
 
     def com_jacobian(self) -> Array:
         """Returns the Jacobian (3, nv) of the centre of mass: J qvel is its velocity (m/s)."""
-        moving = pin.jacobianCenterOfMass(self._model, self._data, self._q) @ self._map
+        local = pin.jacobianCenterOfMass(self._model, self._data, self._q)
+        moving = local.reshape(3, -1) @ self._map
         jacobian: Array = (1 - self._fixed_share) * moving
         return jacobian
 
@@ -209,7 +210,7 @@ class Configuration:
 
     def mass_matrix(self) -> Array:
         """Returns the joint-space inertia matrix M (nv, nv), armature included."""
-        upper = np.triu(pin.crba(self._model, self._data, self._q))
+        upper = np.triu(np.atleast_2d(pin.crba(self._model, self._data, self._q)))
         full = upper + np.triu(upper, 1).T
         matrix: Array = self._map.T @ full @ self._map
         return matrix

@@ -223,7 +223,9 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
     rng = np.random.default_rng(seed)
     lower = np.where(np.isfinite(robot.lower_limits), robot.lower_limits, -np.pi)
     upper = np.where(np.isfinite(robot.upper_limits), robot.upper_limits, np.pi)
-    qpos = rng.uniform(lower, upper, (count, robot.nu))
+    # A file may have them the wrong way round; that is for the comparison to find.
+    ends = np.minimum(lower, upper), np.maximum(lower, upper)
+    qpos = rng.uniform(*ends, (count, robot.nu))
     if robot.floating:
         quaternion = rng.normal(size=(count, 4))
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
@@ -525,16 +527,17 @@ def _deviation(one: Quantity, two: Quantity) -> tuple[float, float, float, str]:
     same = one.values == two.values  # infinite limits, too
     with np.errstate(invalid="ignore"):
         difference = np.where(same, 0.0, np.abs(one.values - two.values))
-    difference = np.nan_to_num(difference, nan=np.inf)
+    difference = np.nan_to_num(difference, nan=np.inf, posinf=np.inf)
     greatest = np.maximum(np.abs(one.values), np.abs(two.values))
     greatest = np.where(np.isfinite(greatest), greatest, 0.0)
     if one.per_row:
         scale = greatest.max(axis=-1, keepdims=True) + np.zeros_like(difference)
     else:
         scale = np.full_like(difference, greatest.max())
-    relative = np.divide(
-        difference, scale, out=np.where(difference > 0, np.inf, 0.0), where=scale > 0
-    )
+    with np.errstate(over="ignore", invalid="ignore"):
+        relative = np.divide(
+            difference, scale, out=np.where(difference > 0, np.inf, 0.0), where=scale > 0
+        )
     place = np.unravel_index(int(np.argmax(relative)), relative.shape)
     where = one.labels[int(place[-2])]
     if one.of_state:

@@ -232,12 +232,13 @@ def explain(robot: Robot, *, tolerances: Tolerances | None = None) -> Explanatio
         joint = replace(first.joints[name], armature=usual)
         alone = _behaviour(robot, replace(first, joints={**first.joints, name: joint}), states)
         value = first.joints[name].armature
+        unit = "kg" if joint.slides else "kg m^2"
         message = (
-            f"joint {name}: armature {value:.6g} kg m^2 in the MJCF, but {usual:.6g} kg m^2 on the "
+            f"joint {name}: armature {value:.6g} {unit} in the MJCF, but {usual:.6g} {unit} on the "
             "joints at the same place of the other legs (a URDF cannot state it)"
         )
         effects = _effects(urdf, alone, scale, total)
-        differences.append(Difference("armature", name, None, value, "kg m^2", message, effects))
+        differences.append(Difference("armature", name, None, value, unit, message, effects))
     everything = first
     # What is within the tolerance is taken over as well, so that only what was overlooked is left.
     for change in _changes(first, second, _NOTHING):
@@ -648,8 +649,8 @@ def _mirrored(urdf: Array, mjcf: Array, tolerance: float) -> str:
 def _quaternion_order(urdf: Array, mjcf: Array) -> str:
     """Tells whether reading the MJCF's quaternion as (x, y, z, w) would end the difference."""
     x, y, z, w = pin.Quaternion(mjcf).coeffs()
-    for candidate in ((z, w, x, y), (y, z, w, x)):  # coefficients (x, y, z, w) if misread
-        quaternion = pin.Quaternion(np.array(candidate))
-        if np.allclose(quaternion.toRotationMatrix(), urdf, atol=1e-4):
-            return " (a quaternion in another order: MJCF has (w, x, y, z)?)"
+    # The file's four numbers were taken for (w, x, y, z); in another order they are (x, y, z, w).
+    quaternion = pin.Quaternion(np.array([w, x, y, z]))
+    if np.allclose(quaternion.toRotationMatrix(), urdf, atol=1e-4):
+        return " (a quaternion in another order: MJCF has (w, x, y, z)?)"
     return ""

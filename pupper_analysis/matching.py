@@ -97,25 +97,30 @@ def match(
         for tag in ("visual", "collision"):
             for shape in link.findall(tag):
                 link.remove(shape)
-    _strip_roots(root, urdf.path, notes)
     spec = mjcf.spec.copy()
-    _name_joints(spec, notes)
+    _name_all(spec, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
     _drop_other_objects(spec, mjcf.path, notes)
+    theirs = _hinges(spec, mjcf.path)
+    root = _strip_roots(root, urdf.path, _mjcf_tree(spec, mjcf.path), notes)
     if any(joint.find("mimic") is not None for joint in root.findall("joint")):
         notes.append("mimic joints of the URDF are compared as independent joints")
     if spec.equalities:
         notes.append(f"{len(spec.equalities)} equality constraint(s) of the MJCF are left out")
 
     mine = _moving_joints(root, urdf.path)
-    theirs = _hinges(spec, mjcf.path)
     wanted = dict(names or {})
     links = {link.get("name") for link in root.findall("link")}
     places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
     for old, new in wanted.items():
         if old not in mine and old not in links:
             raise UnknownNameError(urdf.path, "joint or link (of a mapping)", old, mine)
+        if old in mine and old not in links and new not in theirs:
+            raise UnknownNameError(mjcf.path, "joint (of a mapping)", new, theirs)
         if new not in theirs and new not in places:
             raise UnknownNameError(mjcf.path, "joint or frame (of a mapping)", new, theirs)
+        rivals = [name for name, value in wanted.items() if value == new and name != old]
+        if rivals:
+            raise ModelError(urdf.path, f"{old!r} and {rivals[0]!r} are both mapped to {new!r}")
     pairs = {old: new for old, new in wanted.items() if old in mine and new in theirs}
     taken = set(pairs.values())
     pairs |= {name: name for name in mine if name in theirs and name not in {*pairs, *taken}}
@@ -134,7 +139,9 @@ def match(
         if joint.name in only_mjcf:
             _delete_joint(spec, joint)
     for joint in root.findall("joint"):
-        joint.set("name", pairs.get(joint.get("name"), joint.get("name")))
+        name = str(joint.get("name"))
+        # One that is left over must not take the name of another.
+        joint.set("name", pairs.get(name, f"{name} (URDF)" if name in theirs else name))
         mimic = joint.find("mimic")
         if mimic is not None:
             joint.remove(mimic)
@@ -175,19 +182,44 @@ def _root_link(root: etree._Element) -> etree._Element:
     return next(link for link in root.findall("link") if link.get("name") not in children)
 
 
-def _strip_roots(root: etree._Element, source: Path, notes: list[str]) -> None:
-    """Takes out root links without mass, as long as they carry one fixed or floating joint."""
+def _strip_roots(
+    root: etree._Element, source: Path, other: parameters.Parameters, notes: list[str]
+) -> etree._Element:
+    """Takes out root links without mass, as long as they carry one fixed or floating joint.
+
+    Where such a link's frame, not that of the base on it, is the one that the MJCF has, the link
+    stays: whichever brings the joints nearer to the MJCF's.
+    """
+    candidates = [(root, list(notes))]
     while True:
-        link = _root_link(root)
+        tree, said = copy.deepcopy(candidates[-1][0]), list(candidates[-1][1])
+        link = _root_link(tree)
         name = link.get("name")
         mass = link.find("inertial/mass")
         heavy = mass is not None and float(mass.get("value")) > 0
-        joints = [joint for joint in root.findall("joint") if _end(joint, "parent") == name]
+        joints = [joint for joint in tree.findall("joint") if _end(joint, "parent") == name]
         if heavy or len(joints) != 1 or joints[0].get("type") not in ("fixed", "floating"):
             break
-        notes.append(f"{source.name}: root link {name!r} has no mass and was left out")
-        root.remove(link)
-        root.remove(joints[0])
+        said.append(f"{source.name}: root link {name!r} has no mass and was left out")
+        tree.remove(link)
+        tree.remove(joints[0])
+        if joints[0].get("type") == "floating":
+            candidates.clear()  # the base cannot stay on a joint that floats by itself
+        candidates.append((tree, said))
+    there = _at_zero(other)
+
+    def distance(tree: etree._Element) -> float:
+        here = _at_zero(_urdf_tree(tree, source))
+        common = [name for name in here if name in there]
+        apart = sum(float(np.linalg.norm(here[name][0] - there[name][0])) for name in common)
+        return round(apart, 6)
+
+    if len(candidates) == 1 or not other.floating:
+        best, said = candidates[-1]  # a fixed base is put where the MJCF has it
+    else:  # the last of the equally good: no needless root
+        best, said = min(reversed(candidates), key=lambda candidate: distance(candidate[0]))
+    notes[:] = said
+    return best
 
 
 def _end(joint: etree._Element, tag: str) -> str:
@@ -227,10 +259,23 @@ def _links(root: etree._Element, robot: Robot) -> dict[str, str]:
 # ------------------------------------------------------------------------------------- the MJCF
 
 
-def _name_joints(spec: mujoco.MjSpec, notes: list[str]) -> None:
+def _name_all(spec: mujoco.MjSpec, taken: set[str], notes: list[str]) -> None:
+    """Names the bodies and joints that have no name, by names that are not taken."""
+
+    def new(name: str, known: set[str]) -> str:
+        while name in known:
+            name += "_"
+        known.add(name)
+        return name
+
+    bodies = {body.name for body in spec.bodies}
+    for number, body in enumerate(spec.bodies):
+        if not body.name:
+            body.name = new(f"body_{number}", bodies)
+    joints = {joint.name for joint in spec.joints} | taken
     for joint in spec.joints:
         if not joint.name and joint.type != mujoco.mjtJoint.mjJNT_FREE:
-            joint.name = f"{joint.parent.name}_joint"
+            joint.name = new(f"{joint.parent.name}_joint", joints)
             notes.append(f"a joint without a name in the MJCF is called {joint.name!r}")
 
 
@@ -332,21 +377,28 @@ def _guess(
     size = max(float(np.linalg.norm(place[0])) for place in place_one.values())
     partner = {one.base: two.base, **pairs}
     guessed: dict[str, str] = {}
-    for name in one.joints:  # parents first
-        parent = partner.get(one.joints[name].parent)
-        if name not in free_one or parent is None:
+
+    def likeness(name: str, other: str) -> float:
+        (here, axis), (there, other_axis) = place_one[name], place_two[other]
+        distance = float(np.linalg.norm(here - there))
+        parallel = abs(float(axis @ other_axis)) > _PARALLEL
+        return distance if parallel and distance < _NEAR * size else np.inf
+
+    for parent in (one.base, *one.joints):  # parents first
+        twin = partner.get(parent)
+        mine = [name for name in one.children(parent) if name in free_one]
+        theirs = [other for other in two.children(twin or "") if other in free_two]
+        if twin is None or not mine or not theirs:
             continue
-        candidates = []
-        for other in free_two:
-            if other in guessed.values() or two.joints[other].parent != parent:
-                continue
-            (here, axis), (there, other_axis) = place_one[name], place_two[other]
-            distance = float(np.linalg.norm(here - there))
-            if abs(float(axis @ other_axis)) > _PARALLEL and distance < _NEAR * size:
-                candidates.append((distance, other))
-        candidates.sort()
-        if candidates and (len(candidates) == 1 or candidates[0][0] < 0.5 * candidates[1][0]):
-            guessed[name] = partner[name] = candidates[0][1]
+        table = np.array([[likeness(name, other) for other in theirs] for name in mine])
+        for row, name in enumerate(mine):
+            column = int(np.argmin(table[row]))
+            least = table[row, column]
+            rivals = np.concatenate(
+                [np.delete(table[row], column), np.delete(table[:, column], row)]
+            )
+            if np.isfinite(least) and (least < 0.5 * rivals).all():
+                guessed[name] = partner[name] = theirs[column]
     return guessed
 
 

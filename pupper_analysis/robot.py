@@ -221,6 +221,8 @@ def build_robot(
     floating = bool((mj_model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any())
     joint_names = _actuator_order(mj_model, description.mjcf_source)
     mj_base = _base_body(mj_model, floating, joint_names)
+    if not floating:
+        mj_base = _same_base(mj_model, mj_base, description.urdf)
     mj_convention = MujocoConvention.of(mj_model, joint_names)
     pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
@@ -384,6 +386,17 @@ def _base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]
     while model.body_weldid[base] != 0:
         base = int(model.body_parentid[base])
     return str(model.body(base).name)
+
+
+def _same_base(model: mujoco.MjModel, base: str, urdf: str) -> str:
+    """Returns the static body that is named like the URDF's root link, if it carries the base."""
+    root = _root_link(pin.buildModelFromXML(urdf))
+    body = model.body(base).id
+    while body != 0:
+        if model.body(body).name == root:
+            return root
+        body = int(model.body_parentid[body])
+    return base
 
 
 def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[int, Array]:

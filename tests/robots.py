@@ -1,0 +1,370 @@
+"""Small robots that are written as URDF and as MJCF from one list of parts, to be changed in one.
+
+The files are independent of the package: plain text, one element a line, 17 digits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pupper_analysis.comparison import Comparison, compare_models
+from pupper_analysis.explain import Explanation, Tolerances, explain
+from pupper_analysis.loading import read_mjcf, read_urdf
+from pupper_analysis.matching import Match, match
+from pupper_analysis.robot import Robot
+
+NOTHING = (0.0, 0.0, 0.0)
+STRAIGHT = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A link, and the joint that moves it (the base has none)."""
+
+    link: str
+    parent: str = ""
+    joint: str = ""
+    kind: str = "revolute"
+    position: Sequence[float] = NOTHING
+    quaternion: Sequence[float] = STRAIGHT  # (w, x, y, z)
+    axis: Sequence[float] = (1.0, 0.0, 0.0)
+    mass: float = 1.0
+    com: Sequence[float] = NOTHING
+    inertia: Sequence[float] = (0.01, 0.01, 0.01, 0.0, 0.0, 0.0)  # xx yy zz xy xz yz
+    lower: float = -1.0
+    upper: float = 1.0
+    effort: float = 5.0
+    damping: float = 0.1
+    friction: float = 0.2
+    armature: float = 0.01
+
+
+class Frame(NamedTuple):
+    name: str
+    link: str
+    position: Sequence[float]
+
+
+class Files(NamedTuple):
+    urdf: Path
+    mjcf: Path
+
+
+Parts = dict[str, Part]
+
+FEET = [Frame(f"foot{leg}", f"shank{leg}", (0.002, 0.0, -0.2)) for leg in range(4)]
+
+
+def quadruped() -> Parts:
+    """A base with four legs of two hinges; no two bodies are alike, nor any frame straight."""
+    parts = [
+        Part(
+            "base",
+            mass=6.0,
+            com=(0.01, 0.002, -0.005),
+            inertia=(0.03, 0.09, 0.1, 2e-4, 1e-3, -4e-5),
+        )
+    ]
+    for leg in range(4):
+        x, y = (0.2 if leg < 2 else -0.2), (0.1 if leg % 2 else -0.1)
+        more = 1 + 0.05 * leg
+        parts += [
+            Part(
+                f"thigh{leg}", "base", f"hip{leg}", position=(x, y, 0.01),
+                quaternion=_unit(1.0, 0.1 * leg, 0.05, -0.1), axis=(1.0, 0.0, 0.0),
+                mass=1.0 * more, com=(0.01, 0.02 * more, -0.03),
+                inertia=(0.005, 0.005 * more, 0.0022, 1e-4, -3e-4, 8e-4),
+                lower=-1.0 - 0.01 * leg, upper=0.9, effort=20.0 + leg,
+            ),
+            Part(
+                f"shank{leg}", f"thigh{leg}", f"knee{leg}", position=(0.0, 0.08, -0.2),
+                quaternion=_unit(1.0, 0.0, 0.2, 0.03 * leg), axis=(0.0, 1.0, 0.0),
+                mass=0.2 * more, com=(0.004, 0.001, -0.12),
+                inertia=(0.0015, 0.0014 * more, 3e-4, 1e-6, 2e-5, 3e-6),
+                lower=-2.5, upper=-0.5 - 0.01 * leg, effort=35.0 + leg, armature=0.02,
+            ),
+        ]  # fmt: skip
+    return {part.link: part for part in parts}
+
+
+def arm() -> Parts:
+    """A fixed base, a continuous joint, a hinge and a slide in a row."""
+    parts = [
+        Part("base", mass=3.0, com=(0.0, 0.01, 0.02)),
+        Part("column", "base", "turn", "continuous", (0.0, 0.0, 0.1), axis=(0.0, 0.0, 1.0)),
+        Part(
+            "boom", "column", "lift", "revolute", (0.05, 0.0, 0.2), _unit(1.0, 0.1, 0.0, 0.3),
+            axis=(0.0, 1.0, 0.0), com=(0.2, 0.0, 0.0), inertia=(0.02, 0.04, 0.05, 1e-3, 0.0, 0.0),
+        ),
+        Part(
+            "rod", "boom", "push", "prismatic", (0.4, 0.0, 0.0), axis=(1.0, 0.0, 0.0), mass=0.5,
+            com=(0.1, 0.0, 0.01), lower=0.0, upper=0.3,
+        ),
+    ]  # fmt: skip
+    return {part.link: part for part in parts}
+
+
+def pendulum(**values: Any) -> Parts:
+    """A point mass on a rod, on a fixed base: what it does is known in closed form."""
+    bob = Part("bob", "base", "swing", "revolute", (0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0))
+    bob = replace(bob, mass=2.0, com=(0.0, 0.0, -0.5), inertia=(1e-3, 1e-3, 1e-3, 0, 0, 0))
+    return {"base": Part("base", mass=1.0), "bob": replace(bob, **values)}
+
+
+def _unit(*quaternion: float) -> tuple[float, ...]:
+    return tuple(np.array(quaternion) / np.linalg.norm(quaternion))
+
+
+def changed(parts: Parts, link: str, **values: Any) -> Parts:
+    """The parts with one of them changed."""
+    return {**parts, link: replace(parts[link], **values)}
+
+
+def all_changed(parts: Parts, **values: Any) -> Parts:
+    return {name: replace(part, **values) for name, part in parts.items()}
+
+
+def turned_about(part: Part, axis: Sequence[float], angle: float) -> tuple[float, ...]:
+    """The quaternion of a part that is turned by an angle about an axis in its own frame."""
+    turn = Rotation.from_rotvec(angle * np.array(axis))
+    rotation = Rotation.from_quat(part.quaternion, scalar_first=True) * turn
+    return tuple(rotation.as_quat(scalar_first=True))
+
+
+# ------------------------------------------------------------------------------------- writing
+
+
+def numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def urdf_text(parts: Parts, frames: Iterable[Frame] = FEET, name: str = "machine") -> str:
+    lines = [f'<robot name="{name}">']
+    for part in parts.values():
+        xx, yy, zz, xy, xz, yz = (repr(float(value)) for value in part.inertia)
+        lines += [f'<link name="{part.link}">']
+        if part.mass:
+            lines += [
+                "<inertial>",
+                f'<origin xyz="{numbers(part.com)}"/>',
+                f'<mass value="{part.mass!r}"/>',
+                f'<inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="{xy}" ixz="{xz}" iyz="{yz}"/>',
+                "</inertial>",
+            ]
+        lines += ["</link>"]
+        if not part.parent:
+            continue
+        rotation = Rotation.from_quat(part.quaternion, scalar_first=True)
+        lines += [
+            f'<joint name="{part.joint}" type="{part.kind}">',
+            f'<origin xyz="{numbers(part.position)}" rpy="{numbers(rotation.as_euler("xyz"))}"/>',
+            f'<parent link="{part.parent}"/>',
+            f'<child link="{part.link}"/>',
+        ]
+        if part.kind != "fixed":
+            limits = f'lower="{part.lower!r}" upper="{part.upper!r}" '
+            limits = "" if part.kind == "continuous" else limits
+            lines += [
+                f'<axis xyz="{numbers(part.axis)}"/>',
+                f'<limit {limits}effort="{part.effort!r}" velocity="10"/>',
+                f'<dynamics damping="{part.damping!r}" friction="{part.friction!r}"/>',
+            ]
+        lines += ["</joint>"]
+    for frame in frames:
+        if frame.link in parts:
+            lines += [
+                f'<link name="{frame.name}"/>',
+                f'<joint name="to_{frame.name}" type="fixed">',
+                f'<origin xyz="{numbers(frame.position)}"/>',
+                f'<parent link="{frame.link}"/>',
+                f'<child link="{frame.name}"/>',
+                "</joint>",
+            ]
+    return "\n".join([*lines, "</robot>"]) + "\n"
+
+
+def mjcf_text(
+    parts: Parts,
+    frames: Iterable[Frame] = FEET,
+    *,
+    free: bool = True,
+    base_position: Sequence[float] = NOTHING,
+    backwards: bool = False,
+    extra: str = "",
+    scene: str = "",
+) -> str:
+    """An MJCF; with the joints' order reversed if wanted, and other sections or bodies."""
+    frames = list(frames)
+    lines = ['<mujoco model="machine">', '<compiler angle="radian"/>', "<worldbody>", scene]
+
+    def body(part: Part) -> None:
+        place = numbers(part.position if part.parent else base_position)
+        xx, yy, zz, xy, xz, yz = part.inertia
+        lines.append(f'<body name="{part.link}" pos="{place}" quat="{numbers(part.quaternion)}">')
+        if not part.parent:
+            lines.extend(["<freejoint/>"] if free else [])
+        elif part.kind != "fixed":
+            limits = "" if part.kind == "continuous" else f'range="{part.lower!r} {part.upper!r}" '
+            kind = "slide" if part.kind == "prismatic" else "hinge"
+            lines.append(
+                f'<joint name="{part.joint}" type="{kind}" axis="{numbers(part.axis)}" {limits}'
+                f'damping="{part.damping!r}" frictionloss="{part.friction!r}" '
+                f'armature="{part.armature!r}"/>'
+            )
+        if part.mass:
+            lines.append(
+                f'<inertial pos="{numbers(part.com)}" mass="{part.mass!r}" '
+                f'fullinertia="{numbers((xx, yy, zz, xy, xz, yz))}"/>'
+            )
+        for frame in frames:
+            if frame.link == part.link:
+                lines.append(f'<site name="{frame.name}" pos="{numbers(frame.position)}"/>')
+        children = [child for child in parts.values() if child.parent == part.link]
+        for child in reversed(children) if backwards else children:
+            body(child)
+        lines.append("</body>")
+
+    body(next(part for part in parts.values() if not part.parent))
+    lines += ["</worldbody>", "<actuator>"]
+    moving = [part for part in parts.values() if part.parent and part.kind != "fixed"]
+    for part in reversed(moving) if backwards else moving:
+        control = f'ctrlrange="{-part.effort!r} {part.effort!r}"'
+        lines.append(f'<motor name="m_{part.joint}" joint="{part.joint}" {control}/>')
+    return "\n".join([*lines, "</actuator>", extra, "</mujoco>"]) + "\n"
+
+
+def turned_frames(model: mujoco.MjModel, seed: int) -> str:
+    """Describes a compiled robot anew, with the frame of every body but the base turned at random.
+
+    Bodies' poses, their children's, inertials, joints' axes and anchors, sites and geoms are all
+    given in the turned frames, so that it is the same robot.
+    """
+    random = np.random.default_rng(seed)
+    free = mujoco.mjtJoint.mjJNT_FREE.value
+    turns = {0: Rotation.identity()}
+    for index in range(1, model.nbody):
+        base = model.body_parentid[index] == 0
+        turns[index] = Rotation.identity() if base else Rotation.random(rng=random)
+
+    def pose(body: int, pos: np.ndarray, quat: np.ndarray, own: Rotation | None = None) -> str:
+        inverse = turns[body].inv()
+        rotation = inverse * Rotation.from_quat(quat, scalar_first=True)
+        rotation = rotation * own if own is not None else rotation
+        place = numbers(inverse.apply(pos))
+        return f'pos="{place}" quat="{numbers(rotation.as_quat(scalar_first=True))}"'
+
+    lines = ['<mujoco model="turned">', '<compiler angle="radian"/>', "<worldbody>"]
+
+    def body(index: int) -> None:
+        parent, inverse = int(model.body_parentid[index]), turns[index].inv()
+        place = pose(parent, model.body_pos[index], model.body_quat[index], turns[index])
+        lines.append(f'<body name="{model.body(index).name}" {place}>')
+        if model.body_mass[index] > 0:
+            place = pose(index, model.body_ipos[index], model.body_iquat[index])
+            moments = numbers(model.body_inertia[index])
+            mass = repr(float(model.body_mass[index]))
+            lines.append(f'<inertial {place} mass="{mass}" diaginertia="{moments}"/>')
+        for joint in range(model.njnt):
+            if model.jnt_bodyid[joint] != index:
+                continue
+            dof, name = model.jnt_dofadr[joint], model.joint(joint).name
+            if model.jnt_type[joint] == free:
+                lines.append(f'<freejoint name="{name}"/>' if name else "<freejoint/>")
+                continue
+            slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE.value
+            limits = ""
+            if model.jnt_limited[joint]:
+                limits = f'range="{numbers(model.jnt_range[joint])}"'
+            lines.append(
+                f'<joint name="{name}" type="{"slide" if slides else "hinge"}" '
+                f'pos="{numbers(inverse.apply(model.jnt_pos[joint]))}" '
+                f'axis="{numbers(inverse.apply(model.jnt_axis[joint]))}" {limits} '
+                f'damping="{float(model.dof_damping[dof])!r}" '
+                f'armature="{float(model.dof_armature[dof])!r}" '
+                f'frictionloss="{float(model.dof_frictionloss[dof])!r}"/>'
+            )
+        for site in range(model.nsite):
+            if model.site_bodyid[site] == index:
+                place = pose(index, model.site_pos[site], model.site_quat[site])
+                lines.append(f'<site name="{model.site(site).name}" {place}/>')
+        for geom in range(model.ngeom):
+            if model.geom_bodyid[geom] == index:
+                place = pose(index, model.geom_pos[geom], model.geom_quat[geom])
+                lines.append(f'<geom type="box" size="0.01 0.02 0.03" mass="0" {place}/>')
+        for child in range(1, model.nbody):
+            if model.body_parentid[child] == index:
+                body(child)
+        lines.append("</body>")
+
+    for child in range(1, model.nbody):
+        if model.body_parentid[child] == 0:
+            body(child)
+    lines += ["</worldbody>", "<actuator>"]
+    for actuator in range(model.nu):
+        joint = model.joint(int(model.actuator_trnid[actuator, 0])).name
+        limits = []
+        for word, limited, values in (
+            ("ctrlrange", model.actuator_ctrllimited, model.actuator_ctrlrange),
+            ("forcerange", model.actuator_forcelimited, model.actuator_forcerange),
+        ):
+            if limited[actuator]:
+                limits.append(f'{word}="{numbers(values[actuator])}"')
+        lines.append(f'<motor joint="{joint}" {" ".join(limits)}/>')
+    return "\n".join([*lines, "</actuator>", "</mujoco>"]) + "\n"
+
+
+def write(folder: Path, urdf: str, mjcf: str, stem: str = "robot") -> Files:
+    files = Files(folder / f"{stem}.urdf", folder / f"{stem}.xml")
+    files.urdf.write_text(urdf)
+    files.mjcf.write_text(mjcf)
+    return files
+
+
+def write_parts(folder: Path, urdf: Parts, mjcf: Parts, **options: Any) -> Files:
+    return write(folder, urdf_text(urdf), mjcf_text(mjcf, **options))
+
+
+# ------------------------------------------------------------------------------------- using
+
+
+def matched(files: Files, **options: Any) -> Match:
+    return match(read_urdf(files.urdf), read_mjcf(files.mjcf), **options)
+
+
+def robot_of(folder: Path, urdf: Parts, mjcf: Parts, **options: Any) -> Robot:
+    return matched(write_parts(folder, urdf, mjcf, **options)).robot
+
+
+def explained(
+    folder: Path,
+    urdf: Parts,
+    mjcf: Parts,
+    tolerances: Tolerances | None = None,
+    **options: Any,
+) -> Explanation:
+    return explain(robot_of(folder, urdf, mjcf, **options), tolerances=tolerances)
+
+
+def compared(files: Files, **options: Any) -> Comparison:
+    return compare_models(files.urdf, files.mjcf, **{"configurations": 2, **options})
+
+
+def found(result: Explanation | Comparison) -> list[tuple[str, str]]:
+    """The kind and element of each difference, in their order."""
+    return [(difference.kind, difference.element) for difference in result.differences]
+
+
+def line_at(place: str | None, files: Mapping[str, Path]) -> str:
+    """The line of text at a place ``file:line``."""
+    assert place is not None
+    name, _, line = place.rpartition(":")
+    assert line.isdigit(), f"no line: {place}"
+    path = next(path for key, path in files.items() if name.endswith(key))
+    return path.read_text().splitlines()[int(line) - 1]

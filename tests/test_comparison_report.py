@@ -1,0 +1,257 @@
+"""What is printed: the first cause first, groups, all of it when asked, and nothing cut off."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from rich.console import Console
+from robots import (
+    FEET,
+    Files,
+    Parts,
+    all_changed,
+    changed,
+    compared,
+    mjcf_text,
+    quadruped,
+    urdf_text,
+    write,
+    write_parts,
+)
+
+from pupper_analysis.comparison import Comparison
+from pupper_analysis.comparison_report import SHOWN, cases, print_models, remarks
+from pupper_analysis.explain import Tolerances
+from pupper_analysis.formats import github, junit
+
+
+def printed(comparison: Comparison, everything: bool = False, width: int = 100) -> str:
+    text = io.StringIO()
+    print_models(Console(file=text, width=width), comparison, everything=everything)
+    return text.getvalue()
+
+
+def lines(comparison: Comparison, everything: bool = False) -> list[str]:
+    return printed(comparison, everything).splitlines()
+
+
+def many(parts: Parts) -> Parts:
+    """Every mass differs by another amount, every com, and each limit."""
+    result = dict(parts)
+    for number, name in enumerate(parts, start=1):
+        part = parts[name]
+        x, y, z = part.com
+        result = changed(
+            result, name, mass=part.mass * (1 + 0.01 * number), com=(x + 1e-4 * number, y, z)
+        )
+        result = changed(result, name, lower=part.lower - 0.01 * number)
+    return result
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Files:
+    mjcf = changed(all_changed(quadruped(), damping=0.3), "base", mass=7.5)
+    return write_parts(tmp_path, quadruped(), mjcf)
+
+
+def test_the_verdict_names_the_first_cause(files: Files) -> None:
+    verdict = next(line for line in lines(compared(files)) if not line.startswith("note: "))
+    assert verdict == ("DISAGREE: body of base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)")
+
+
+def test_agreement_is_said(tmp_path: Path) -> None:
+    text = lines(compared(write_parts(tmp_path, quadruped(), quadruped())))
+    assert "AGREE: no difference within the tolerances" in text
+    assert not any(line.startswith("1.") for line in text)
+
+
+def test_joints_of_one_file_alone_are_the_cause(tmp_path: Path) -> None:
+    parts = quadruped()
+    still = changed(parts, "shank3", kind="fixed")
+    comparison = compared(write_parts(tmp_path, still, parts))
+    text = printed(comparison)
+    assert "DISAGREE: they do not have the same joints" in text
+    assert f"only in {comparison.mjcf}, fixed at zero to compare the rest: knee3" in text
+
+
+def test_guessed_pairs_are_named(tmp_path: Path) -> None:
+    urdf = changed(quadruped(), "shank3", joint="lh_kfe")
+    text = printed(compared(write_parts(tmp_path, urdf, quadruped())))
+    assert "matched by structure, not by name (confirm with --map): lh_kfe=knee3" in text
+
+
+def test_differences_alike_are_one_group(files: Files) -> None:
+    text = lines(compared(files))
+    group = next(line for line in text if line.startswith("2."))
+    assert "damping 0.1 N m s/rad in the URDF, 0.3 N m s/rad in the MJCF" in group
+    assert "likewise on 7 more: " in group
+    assert not any(line.startswith("3.") for line in text)
+
+
+def test_all_names_of_a_group_are_printed_with_all(files: Files) -> None:
+    group = next(line for line in lines(compared(files), True) if line.startswith("2."))
+    assert "…" not in group
+    for joint in (f"{kind}{leg}" for kind in ("hip", "knee") for leg in range(4)):
+        assert joint in group
+
+
+def test_places_and_effects_are_printed(files: Files) -> None:
+    text = printed(compared(files))
+    assert re.search(r"^   \S*robot.urdf:5   \S*robot.xml:7$", text, re.MULTILINE)
+    assert "   alone it makes, of the deviation in: " in text
+    assert "gravity 100% (1.3e-01)" in text  # 1.5 kg of 11.16 kg
+
+
+def test_no_effect_is_said(tmp_path: Path) -> None:
+    comparison = compared(
+        write_parts(tmp_path, quadruped(), changed(quadruped(), "thigh0", friction=0.9))
+    )
+    assert "   no effect on the dynamics\n" in printed(comparison)
+
+
+def test_the_rest_is_counted_and_printed_with_all(tmp_path: Path) -> None:
+    comparison = compared(write_parts(tmp_path, quadruped(), many(quadruped())))
+    count = len(comparison.differences)
+    assert count > SHOWN
+    short, full = lines(comparison), lines(comparison, True)
+    assert f"… and {count - SHOWN} more with less effect; --all prints them" in short
+    assert not any(line.startswith(f"{SHOWN + 1}. ") for line in short)
+    assert any(line.startswith(f"{count}. ") for line in full)
+    for difference in comparison.differences:
+        assert any(difference.message in line for line in full)
+
+
+def test_what_is_left_is_printed(files: Files) -> None:
+    text = printed(compared(files))
+    assert "explained: 100 % of the deviation; with the MJCF's values in the URDF's model " in text
+    assert "something is missing" not in text
+
+
+LONG = "knee_of_the_left_hind_leg_whose_name_is_as_long_as_a_whole_line_of_a_terminal_is_wide_1"
+
+
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_nothing_is_cut_off(tmp_path: Path, width: int) -> None:
+    urdf = changed(quadruped(), "shank1", joint=LONG)
+    mjcf = changed(changed(quadruped(), "shank1", joint=LONG), "shank1", mass=0.9)
+    comparison = compared(write_parts(tmp_path, urdf, mjcf))
+    text = printed(comparison, True, width)
+    assert f"body of {LONG}: mass 0.21 kg in the URDF, 0.9 kg in the MJCF" in text
+    for quantity in comparison.check.quantities:
+        row = next(line for line in text.splitlines() if line.startswith(quantity.name))
+        for relative in quantity.edges.values():
+            assert f"{relative:.1e}" in row
+    assert "…" not in text
+
+
+def test_brackets_in_names_are_printed(tmp_path: Path) -> None:
+    """Names that look like markup are not taken for it."""
+    mjcf = changed(changed(quadruped(), "shank1", joint="[red]knee"), "shank1", mass=0.9)
+    urdf = changed(quadruped(), "shank1", joint="[red]knee")
+    files = write(tmp_path, urdf_text(urdf), mjcf_text(mjcf), stem="go[blue]1")
+    text = printed(compared(files))
+    assert "body of [red]knee" in text
+    assert "go[blue]1.urdf:" in text
+    assert "go[blue]1.xml:" in text
+
+
+# ------------------------------------------------------------------------------------- machines
+
+
+def test_a_remark_for_each_difference(files: Files) -> None:
+    comparison = compared(files)
+    found = remarks(comparison)
+    assert len(found) == len(comparison.differences) == 9
+    first = found[0]
+    assert (first.level, first.title) == ("error", "mass of base")
+    assert first.message.startswith(comparison.differences[0].message)
+    assert "robot.xml:7" in first.message
+    assert str(first.place).endswith("robot.urdf:5")
+
+
+def test_remarks_on_joints_left_over_and_guessed(tmp_path: Path) -> None:
+    urdf = changed(changed(quadruped(), "shank3", kind="fixed"), "thigh0", joint="lf_haa")
+    comparison = compared(write_parts(tmp_path, urdf, quadruped()))
+    found = {remark.title: remark for remark in remarks(comparison)}
+    assert found["joint knee3"].level == "error"
+    assert found["joint knee3"].message == f"joint knee3 is not in {comparison.urdf}"
+    assert found["joint knee3"].place == comparison.mjcf
+    assert found["guessed joints"].level == "warning"
+    assert "lf_haa=hip0" in found["guessed joints"].message
+
+
+def test_remarks_stand_at_the_path_that_was_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GitHub shows a remark only at a path from the repository's root."""
+    (tmp_path / "models").mkdir()
+    mjcf = changed(quadruped(), "base", mass=7.5)
+    write_parts(tmp_path / "models", quadruped(), mjcf)
+    monkeypatch.chdir(tmp_path)
+    comparison = compared(Files(Path("models/robot.urdf"), Path("models/robot.xml")))
+    assert github(remarks(comparison)).startswith("::error file=models/robot.urdf,line=5,title=")
+
+
+def test_no_remarks_where_the_models_agree(tmp_path: Path) -> None:
+    assert remarks(compared(write_parts(tmp_path, quadruped(), quadruped()))) == []
+
+
+def failures(comparison: Comparison) -> dict[str, str]:
+    root = ElementTree.fromstring(junit("suite", cases(comparison)))
+    failed = [case for case in root.iter("testcase") if case.find("failure") is not None]
+    assert int(root.get("failures", "-1")) == len(failed)
+    return {str(case.get("name")): str(case.findtext("failure")) for case in failed}
+
+
+def test_cases_of_an_agreeing_pair_pass(tmp_path: Path) -> None:
+    comparison = compared(write_parts(tmp_path, quadruped(), quadruped()))
+    names = [case.name for case in cases(comparison)]
+    assert failures(comparison) == {}
+    assert names[0] == "the same joints"
+    assert "parameters of knee2" in names
+    assert "mass matrix agree" in names
+    assert names[-1] == "the differences explain the deviations"
+    assert len(names) == len(set(names))
+
+
+def test_every_body_has_a_case_whether_or_not_it_differs(tmp_path: Path) -> None:
+    """Otherwise the number of tests changes with the result."""
+    same = compared(write_parts(tmp_path, quadruped(), quadruped()))
+    other = compared(write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=7.0)))
+    assert {case.name for case in cases(same)} == {case.name for case in cases(other)}
+
+
+def test_failed_cases_tell_what_and_where(files: Files) -> None:
+    failed = failures(compared(files))
+    assert "mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)" in failed["parameters of base"]
+    assert re.search(r"robot.urdf:5, \S*robot.xml:7]", failed["parameters of base"])
+    assert "damping 0.1" in failed["parameters of knee3"]
+    assert "gravity agree" in failed
+    assert "foot positions agree" not in failed
+    assert "the same joints" not in failed
+    assert "the differences explain the deviations" not in failed
+
+
+def test_a_joint_left_over_fails_its_case(tmp_path: Path) -> None:
+    still = changed(quadruped(), "shank3", kind="fixed")
+    failed = failures(compared(write_parts(tmp_path, still, quadruped())))
+    assert failed["the same joints"] == "in one file only: knee3"
+
+
+@pytest.mark.parametrize("case", ["mass", "limit"])
+def test_no_case_fails_where_the_verdict_is_agreement(tmp_path: Path, case: str) -> None:
+    """Else a job is told of failures, with exit status 0."""
+    narrow = all_changed(quadruped(), lower=-0.4, upper=0.4)
+    frames = FEET
+    mjcf, tolerances = narrow, Tolerances()
+    if case == "mass":
+        mjcf, tolerances = changed(narrow, "base", mass=6.3), Tolerances().changed({"mass": 0.1})
+    else:
+        mjcf = changed(narrow, "shank0", lower=-0.4009)  # 0.9 mrad
+    files = write(tmp_path, urdf_text(narrow, frames), mjcf_text(mjcf, frames))
+    comparison = compared(files, tolerances=tolerances)
+    assert comparison.agree == (failures(comparison) == {})

@@ -1,0 +1,111 @@
+"""GitHub's workflow commands and JUnit's XML, as their readers take them apart."""
+
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pupper_analysis.formats import Annotation, Case, github, junit
+
+
+def read_command(line: str) -> tuple[str, dict[str, str], str]:
+    """Reads a workflow command as GitHub's runner does (ActionCommand.cs)."""
+    parts = re.fullmatch(r"::(\w+) ?(.*?)::(.*)", line)
+    assert parts is not None, line
+    properties = {}
+    for text in parts[2].split(","):
+        name, _, value = text.partition("=")
+        for escaped, plain in (("%0D", "\r"), ("%0A", "\n"), ("%3A", ":"), ("%2C", ",")):
+            value = value.replace(escaped, plain)
+        properties[name] = value.replace("%25", "%")
+    message = parts[3].replace("%0D", "\r").replace("%0A", "\n").replace("%25", "%")
+    return parts[1], properties, message
+
+
+def test_a_place_with_a_line() -> None:
+    remark = Annotation("error", "mass of base", "too heavy", "models/go1.xml:84")
+    assert github([remark]) == ("::error file=models/go1.xml,line=84,title=mass of base::too heavy")
+
+
+@pytest.mark.parametrize(
+    ("place", "parameters"),
+    [
+        (None, "title=t"),
+        ("", "title=t"),
+        ("robot.urdf", "file=robot.urdf,title=t"),
+        ("C:/models/robot.urdf", "file=C%3A/models/robot.urdf,title=t"),
+        ("C:/models/robot.urdf:7", "file=C%3A/models/robot.urdf,line=7,title=t"),
+        ("a,b.urdf:7", "file=a%2Cb.urdf,line=7,title=t"),
+        ("50%.urdf:7", "file=50%25.urdf,line=7,title=t"),
+    ],
+)
+def test_places(place: str | None, parameters: str) -> None:
+    assert github([Annotation("warning", "t", "m", place)]) == f"::warning {parameters}::m"
+
+
+def test_what_is_escaped() -> None:
+    line = github([Annotation("notice", "a: b, c %\nd", "5 %: a, b\r\n100 %25", None)])
+    assert line == "::notice title=a%3A b%2C c %25%0Ad::5 %25: a, b%0D%0A100 %2525"
+    assert "\n" not in line
+
+
+def test_one_line_each() -> None:
+    assert github([]) == ""
+    two = github([Annotation("error", "a", "x"), Annotation("error", "b", "y")])
+    assert two.splitlines() == ["::error title=a::x", "::error title=b::y"]
+
+
+TEXT = st.text(st.sampled_from("ab%:,\n\r=0A25D3C ") | st.characters(codec="utf-8"), max_size=30)
+
+
+@given(title=TEXT, message=TEXT)
+def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
+    level, properties, read = read_command(github([Annotation("error", title, message, "r.xml:3")]))
+    assert level == "error"
+    assert properties["file"] == "r.xml"
+    assert properties["line"] == "3"
+    if "%3A" not in title and "%2C" not in title and "%0" not in title:  # as GitHub reads
+        assert properties["title"] == title
+    if "%0" not in message:
+        assert read == message
+
+
+def test_junit_counts() -> None:
+    cases = [Case("masses"), Case("limits", "0.9 rad\nand 1.1 rad"), Case("a < b & c", "5 % > 4 %")]
+    root = ElementTree.fromstring(junit("go1.urdf against go1.xml", cases))
+    assert root.tag == "testsuites"
+    (suite,) = root
+    for element in (root, suite):
+        assert element.get("tests") == "3"
+        assert element.get("failures") == "2"
+        assert element.get("errors") == element.get("skipped") == "0"
+    assert suite.get("name") == "go1.urdf against go1.xml"
+    assert [case.get("name") for case in suite] == ["masses", "limits", "a < b & c"]
+    assert [len(case) for case in suite] == [0, 1, 1]
+    assert suite[1][0].text == "0.9 rad\nand 1.1 rad"
+    assert suite[2][0].get("message") == "5 % > 4 %"
+
+
+def test_junit_without_cases() -> None:
+    root = ElementTree.fromstring(junit("empty", []))
+    assert root.get("tests") == "0"
+
+
+CHARACTERS = st.characters(
+    codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufffe\uffff"
+)
+PRINTABLE = st.text(CHARACTERS, max_size=30)
+
+
+@given(names=st.lists(PRINTABLE, max_size=4), failure=st.none() | PRINTABLE)
+def test_junit_is_xml_whatever_the_names(names: list[str], failure: str | None) -> None:
+    text = junit("suite", (Case(name, failure) for name in names))
+    root = ElementTree.fromstring(text.encode())
+    assert [case.get("name") for case in root.iter("testcase")] == names
+    assert int(root.get("failures", "-1")) == (0 if failure is None else len(names))
+    for element in root.iter("failure"):
+        assert element.get("message") == failure
