@@ -27,8 +27,6 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
         comparison: The comparison.
         everything: Print all differences, however many.
     """
-    for note in _matching_notes(comparison):
-        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
     groups = _groups(comparison.differences)
     verdict = "[bold green]AGREE[/]" if comparison.agree else "[bold red]DISAGREE[/]"
     first = groups[0][0].message if groups else "no difference within the tolerances"
@@ -49,6 +47,8 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
             soft_wrap=True,
         )
     _print_quantities(out, comparison)
+    for note in _matching_notes(comparison):
+        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
 
 
 def _matching_notes(comparison: Comparison) -> Iterable[str]:
