@@ -21,8 +21,8 @@ from pupper_analysis.task import StandTask
 
 Array = NDArray[np.float64]
 
-SAGGING_SECONDS = 12.0
-"""Without feed-forward a robot on soft servos sinks slowly: this long it is watched."""
+SECONDS = 12.0
+"""Simulated time: without feed-forward a robot on soft servos sinks slowly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +149,7 @@ def analyze_variant(
     stand = solve_stand(robot, task)
     config = Configuration(robot, stand.qpos)
     rest = Configuration(robot, robot.neutral())
-    verification = verify_stand(robot, stand)
+    verification = verify_stand(robot, stand, duration=SECONDS)
     check = cross_check(robot)
     failures = list(verification.failures)
     failures += [
@@ -177,7 +177,7 @@ def analyze_variant(
         hanging_torques=gravity_compensation(config, contacts=[]).joint_torques,
         foot_jacobians=leg_jacobians(config),
         verification=verification,
-        sagging=verify_stand(robot, stand, feedforward=False, duration=SAGGING_SECONDS),
+        sagging=verify_stand(robot, stand, feedforward=False, duration=SECONDS),
         sweep=sweep_gains(robot, stand, progress=progress),
         check=check,
         verified=not failures,

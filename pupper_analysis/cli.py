@@ -463,6 +463,92 @@ def _write_json(path: Path | None, content: object) -> None:
             temporary.write_text(to_json(content) + "\n")
 
 
+@group.command(context_settings=_CONTEXT, short_help="Solve a stance, and see what it costs.")
+@click.argument("name", default="v3")
+@click.option("--height", type=float, metavar="M", help="Base above the contact points (m).")
+@click.option("--roll", type=float, default=0.0, metavar="RAD", help="Roll of the base (rad).")
+@click.option("--pitch", type=float, default=0.0, metavar="RAD", help="Pitch of the base (rad).")
+@click.option("--yaw", type=float, default=0.0, metavar="RAD", help="Yaw against the feet (rad).")
+@click.option("--offset", metavar="X,Y", help="Base from the centre of the feet (m).")
+@click.option("--com", default="centre", metavar="X,Y", help="Com at (m), or: centre, inside.")
+@click.option("--com-margin", type=float, default=0.0, metavar="M", help="Inside the polygon (m).")
+@click.option(
+    "--joint-margin", type=float, default=0.0, metavar="RAD", help="Off the limits (rad)."
+)
+@click.option("--move", "moves", multiple=True, metavar="FOOT=X,Y", help="Foot off its place (m).")
+@click.option("--lift", "lifts", multiple=True, metavar="FOOT=M", help="Foot lifted by (m).")
+@click.option("--step", "steps", multiple=True, metavar="FOOT=M", help="Step under a foot (m).")
+@click.option("--slope", type=float, default=0.0, metavar="RAD", help="Slope of the ground (rad).")
+@click.option("--uphill", type=float, default=0.0, metavar="RAD", help="Where it rises (rad).")
+@click.option("--envelope", is_flag=True, help="Also how far the base can go from there.")
+@click.option(
+    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
+)
+def stance(
+    name: str,
+    height: float | None,
+    roll: float,
+    pitch: float,
+    yaw: float,
+    offset: str | None,
+    com: str,
+    com_margin: float,
+    joint_margin: float,
+    moves: tuple[str, ...],
+    lifts: tuple[str, ...],
+    steps: tuple[str, ...],
+    slope: float,
+    uphill: float,
+    envelope: bool,
+    json_path: Path | None,
+) -> None:
+    """Solve a stance of a variant; print joint angles, what the motors hold, and whether it lasts.
+
+    A stance that is out of reach is refused with what would be possible. One that is reached but
+    cannot be held (it slides or tips) is told apart.
+
+    \b
+    Examples:
+      pupper-analysis stance v3 --lift FL=0.02 --com inside --com-margin 0.01
+      pupper-analysis stance long-leg --slope 0.1 --uphill 1.57 --pitch 0.05
+      pupper-analysis stance v3 --step FR=0.02 --move RL=-0.01,0.02 --envelope
+
+    \b
+    Exit status: 0 it holds, 1 it fails in simulation, 2 out of reach, not holdable or bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis import report, stance_report
+    from pupper_analysis.robot import load_variant
+    from pupper_analysis.task import Ground, StandTask
+
+    task = StandTask(
+        height=height,
+        roll=roll,
+        pitch=pitch,
+        yaw=yaw,
+        offset=None if offset is None else _place("offset", offset),
+        com=com if com in ("centre", "inside") else _place("com", com),
+        com_margin=com_margin,
+        joint_margin=joint_margin,
+        foot_offsets={f: _place("move", p) for f, p in (_assignment("move", m) for m in moves)},
+        lifted=dict(_number("lift", text) for text in lifts),
+        ground=Ground(slope, uphill, dict(_number("step", text) for text in steps)),
+    )
+    _check_outputs([], json_path)
+    result = stance_report.study(load_variant(name), task, envelope=envelope)
+    stance_report.print_stance(report.console(), result)
+    _write_json(json_path, result)
+    if not result.verification.passed:
+        click.get_current_context().exit(FAILED)
+
+
+def _place(option: str, text: str) -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise ConfigurationError(option, f"{text!r} is not of the form X,Y (m)") from error
+    return x, y
+
+
 @group.command(context_settings=_CONTEXT, short_help="Show Pupper v3 in MuJoCo's viewer.")
 @click.option("--fixed", is_flag=True, help="Fix the base in the air; else it falls and lands.")
 @click.option("--headless", is_flag=True, help="Open no window: print the model and its IMU.")

@@ -123,15 +123,13 @@ def _offset(start: Stand) -> Array:
 
 
 def _reached(robot: Robot, start: Stand, direction: str, value: float) -> bool:
+    changes: dict[str, Any] = {direction: value}
     if direction in ("x", "y"):
         x, y = _offset(start)
         place = (value, float(y)) if direction == "x" else (float(x), value)
-        task = replace(start.task, com="centre", com_margin=0.0, offset=place)
-    else:
-        changes: dict[str, Any] = {direction: value}
-        task = replace(start.task, **changes)
+        changes = {"com": "centre", "com_margin": 0.0, "offset": place}
     try:
-        stand = solve_stand(robot, task, explain=False)
+        stand = solve_stand(robot, replace(start.task, **changes), explain=False)
     except (StanceUnreachableError, ConfigurationError):
         return False
     return direction not in ("x", "y") or _inside(robot, stand)

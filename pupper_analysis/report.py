@@ -16,6 +16,8 @@ from rich.table import Table
 from pupper_analysis.analysis import Analysis
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
+from pupper_analysis.simulation import StandVerification
+from pupper_analysis.statics import GravityCompensation
 from pupper_analysis.variants import VariantSpec
 
 Array = NDArray[np.float64]
@@ -169,7 +171,34 @@ def _print_jacobians(out: Console, analysis: Analysis) -> None:
 
 
 def _print_statics(out: Console, analysis: Analysis) -> None:
-    statics, verification = analysis.statics, analysis.verification
+    print_loads(
+        out,
+        analysis.statics,
+        analysis.verification,
+        [joint.effort for joint in analysis.joints],
+        {"hanging": analysis.hanging_torques},
+        "; hanging: the same pose, base held",
+    )
+
+
+def print_loads(
+    out: Console,
+    statics: GravityCompensation,
+    verification: StandVerification,
+    limits: Sequence[float],
+    more: Mapping[str, Array],
+    explanation: str = "",
+) -> None:
+    """Prints what motors and feet hold, predicted and simulated.
+
+    Args:
+        out: Where to.
+        statics: Of least torque.
+        verification: The simulation.
+        limits: (nu,) of the motors (N m).
+        more: Further columns, {title: (nu,)}.
+        explanation: Of them.
+    """
     table = titled_table(
         out,
         "Motor torques (N m)",
@@ -180,26 +209,26 @@ def _print_statics(out: Console, analysis: Analysis) -> None:
         "",
         "even load",
         "simulated",
-        "hanging",
+        *more,
     )
-    for index, joint in enumerate(analysis.joints):
+    for index, name in enumerate(statics.joint_names):
         utilisation = float(statics.motor_utilisation[index])
         colour = "green" if utilisation < 0.5 else "yellow" if utilisation < 0.9 else "red"
         table.add_row(
-            joint.name,
+            name,
             _number(statics.joint_torques[index]),
-            f"{joint.effort:g}",
+            f"{limits[index]:g}",
             f"{utilisation:.1%}",
             Bar(1.0, 0.0, min(utilisation, 1.0), width=16, color=colour),
             _number(verification.predicted_torques[index]),
             _number(verification.joint_torques[index]),
-            _number(analysis.hanging_torques[index]),
+            *(_number(values[index]) for values in more.values()),
         )
     out.print(table)
     out.print(
         "least torque: the best share that friction allows; even load: vertical forces, which last "
-        "in a simulator,\nwhose friction creeps, and so what the simulation is compared with; "
-        "hanging: the same pose, base held",
+        "in a simulator,\nwhose friction creeps, and so what the simulation is compared with"
+        + explanation,
         style="dim",
     )
     table = titled_table(
@@ -231,7 +260,7 @@ def _print_statics(out: Console, analysis: Analysis) -> None:
 def _print_verification(out: Console, analysis: Analysis) -> None:
     table = titled_table(
         out,
-        "MuJoCo, on the floating base "
+        f"MuJoCo, {analysis.verification.duration:g} s on the floating base "
         f"({analysis.verification.integrator}, {1e3 * analysis.verification.timestep:g} ms; "
         f"kp {_range(analysis.verification.kp)} N m/rad, "
         f"kd {_range(analysis.verification.kd)} N m s/rad)",
@@ -241,7 +270,6 @@ def _print_verification(out: Console, analysis: Analysis) -> None:
     )
     both = (analysis.verification, analysis.sagging)
     rows: list[tuple[str, list[str]]] = [
-        ("simulated time", [f"{run.duration:g} s" for run in both]),
         ("base height", [f"{run.base_height:.5f} m" for run in both]),
         ("loss of height", [f"{1e3 * run.height_loss:.3f} mm" for run in both]),
         ("  servo sag", [f"{_number(1e3 * run.servo_sag, 3, '-')} mm" for run in both]),

@@ -1,0 +1,134 @@
+"""``pupper-analysis stance``: what it prints and writes, its exit status, and bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from pupper_analysis import StandTask, cli, load_variant, stance_report
+
+
+def run(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    """Returns exit status, standard output and standard error; in this process, to save time."""
+    with pytest.raises(SystemExit) as leaving:
+        cli.run(cli.group, ["stance", *arguments])
+    out, err = capfd.readouterr()
+    return int(leaving.value.code or 0), out, err
+
+
+def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
+    arguments = ("v3", "--lift", "FL=0.02", "--com", "inside", "--com-margin", "0.01")
+    status, out, err = run(capfd, *arguments, "--json", str(path))
+    assert status == 0, err
+    assert "FL lifted 20 mm" in out
+    assert "HOLDS in MuJoCo" in out
+    content = json.loads(path.read_text())
+    forces = content["statics"]["contact_forces"]
+    assert set(forces) == {"FR", "RR", "RL"}
+    weight = 3.170 * 9.81
+    assert sum(force[2] for force in forces.values()) == pytest.approx(weight, rel=1e-3)
+    assert content["statics"]["com_margin"] > 0.01
+    assert content["settled"] is None
+    assert "level ground" in content["unsettled"]
+    assert content["payload"]["mass"] > 0
+
+
+def test_every_option_reaches_the_task(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
+    status, out, err = run(
+        capfd,
+        "v3-heavy",
+        *("--height", "0.12", "--roll", "0.02", "--pitch", "-0.03", "--yaw", "0.04"),
+        *("--com", "0.005,-0.004", "--com-margin", "0.02", "--joint-margin", "0.05"),
+        *("--move", "RL=-0.01,0.02", "--step", "FR=0.01", "--slope", "0.02", "--uphill", "1.5"),
+        *("--json", str(path)),
+    )
+    assert status == (0 if "HOLDS" in out else 1), err
+    task = json.loads(path.read_text())["stand"]["task"]
+    assert (task["height"], task["roll"], task["pitch"], task["yaw"]) == (0.12, 0.02, -0.03, 0.04)
+    assert task["com"] == [0.005, -0.004]
+    assert (task["com_margin"], task["joint_margin"]) == (0.02, 0.05)
+    assert task["foot_offsets"] == {"RL": [-0.01, 0.02]}
+    assert task["ground"] == {"slope": 0.02, "uphill": 1.5, "heights": {"FR": 0.01}}
+
+
+def test_envelope_and_offset(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
+    status, out, err = run(
+        capfd,
+        "original",
+        "--offset",
+        "0.01,0",
+        "--envelope",
+        "--json",
+        str(path),
+    )
+    assert status == 0, err
+    assert "How far the base can go" in out
+    content = json.loads(path.read_text())
+    assert content["stand"]["task"]["offset"] == [0.01, 0.0]
+    for direction, interval in content["envelope"]["intervals"].items():
+        assert interval["low"] < interval["high"], direction
+    shift = content["envelope"]["intervals"]["x"]
+    assert shift["low"] < 0.01 < shift["high"]
+
+
+def test_failure_in_simulation_is_exit_status_1(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pupper_analysis import simulation
+
+    monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)
+    status, out, _ = run(capfd, "original")
+    assert status == 1
+    assert "FAILS in MuJoCo: a joint is off by" in out
+
+
+def test_sag_is_that_of_the_simulation() -> None:
+    robot = load_variant("long-leg")
+    result = stance_report.study(robot, StandTask(yaw=0.1))
+    assert result.settled is not None
+    settled = result.settled
+    loss = result.stand.qpos[2] - settled.base_height
+    assert settled.servo_sag + settled.contact_sag == pytest.approx(loss)
+    out = Console(width=120, record=True, quiet=False, file=None, highlight=False)
+    with out.capture() as capture:
+        stance_report.print_stance(out, result)
+    assert f"settles at {settled.base_height:.5f} m" in capture.get()
+
+
+BAD = {
+    "no such robot": (["spot"], "'spot'"),
+    "too high": (["v3", "--height", "0.3"], "height 0.192 m"),
+    "too steep": (["v3", "--slope", "0.9"], "ground slope 37.0 deg"),
+    "below the ground": (["v3", "--height", "-0.1"], "not above the ground"),
+    "not finite": (["v3", "--roll", "nan"], "roll"),
+    "no such foot": (["v3", "--lift", "XX=0.02"], "no foot 'XX'; there are: FR, FL, RR, RL"),
+    "two lifted": (["v3", "--lift", "FL=0.02", "--lift", "FR=0.02"], "only 2 feet carry"),
+    "no height": (["v3", "--lift", "FL"], "'FL' is not of the form NAME=VALUE"),
+    "no number": (["v3", "--step", "FL=high"], "'high' in 'FL=high' is not a number"),
+    "no place": (["v3", "--com", "middle"], "'middle'"),
+    "one coordinate": (["v3", "--move", "FL=0.01"], "not of the form X,Y"),
+    "slides": (["v3", "--slope", "0.8", "--pitch", "-0.8"], "1.030 is needed"),
+    "JSON in a folder": (["v3", "--json", "."], "it is a folder"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_exit_status_2(
+    case: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments, message = BAD[case]
+    monkeypatch.chdir(tmp_path)
+    output = [] if "--json" in arguments else ["--json", "all.json"]
+    status, out, err = run(capfd, *arguments, *output)
+    assert status == 2
+    assert message in err
+    assert err.startswith("error: ")
+    assert len(err.strip().splitlines()) == 1
+    assert out == ""
+    assert list(tmp_path.iterdir()) == []
