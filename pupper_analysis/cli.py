@@ -222,7 +222,8 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> list[s
     from pupper_analysis import figures, render
 
     for robot, analysis in zip(robots, analyses, strict=True):
-        figures.pose_figure(robot, analysis, folder / f"pose_{analysis.name}.png")
+        path = folder / f"pose_{analysis.name}.png"
+        figures.pose_figure(robot, analysis.stand, analysis.statics, path)
     figures.torque_figure(analyses, folder / "torques.png")
     figures.height_figure(analyses, folder / "heights.png")
     figures.gain_figure(analyses, folder / "gains.png")
@@ -481,6 +482,7 @@ def _write_json(path: Path | None, content: object) -> None:
 @click.option("--slope", type=float, default=0.0, metavar="RAD", help="Slope of the ground (rad).")
 @click.option("--uphill", type=float, default=0.0, metavar="RAD", help="Where it rises (rad).")
 @click.option("--envelope", is_flag=True, help="Also how far the base can go from there.")
+@click.option("--figure", type=click.Path(path_type=Path), help="Draw it: a PNG.")
 @click.option(
     "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
 )
@@ -500,6 +502,7 @@ def stance(
     slope: float,
     uphill: float,
     envelope: bool,
+    figure: Path | None,
     json_path: Path | None,
 ) -> None:
     """Solve a stance of a variant; print joint angles, what the motors hold, and whether it lasts.
@@ -511,7 +514,7 @@ def stance(
     Examples:
       pupper-analysis stance v3 --lift FL=0.02 --com inside --com-margin 0.01
       pupper-analysis stance long-leg --slope 0.1 --uphill 1.57 --pitch 0.05
-      pupper-analysis stance v3 --step FR=0.02 --move RL=-0.01,0.02 --envelope
+      pupper-analysis stance v3 --step FR=0.02 --move RL=-0.01,0.02 --envelope --figure s.png
 
     \b
     Exit status: 0 it holds, 1 it fails in simulation, 2 out of reach, not holdable or bad input.
@@ -533,9 +536,15 @@ def stance(
         lifted=dict(_number("lift", text) for text in lifts),
         ground=Ground(slope, uphill, dict(_number("step", text) for text in steps)),
     )
+    _check_outputs([], figure)
     _check_outputs([], json_path)
-    result = stance_report.study(load_variant(name), task, envelope=envelope)
+    robot = load_variant(name)
+    result = stance_report.study(robot, task, envelope=envelope)
     stance_report.print_stance(report.console(), result)
+    if figure is not None:
+        from pupper_analysis import figures
+
+        figures.pose_figure(robot, result.stand, result.statics, figure)
     _write_json(json_path, result)
     if not result.verification.passed:
         click.get_current_context().exit(FAILED)
@@ -547,6 +556,64 @@ def _place(option: str, text: str) -> tuple[float, float]:
     except ValueError as error:
         raise ConfigurationError(option, f"{text!r} is not of the form X,Y (m)") from error
     return x, y
+
+
+@group.command(context_settings=_CONTEXT, short_help="Push robots over: how hard, which way?")
+@click.argument("names", nargs=-1)
+@click.option("--directions", default=12, show_default=True, help="How many, evenly spaced.")
+@click.option(
+    "--resolution", default=0.02, show_default=True, metavar="NS", help="Of the impulses (N s)."
+)
+@click.option("--height", type=float, metavar="M", help="Base above the ground (m).")
+@click.option("--figure", type=click.Path(path_type=Path), help="Draw it: a PNG.")
+@click.option(
+    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
+)
+def push(
+    names: tuple[str, ...],
+    directions: int,
+    resolution: float,
+    height: float | None,
+    figure: Path | None,
+    json_path: Path | None,
+) -> None:
+    """Find the largest horizontal push, in each direction, that variants survive as they stand.
+
+    Each NAME is a variant; without any, all six are pushed (about ten seconds each). A push lasts
+    20 ms, at the com of the base; a robot that survives it is upright and at rest after 6 s, and
+    nothing but its feet ever touched the ground.
+
+    \b
+    Examples:
+      pupper-analysis push v3 v3-heavy --figure push.png
+      pupper-analysis push original --height 0.12 --directions 4 --resolution 0.1
+
+    \b
+    Exit status: 0 done, 1 a stand does not last even unpushed, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis import push_report, report
+    from pupper_analysis.push import push_recovery
+    from pupper_analysis.robot import load_variant
+    from pupper_analysis.stand import solve_stand
+    from pupper_analysis.task import StandTask
+    from pupper_analysis.variants import VARIANTS
+
+    _check_outputs([], figure)
+    _check_outputs([], json_path)
+    robots = [load_variant(name) for name in dict.fromkeys(names or VARIANTS)]
+    stands = [solve_stand(robot, StandTask(height=height)) for robot in robots]
+    results = {
+        robot.name: push_recovery(robot, stand, directions=directions, resolution=resolution)
+        for robot, stand in zip(robots, stands, strict=True)
+    }
+    push_report.print_pushes(report.console(), results)
+    if figure is not None:
+        from pupper_analysis.push_figure import push_figure
+
+        push_figure(results, figure)
+    _write_json(json_path, results)
+    if not all(result.weakest_impulse > 0 for result in results.values()):
+        click.get_current_context().exit(FAILED)
 
 
 @group.command(context_settings=_CONTEXT, short_help="Show Pupper v3 in MuJoCo's viewer.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,7 @@ from pupper_analysis.robot import Robot, foot_site
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis import Analysis
+    from pupper_analysis.stand import Stand
     from pupper_analysis.statics import GravityCompensation
 
 Array = NDArray[np.float64]
@@ -150,32 +152,27 @@ def nearest_edge_point(polygon: Array, place: Array) -> Array:
 # ------------------------------------------------------------------------------------- pose
 
 
-def pose_figure(robot: Robot, analysis: Analysis, path: str | Path) -> None:
+def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: str | Path) -> None:
     """Draws how a robot stands: legs, base, contact forces, com and support polygon.
 
     On the left in space; on the right from above, with the com's margin to the polygon's edge.
 
     Args:
         robot: The robot.
-        analysis: Its analysis; ``stand`` and ``statics`` are drawn.
+        stand: How it stands.
+        statics: What it takes.
         path: The PNG to write.
 
     Raises:
         OutputError: If the file cannot be written.
     """
-    lines = skeleton(robot, analysis.stand.qpos)
+    lines = skeleton(robot, stand.qpos)
     figure = Figure(figsize=(_WIDTH, 0.6 * _WIDTH), dpi=DPI)
-    _title(figure, f"{analysis.name}: how it stands")
-    figure.text(
-        0.012,
-        0.925,
-        f"base {1e3 * analysis.stand.qpos[2]:.1f} mm above the ground, mass "
-        f"{robot.total_mass:.2f} kg; contact forces of least motor torque",
-        size=FONT,
-        va="top",
-    )
-    _draw_in_space(figure, lines, analysis.statics)
-    _draw_from_above(figure, lines, analysis.statics)
+    _title(figure, f"{robot.name}: how it stands")
+    text = f"{stand.task}; mass {robot.total_mass:.2f} kg; contact forces of least motor torque"
+    figure.text(0.012, 0.925, textwrap.fill(text, 105), size=FONT, va="top")
+    _draw_in_space(figure, lines, statics)
+    _draw_from_above(figure, lines, statics)
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_NEAR, lw=3, marker="o", mfc="white", mec=BLACK, ms=4, label="leg"),
         Line2D([], [], color=BLACK, marker="o", ls="", ms=6, label="foot"),
@@ -195,7 +192,7 @@ def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_proj_type("ortho")
     polygon = support_polygon(statics.contact_points.values())
-    ground = 1e3 * np.column_stack([polygon, np.zeros(len(polygon))])
+    ground = 1e3 * np.column_stack([polygon, _heights_below(statics, polygon)])
     axes.add_collection3d(
         Poly3DCollection([ground], facecolor=_SUPPORT, alpha=0.6, edgecolor=BLUE, lw=1.2, zorder=1)
     )
@@ -220,11 +217,11 @@ def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation
     around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
     axes.plot(*np.concatenate([around, around[:1]]).T, color=_BASE_EDGE, lw=2.2, zorder=3)
     com = 1e3 * statics.center_of_mass
-    axes.plot(
-        com[:1].repeat(2), com[1:2].repeat(2), (com[2], 0), color=GREEN, ls="--", lw=1.2, zorder=6
-    )
+    below = 1e3 * _heights_below(statics, statics.center_of_mass[np.newaxis, :2])
+    ends = np.array([com, [*com[:2], below[0]]])
+    axes.plot(*ends.T, color=GREEN, ls="--", lw=1.2, zorder=6)
     axes.plot(com[:1], com[1:2], com[2:], **_COM, zorder=6)
-    axes.plot(com[:1], com[1:2], (0.0,), **_PROJECTION, zorder=6)
+    axes.plot(com[:1], com[1:2], below, **_PROJECTION, zorder=6)
 
     forces, tips = statics.contact_forces, statics.contact_points
     largest = max(float(np.linalg.norm(force)) for force in forces.values())
@@ -234,8 +231,8 @@ def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation
     # In the projection that the axes have now: an arrow's head in space would be seen askew.
     projection = axes.get_proj()
     for foot, force in forces.items():
-        ends = (1e3 * tails[foot], 1e3 * tips[foot])
-        (x0, y0, _), (x1, y1, _) = (proj_transform(*end, projection) for end in ends)
+        arrow = (1e3 * tails[foot], 1e3 * tips[foot])
+        (x0, y0, _), (x1, y1, _) = (proj_transform(*end, projection) for end in arrow)
         axes.annotate(
             f"{foot}\n{np.linalg.norm(force):.2f} N",
             (x1, y1),
@@ -256,6 +253,15 @@ def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation
                 "relpos": (0.5, 1),
             },
         )
+
+
+def _heights_below(statics: GravityCompensation, places: Array) -> Array:
+    """Returns z (n,) of the plane through the contact points at places (n, 2) (m)."""
+    points = np.array(list(statics.contact_points.values()))
+    known = np.column_stack([points[:, :2], np.ones(len(points))])
+    plane = np.linalg.lstsq(known, points[:, 2], rcond=None)[0]
+    heights: Array = places @ plane[:2] + plane[2]
+    return heights
 
 
 def _fit(axes: Any, shown: Array) -> None:

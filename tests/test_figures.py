@@ -140,13 +140,14 @@ def test_utilisation() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_pose_figure(name: str, tmp_path: Path) -> None:
-    figures.pose_figure(load(name), analysis_of(name), tmp_path / "pose.png")
+    analysis = analysis_of(name)
+    figures.pose_figure(load(name), analysis.stand, analysis.statics, tmp_path / "pose.png")
     check_picture(tmp_path / "pose.png")
 
 
 def test_pose_figure_says_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     analysis = analysis_of("v3")
-    figure = drawn(monkeypatch, figures.pose_figure, load("v3"), analysis)
+    figure = drawn(monkeypatch, figures.pose_figure, load("v3"), analysis.stand, analysis.statics)
     texts = [text.get_text() for axes in figure.axes for text in axes.texts]
     assert f"margin {1e3 * analysis.statics.com_margin:.1f} mm" in texts
     for foot, force in analysis.statics.contact_forces.items():
@@ -220,7 +221,7 @@ def test_gain_figure_where_all_fell(tmp_path: Path) -> None:
 
 def test_a_name_is_not_taken_for_a_formula(tmp_path: Path) -> None:
     analysis = other(analysis_of("v3"), name="a$b_c$ \\frac")
-    figures.pose_figure(load("v3"), analysis, tmp_path / "pose.png")
+    figures.pose_figure(load("v3"), analysis.stand, analysis.statics, tmp_path / "pose.png")
     figures.torque_figure([analysis], tmp_path / "torques.png")
 
 

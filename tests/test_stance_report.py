@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from matplotlib.image import imread
 from rich.console import Console
 
 from pupper_analysis import StandTask, cli, load_variant, stance_report
@@ -22,10 +23,12 @@ def run(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, s
 def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     arguments = ("v3", "--lift", "FL=0.02", "--com", "inside", "--com-margin", "0.01")
-    status, out, err = run(capfd, *arguments, "--json", str(path))
+    figure = tmp_path / "stance.png"
+    status, out, err = run(capfd, *arguments, "--figure", str(figure), "--json", str(path))
     assert status == 0, err
     assert "FL lifted 20 mm" in out
     assert "HOLDS in MuJoCo" in out
+    assert imread(figure).std() > 0.05
     content = json.loads(path.read_text())
     forces = content["statics"]["contact_forces"]
     assert set(forces) == {"FR", "RR", "RL"}
@@ -114,6 +117,7 @@ BAD = {
     "no place": (["v3", "--com", "middle"], "'middle'"),
     "one coordinate": (["v3", "--move", "FL=0.01"], "not of the form X,Y"),
     "slides": (["v3", "--slope", "0.8", "--pitch", "-0.8"], "1.030 is needed"),
+    "figure in a folder": (["v3", "--figure", "."], "it is a folder"),
     "JSON in a folder": (["v3", "--json", "."], "it is a folder"),
 }
 

@@ -1,0 +1,70 @@
+"""``pupper-analysis push``: what it prints and writes, its exit status, and bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from matplotlib.image import imread
+
+from pupper_analysis import cli
+
+COARSE = ("--directions", "4", "--resolution", "0.3")
+
+
+def run(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as leaving:
+        cli.run(cli.group, ["push", *arguments])
+    out, err = capfd.readouterr()
+    return int(leaving.value.code or 0), out, err
+
+
+def test_two_robots(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path, figure = tmp_path / "all.json", tmp_path / "push.png"
+    output = ("--figure", str(figure), "--json", str(path))
+    status, out, err = run(capfd, "original", "heavy", *COARSE, *output)
+    assert status == 0, err
+    content = json.loads(path.read_text())
+    assert list(content) == ["original", "heavy"]
+    for name, result in content.items():
+        assert f"{name} ({result['mass']:.2f} kg)" in out
+        assert f"{result['weakest_impulse']:.2f} N s" in out
+        assert result["weakest_impulse"] == min(result["impulses"])
+    for degrees in (0, 90, 180, 270):
+        assert f"\n{degrees} deg " in out
+    assert imread(figure).std() > 0.05
+
+
+def test_a_stand_that_does_not_last_is_exit_status_1(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pupper_analysis import push
+
+    monkeypatch.setattr(push, "FALLEN_TILT", -1.0)
+    status, out, _ = run(capfd, "original", *COARSE)
+    assert status == 1
+    assert "0.00 N s" in out
+
+
+BAD = {
+    "no such robot": (["spot"], "'spot'"),
+    "too high": (["v3", "--height", "0.3"], "height 0.192 m"),
+    "too few directions": (["v3", "--directions", "2"], "not between 3 and 360"),
+    "no resolution": (["v3", "--resolution", "0"], "not positive"),
+    "figure in a folder": (["v3", "--figure", "."], "it is a folder"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_exit_status_2(
+    case: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments, message = BAD[case]
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run(capfd, *arguments, "--json", "all.json")
+    assert status == 2
+    assert message in err
+    assert len(err.strip().splitlines()) == 1
+    assert out == ""
+    assert list(tmp_path.iterdir()) == []
