@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         VariantError,
     )
     from pupper_analysis.explain import Tolerances
+    from pupper_analysis.path import StancePath, stance_path
     from pupper_analysis.payload import PayloadLimit, payload_limit
     from pupper_analysis.push import PushRecovery, push_recovery
     from pupper_analysis.results import to_json
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from pupper_analysis.stand import Stand, solve_stand, stand_statics
     from pupper_analysis.statics import GravityCompensation, LoadSharing, gravity_compensation
     from pupper_analysis.task import Ground, StandTask
+    from pupper_analysis.tracking import PathTracking, track_path
     from pupper_analysis.variants import VARIANTS, VariantSpec
 
 __version__ = "0.1.0"
@@ -70,6 +72,10 @@ _HOME = {
     "PoseEnvelope": "envelope",
     "pose_envelope": "envelope",
     "reachable_heights": "envelope",
+    "StancePath": "path",
+    "stance_path": "path",
+    "PathTracking": "tracking",
+    "track_path": "tracking",
     "PayloadLimit": "payload",
     "payload_limit": "payload",
     "NoEquilibriumError": "errors",
@@ -130,12 +136,14 @@ __all__ = [
     "ModelError",
     "NoEquilibriumError",
     "OutputError",
+    "PathTracking",
     "PayloadLimit",
     "PoseEnvelope",
     "PupperAnalysisError",
     "PushRecovery",
     "Robot",
     "SettledPose",
+    "StancePath",
     "StanceUnreachableError",
     "Stand",
     "StandTask",
@@ -159,9 +167,11 @@ __all__ = [
     "reachable_heights",
     "settled_pose",
     "solve_stand",
+    "stance_path",
     "stand_statics",
     "sweep_gains",
     "to_json",
+    "track_path",
     "verify_stand",
     "write_variant",
 ]

@@ -170,7 +170,7 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     figure = Figure(figsize=(_WIDTH, 0.6 * _WIDTH), dpi=DPI)
     _title(figure, f"{robot.name}: how it stands")
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; contact forces of least motor torque"
-    figure.text(0.012, 0.925, textwrap.fill(text, 105), size=FONT, va="top")
+    figure.text(0.012, 0.925, textwrap.fill(text, 120), size=FONT, va="top")
     _draw_in_space(figure, lines, statics)
     _draw_from_above(figure, lines, statics)
     handles: list[Line2D | Patch] = [

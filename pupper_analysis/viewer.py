@@ -192,8 +192,7 @@ def drop(seconds: float = DEFAULT_SECONDS, *, window: bool = False) -> Drop:
     timestep = float(model.opt.timestep)
     count = round(seconds / timestep)
     if window:
-        with _window(model, data) as handle:
-            _play(handle, timestep, step, count)
+        show(model, data, step, count)
     while len(samples) <= count:
         step()
 
@@ -431,6 +430,12 @@ def _no_interrupt() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, previous)
+
+
+def show(model: mujoco.MjModel, data: mujoco.MjData, step: Callable[[], None], count: int) -> None:
+    """Opens a window and calls ``step`` in it, ``count`` times in real time, until it is closed."""
+    with _window(model, data) as handle:
+        _play(handle, float(model.opt.timestep), step, count)
 
 
 def _play(handle: Any, timestep: float, step: Callable[[], None], count: int | None = None) -> None:

@@ -1,0 +1,113 @@
+"""Pupper v3 moving between stances: what ``stand_pupper.py --demo`` shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.configuration import Configuration
+from pupper_analysis.path import StancePath, stance_path
+from pupper_analysis.robot import Robot, load_variant
+from pupper_analysis.simulation import STATE
+from pupper_analysis.task import StandTask
+from pupper_analysis.tracking import PathTracking, path_commands, track_path
+from pupper_analysis.viewer import check_display, show
+
+DEMOS = {
+    "squat": "down by a fifth, and up again",
+    "sway": "to the left, to the right, and back",
+    "lift": "the weight on to three feet, FL 20 mm up and down again, and back",
+}
+"""{demo: what it does}."""
+
+_SECONDS = {"squat": 4.0, "sway": 6.0, "lift": 8.0}
+
+
+def demo_path(robot: Robot, name: str) -> StancePath:
+    """Returns the path of a demo.
+
+    Args:
+        robot: Where it shall move.
+        name: One of ``DEMOS``.
+
+    Raises:
+        StanceUnreachableError: If this robot cannot do it; says when.
+        StaticsInfeasibleError: If it would fall; says when.
+    """
+    stand = StandTask()
+    if name == "squat":
+        low = StandTask(height=0.8 * robot.stand_height)
+        tasks = [stand, low, stand]
+    elif name == "sway":
+        sides = [StandTask(offset=(0.0, y)) for y in (0.02, -0.02)]
+        tasks = [stand, *sides, stand]
+    else:
+        feet = Configuration(robot, robot.neutral()).foot_positions()
+        x, y = np.mean([feet[foot][:2] for foot in robot.feet if foot != "FL"], axis=0)
+        over = StandTask(com=(float(x), float(y)))
+        up = StandTask(com=(float(x), float(y)), lifted={"FL": 0.02})
+        tasks = [stand, over, up, up, over, stand]
+    return stance_path(robot, tasks, _SECONDS[name])
+
+
+def demo(name: str, *, headless: bool, csv: Path | None = None) -> bool:
+    """Moves Pupper v3 in MuJoCo, and prints how well it follows.
+
+    Args:
+        name: One of ``DEMOS``.
+        headless: Open no window.
+        csv: Where to write the path: time, joint positions and torques.
+
+    Returns:
+        Whether it was tracked.
+
+    Raises:
+        DisplayError: If no window can be opened.
+        OutputError: If the file cannot be written.
+    """
+    if not headless:
+        check_display()
+    robot = load_variant("v3")
+    path = demo_path(robot, name)
+    if not headless:
+        _show(robot, path)
+    tracking = track_path(robot, path)
+    print(f"{name}: {DEMOS[name]}; {path.time[-1]:g} s, {len(path.time)} samples")
+    _print(path, tracking)
+    if csv is not None:
+        path.to_csv(csv)
+        print(f"path: {csv}")
+    return tracking.passed
+
+
+def _show(robot: Robot, path: StancePath) -> None:
+    plan = path_commands(robot, path)
+    model, rows = plan.drive.model, iter(plan.ctrl)
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, plan.start, STATE)
+
+    def step() -> None:
+        data.ctrl[:] = next(rows)
+        mujoco.mj_step(model, data)
+
+    show(model, data, step, len(plan.ctrl))
+
+
+def _print(path: StancePath, tracking: PathTracking) -> None:
+    lowest = path.loads.min(axis=0)
+    print(
+        f"motors: at most {path.peak_utilisation:.1%} of their limit at rest; com at least "
+        f"{1e3 * path.com_margin.min():.1f} mm inside the support polygon"
+    )
+    loads = ", ".join(f"{foot} {low:.2f}" for foot, low in zip(path.feet, lowest, strict=True))
+    print(f"least load of the feet (N): {loads}")
+    print(
+        f"in MuJoCo: joints within {tracking.joint_error:.3f} rad "
+        f"({tracking.joint_error_rms:.3f} rms), base height within "
+        f"{1e3 * tracking.height_error:.1f} mm, orientation within "
+        f"{tracking.orientation_error:.3f} rad, feet within "
+        f"{1e3 * max(tracking.foot_slip.values()):.1f} mm of their places"
+    )
+    print("TRACKED" if tracking.passed else f"FAILED: {'; '.join(tracking.failures)}")

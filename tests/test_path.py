@@ -1,0 +1,232 @@
+"""Paths through stances: smooth, and in balance at every sample."""
+
+from __future__ import annotations
+
+import csv
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import load
+
+import pupper_analysis as pa
+from pupper_analysis.path import StancePath, stance_path
+from pupper_analysis.tracking import track_path
+
+Task = pa.StandTask
+
+
+def circle(angle: float, legs: int = 6) -> list[pa.StandTask]:
+    turns = [2 * math.pi * leg / legs for leg in range(legs + 1)]
+    return [Task(), *(Task(roll=angle * math.sin(t), pitch=angle * math.cos(t)) for t in turns)]
+
+
+def lift(name: str, foot: str, height: float = 0.02) -> list[pa.StandTask]:
+    """Shift the weight on to three legs, lift the fourth, hold, set it down, shift back."""
+    robot = load(name)
+    feet = pa.Configuration(robot, robot.neutral()).foot_positions()
+    x, y = np.mean([feet[other][:2] for other in robot.feet if other != foot], axis=0)
+    over, up = Task(com=(x, y)), Task(com=(x, y), lifted={foot: height})
+    return [Task(), over, up, up, over, Task()]
+
+
+def stances(name: str, kind: str) -> list[pa.StandTask]:
+    low = Task(height=0.9 * load(name).stand_height)
+    return {
+        "squat": [Task(), low, Task()],
+        "sway": [Task(), Task(offset=(0.0, 0.015)), Task(offset=(0.0, -0.015)), Task()],
+        "circle": circle(0.1),
+        "lift": lift(name, "FL"),
+    }[kind]
+
+
+SECONDS = {"squat": 2.0, "sway": 3.0, "circle": 5.0, "lift": 6.0}
+
+
+@cache
+def path_of(name: str, kind: str) -> StancePath:
+    return stance_path(load(name), stances(name, kind), SECONDS[kind], rate=20.0)
+
+
+@pytest.mark.parametrize("name", ["v3", "original"])
+@pytest.mark.parametrize("kind", SECONDS)
+def test_every_sample_is_a_stand_in_balance(name: str, kind: str) -> None:
+    robot, path, tasks = load(name), path_of(name, kind), stances(name, kind)
+    joints = path.joint_positions()
+    assert (joints >= robot.lower_limits - 1e-9).all()
+    assert (joints <= robot.upper_limits + 1e-9).all()
+    assert 0 < path.peak_utilisation < 1
+    assert (path.com_margin > 0).all()
+    assert (path.loads >= 0).all()
+    assert ((path.loads > 0) <= path.carrying).all()
+    weight = robot.total_mass * np.linalg.norm(robot.gravity)
+    np.testing.assert_allclose(path.loads.sum(axis=1), weight, rtol=1e-9)
+    nominal = pa.Configuration(robot, path.qpos[0]).foot_positions()
+    for index in range(0, len(path.time), 3):
+        config = pa.Configuration(robot, path.qpos[index])
+        remainder = config.gravity()
+        for column, foot in enumerate(robot.feet):
+            centre = config.foot_positions()[foot]
+            planted = nominal[foot] + (0, 0, path.clearance[index, column])
+            np.testing.assert_allclose(centre, planted, atol=2e-9)
+            up = np.array([0, 0, path.loads[index, column]])
+            remainder -= config.contact_jacobians([foot])[foot].T @ up
+        remainder[6:] -= path.torques[index]
+        # On level ground the forces of even sharing are vertical.
+        np.testing.assert_allclose(remainder, 0, atol=1e-8)
+    # At the stances it is what was asked.
+    per_leg = (len(path.time) - 1) // (len(tasks) - 1)
+    for number, (task, stand) in enumerate(zip(tasks, path.stances, strict=True)):
+        np.testing.assert_allclose(path.qpos[number * per_leg], stand.qpos, atol=1e-8)
+        one = pa.solve_stand(robot, task)
+        np.testing.assert_allclose(stand.qpos, one.qpos, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", SECONDS)
+def test_it_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
+    path = stance_path(load("v3"), stances("v3", kind)[:3], 1.0, rate=140.0)
+    joints, step = path.joint_positions(), path.time[1]
+    velocity = np.abs(np.gradient(joints, step, axis=0)).max(axis=1)
+    acceleration = np.abs(np.diff(joints, 2, axis=0)).max(axis=1) / step**2
+    assert velocity.max() > 0.1
+    for number in range(3):
+        at = number * (len(path.time) - 1) // 2
+        assert velocity[at] < 3e-3 * velocity.max()
+        near = acceleration[max(at - 2, 0) : at + 1]
+        assert near.min() < 0.2 * acceleration.max()
+    # No jump in the torques either, where a foot gives its load away.
+    jumps = np.abs(np.diff(path.torques, axis=0)).max()
+    assert jumps < 0.05 * np.ptp(path.torques, axis=0).max()
+
+
+def test_finite_differences_shrink_with_the_step_at_a_stance() -> None:
+    """Velocity as step^2 and acceleration as step: both are zero in the limit."""
+    rates = []
+    for rate in (30.0, 60.0):
+        path = stance_path(load("v3"), stances("v3", "squat"), 2.0, rate=rate)
+        joints, step, at = path.joint_positions(), path.time[1], len(path.time) // 2
+        ahead, further = joints[at + 1] - joints[at], joints[at + 2] - joints[at]
+        rates.append((np.abs(ahead).max() / step, np.abs(further - 2 * ahead).max() / step**2))
+    assert rates[1][0] == pytest.approx(rates[0][0] / 4, rel=0.15)
+    assert rates[1][1] == pytest.approx(rates[0][1] / 2, rel=0.15)
+
+
+def test_a_foot_is_unloaded_before_it_lifts() -> None:
+    path = path_of("v3", "lift")
+    foot, leg = path.feet.index("FL"), (len(path.time) - 1) // 5
+    loads, clear = path.loads[:, foot], path.clearance[:, foot]
+    assert loads[0] > 0.2 * path.loads[0].sum()
+    assert (np.diff(loads[: leg + 1]) < 1e-9).all()
+    assert (loads[leg : 4 * leg + 1] == 0).all()
+    assert (clear[: leg + 1] == 0).all()
+    np.testing.assert_allclose(clear[2 * leg : 3 * leg + 1], 0.02)
+    assert loads[-1] == pytest.approx(loads[0])
+
+
+def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
+    robot, ground = load("v3"), pa.Ground(slope=0.05, uphill=0.5)
+    moved = [
+        pa.StandTask(com=t.com, lifted=t.lifted, ground=ground, foot_offsets={"FL": (place, 0.0)})
+        for t, place in zip(lift("v3", "FL")[1:5], (0, 0, 0.01, 0.01), strict=True)
+    ]
+    path = stance_path(robot, moved, 4.0, rate=20.0)
+    first, last = (pa.Configuration(robot, path.qpos[i]).foot_positions() for i in (0, -1))
+    np.testing.assert_allclose(last["FL"][:2] - first["FL"][:2], (0.01, 0), atol=1e-8)
+    tracking = track_path(robot, path)
+    assert tracking.passed, tracking.failures
+
+
+def test_files_hold_the_path(tmp_path: Path) -> None:
+    path = path_of("v3", "lift")
+    path.to_csv(tmp_path / "new" / "path.csv")
+    with (tmp_path / "new" / "path.csv").open() as file:
+        header, *rows = csv.reader(file)
+    names = load("v3").joint_names
+    units = [f"q {name} (rad)" for name in names] + [f"tau {name} (N m)" for name in names]
+    assert header == ["time (s)", *units]
+    table = np.array(rows, dtype=float)
+    wanted = np.column_stack([path.time, path.joint_positions(), path.torques])
+    np.testing.assert_array_equal(table, wanted)
+    for file_name in ("path.npz", "path.data"):
+        path.to_npz(str(tmp_path / file_name))
+        with np.load(tmp_path / file_name) as arrays:
+            assert tuple(arrays["joint_names"]) == names
+            assert tuple(arrays["feet"]) == path.feet
+            np.testing.assert_array_equal(arrays["joints"], path.joint_positions())
+            for key in ("time", "qpos", "torques", "carrying", "loads", "clearance", "com_margin"):
+                np.testing.assert_array_equal(arrays[key], getattr(path, key))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["new", "path.data", "path.npz"]
+    with pytest.raises(pa.OutputError):
+        path.to_csv(tmp_path / "path.npz" / "path.csv")
+
+
+FL, FR, RL = ({foot: 0.02} for foot in ("FL", "FR", "RL"))
+
+
+@pytest.mark.parametrize(
+    ("tasks", "seconds", "rate", "named"),
+    [
+        ([], 1.0, 50.0, "stances: .* at least 2"),
+        ([Task()], 1.0, 50.0, "stances: .* at least 2"),
+        (Task(), 1.0, 50.0, "stances: .* at least 2"),
+        ([Task(), None], 1.0, 50.0, "stances: None"),
+        ([Task(), Task()], 0.0, 50.0, "seconds"),
+        ([Task(), Task()], -1.0, 50.0, "seconds"),
+        ([Task(), Task()], math.inf, 50.0, "seconds"),
+        ([Task(), Task()], math.nan, 50.0, "seconds"),
+        ([Task(), Task()], "1", 50.0, "seconds"),
+        ([Task(), Task()], True, 50.0, "seconds"),
+        ([Task(), Task()], 1.0, 0.0, "rate"),
+        ([Task(), Task()], 1e6, 50.0, "samples"),
+        ([Task(), Task(ground=pa.Ground(slope=0.1))], 1.0, 50.0, "different grounds"),
+        ([Task(com="inside"), Task(com=(0.0, 0.0))], 1.0, 50.0, "inside"),
+        ([Task(com="inside"), Task(offset=(0.0, 0.0))], 1.0, 50.0, "inside"),
+        ([Task(), Task(foot_offsets={"FL": (0.01, 0.0)})], 1.0, 50.0, "FL carries between"),
+        ([Task(lifted=FL), Task(lifted=FR)], 1.0, 50.0, "only 2 feet carry between stances 1 and"),
+        ([Task(lifted=FL), Task(), Task(lifted=FR)], 1.0, 50.0, "lands and another lifts"),
+        ([Task(), Task(yaw=0.3), Task(yaw=-0.3)], 1.0, 0.1, "jumps"),
+    ],
+)
+def test_bad_arguments(tasks: list[Task], seconds: float, rate: float, named: str) -> None:
+    if named == "jumps":
+        tasks = [Task(height=0.15), Task(height=0.08)]
+    with pytest.raises(pa.ConfigurationError, match=named) as caught:
+        stance_path(load("v3"), tasks, seconds, rate=rate)
+    assert "\n" not in str(caught.value)
+
+
+def test_refusals_name_the_moment() -> None:
+    robot = load("v3")
+    with pytest.raises(
+        pa.StaticsInfeasibleError, match=r"at 0\.00 s, between stances 1 and 2: .*insert"
+    ):
+        stance_path(robot, [Task(), Task(lifted=FL)], 1.0)
+    over = lift("v3", "FL")
+    with pytest.raises(pa.StaticsInfeasibleError, match=r"at 1.00 s, between .* 1 and 2") as caught:
+        stance_path(robot, [over[1], Task(), over[2]], 2.0)
+    assert caught.value.reason is pa.Infeasibility.COM_OUTSIDE
+    assert "\n" not in str(caught.value)
+    with pytest.raises(pa.StaticsInfeasibleError, match="between stances 1 and 2"):
+        stance_path(robot, [Task(offset=(0.0, 0.0)), Task(offset=(0.14, 0.0), height=0.1)], 1.0)
+    with pytest.raises(pa.StanceUnreachableError, match="stance 2: ") as missed:
+        stance_path(robot, [Task(), Task(height=0.4)], 1.0)
+    assert missed.value.shortfall
+    with pytest.raises(pa.UnknownNameError):
+        stance_path(robot, [Task(), Task(lifted={"XX": 0.01})], 1.0)
+
+
+def test_a_sample_out_of_reach_names_the_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    solve = pa.solve_stand
+
+    def refuse(robot: pa.Robot, task: pa.StandTask, *, explain: bool = True) -> pa.Stand:
+        if 0.1 < task.roll < 0.3 and not explain:
+            raise pa.StanceUnreachableError(str(task), {"FL": 0.01}, {})
+        return solve(robot, task, explain=explain)
+
+    monkeypatch.setattr("pupper_analysis.path.solve_stand", refuse)
+    where = r"^at 1\.50 s, between stances 2 and 3: stance out of reach .*FL by 10\.0 mm"
+    with pytest.raises(pa.StanceUnreachableError, match=where) as caught:
+        stance_path(load("v3"), [Task(), Task(), Task(roll=0.3)], 2.0, rate=4.0)
+    assert caught.value.shortfall == {"FL": 0.01}
