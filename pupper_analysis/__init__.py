@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pupper_analysis.analysis import Analysis, analyze_variant
     from pupper_analysis.audit import Audit, audit_model
+    from pupper_analysis.best import BestStance, Objective, best_stance
     from pupper_analysis.comparison import Comparison, compare_models
     from pupper_analysis.configuration import Configuration
     from pupper_analysis.crosscheck import CrossCheck, cross_check
@@ -67,6 +68,9 @@ _HOME = {
     "analyze_variant": "analysis",
     "Audit": "audit",
     "audit_model": "audit",
+    "BestStance": "best",
+    "Objective": "best",
+    "best_stance": "best",
     "Comparison": "comparison",
     "Interval": "envelope",
     "PoseEnvelope": "envelope",
@@ -123,6 +127,7 @@ __all__ = [
     "VARIANTS",
     "Analysis",
     "Audit",
+    "BestStance",
     "Comparison",
     "Configuration",
     "ConfigurationError",
@@ -135,6 +140,7 @@ __all__ = [
     "LoadSharing",
     "ModelError",
     "NoEquilibriumError",
+    "Objective",
     "OutputError",
     "PathTracking",
     "PayloadLimit",
@@ -155,6 +161,7 @@ __all__ = [
     "VariantSpec",
     "analyze_variant",
     "audit_model",
+    "best_stance",
     "compare_models",
     "cross_check",
     "gravity_compensation",

@@ -288,7 +288,7 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
     Args:
         robot: The robot; its MJCF has a floor.
         ground: The slope and the steps.
-        places: {foot: (3,) where its centre will be (m)}, for the steps.
+        places: {foot: (3,) where its centre will be, lifted or not (m)}, for the steps.
 
     Returns:
         The same robot, whose MuJoCo model has the floor turned and a box for each step. The steps
@@ -310,7 +310,8 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
     for foot, height in ground.heights.items():
         if height <= 0:
             continue
-        top = places[foot] - robot.foot_radius[foot] * ground.normal()
+        radius = robot.foot_radius[foot]  # of a lifted foot only the horizontal place counts
+        top = ground.centre(foot, places[foot][:2], radius) - radius * ground.normal()
         half = np.array([STEP_HALF_WIDTH, STEP_HALF_WIDTH, height / 2 * np.cos(ground.slope)])
         spec.worldbody.add_geom(
             name=f"step_{foot}",

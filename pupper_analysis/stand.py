@@ -130,13 +130,18 @@ def solve_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = 
         return outcome
     inside = goal.task.com == "inside"
     nearest = _nearest(robot, goal, outcome.qpos) if explain or inside else outcome
-    if inside:
-        # Wherever the com came to lie inside, there the feet may be in reach.
-        place = Configuration(robot, nearest.qpos).center_of_mass()[:2]
+    for start in (outcome.joint_positions(robot), *_starts(robot, goal)) if inside else ():
+        # Wherever the com came to lie inside, there the feet may be in reach. Where it comes to lie
+        # depends on the start; where a joint is then at its limit, the place is not exact enough.
+        qpos = outcome.qpos.copy()
+        qpos[7:] = start
+        closest = _nearest(robot, goal, qpos)
+        place = Configuration(robot, closest.qpos).center_of_mass()[:2]
         moved = replace(goal, place=place)
-        outcome = _solve_from(robot, wrapper, moved, nearest.joint_positions(robot))
-        if outcome.foot_error < TASK_TOLERANCE:
-            return outcome
+        solved = _solve_from(robot, wrapper, moved, closest.joint_positions(robot))
+        if solved.foot_error < TASK_TOLERANCE:
+            return solved
+        nearest = min(nearest, closest, key=lambda stand: stand.foot_error)
     raise _unreachable(robot, wrapper, goal, nearest, explain)
 
 

@@ -95,7 +95,7 @@ class PathCommands:
         time: (n,) after each step (s).
         qpos: (n, nq) of the path.
         torques: (n, nu) of the path (N m).
-        ctrl: (n, nu) during each step: q* + tau / kp, in the actuators' units.
+        ctrl: (n, nu) during each step: q* + (tau + kd dq*/dt) / kp, in the actuators' units.
     """
 
     path: StancePath
@@ -129,9 +129,13 @@ def path_commands(
     drive = servos(robot, kp, kd, integrator)
     timestep = float(drive.model.opt.timestep)
     times = timestep * np.arange(1, max(1, round(path.time[-1] / timestep)) + 1)
-    qpos = CubicSpline(path.time, path.qpos, bc_type="clamped")(np.minimum(times, path.time[-1]))
+    spline, held = (
+        CubicSpline(path.time, path.qpos, bc_type="clamped"),
+        np.minimum(times, path.time[-1]),
+    )
+    qpos, joints = spline(held), slice(robot.nq - robot.nu, None)
     torques = np.column_stack([np.interp(times, path.time, tau) for tau in path.torques.T])
-    wanted = qpos[:, robot.nq - robot.nu :]
+    ahead = qpos[:, joints] + spline(held, 1)[:, joints] * drive.kd / drive.kp
     return PathCommands(
         path=path,
         robot=robot,
@@ -140,7 +144,7 @@ def path_commands(
         time=times,
         qpos=qpos,
         torques=torques,
-        ctrl=np.array([drive.command(robot, *row) for row in zip(wanted, torques, strict=True)]),
+        ctrl=np.array([drive.command(robot, *row) for row in zip(ahead, torques, strict=True)]),
     )
 
 
@@ -152,7 +156,11 @@ def track_path(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> PathTracking:
-    """Simulates a path on the floating base: servos commanded ctrl = q*(t) + tau(t) / kp.
+    """Simulates a path on the floating base: servos commanded ctrl = q* + (tau + kd dq*/dt) / kp.
+
+    The velocity's part makes up for the servos' damping, which knows no wanted velocity: without it
+    they lag by kd / kp (20 ms for v3). The torques are those at rest; inertia and the friction that
+    the ground has for feet that roll are not in them.
 
     Args:
         robot: The robot.

@@ -11,6 +11,7 @@ import pytest
 from conftest import NAMES, load
 
 import pupper_analysis as pa
+from pupper_analysis.robot import on_ground
 from pupper_analysis.stand import stand_statics
 
 TASKS = {
@@ -185,3 +186,19 @@ def test_unknown_feet(field: str) -> None:
     value = 0.01 if field == "lifted" else (0.0, 0.0)
     with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
         pa.solve_stand(load("v3"), pa.StandTask(**{field: {"XX": value}}))
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.1])
+def test_a_foot_lifted_over_its_step_is_clear_of_it(slope: float) -> None:
+    """The step is where the foot would stand; the foot is above it by as much as is asked."""
+    robot = load("v3")
+    ground = pa.Ground(slope=slope, heights={"FL": 0.01})
+    task = pa.StandTask(lifted={"FL": 0.015}, ground=ground, com="inside", com_margin=0.01)
+    stand = pa.solve_stand(robot, task)
+    model = on_ground(robot, ground, stand.foot_targets).mj_model
+    step = model.geom("step_FL")
+    normal = ground.normal()
+    above = (stand.foot_targets["FL"] - step.pos) @ normal - step.size[2]
+    assert above == pytest.approx(robot.foot_radius["FL"] + 0.015 * normal[2], abs=1e-9)
+    failures = pa.verify_stand(robot, stand).failures
+    assert not any("touches" in failure for failure in failures)

@@ -1,0 +1,425 @@
+"""Random stands, each verdict checked independently: `python benchmarks/stances.py` prints a table.
+
+The checks share no code with the package's solvers: MuJoCo's kinematics of the MJCF, bounded least
+squares from random starts, and linear programmes on MuJoCo's com and weight.
+`tests/test_random_stands.py` runs the same with fewer tasks.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import click
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy import optimize
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+import pupper_analysis as pa
+from pupper_analysis.errors import NoEquilibriumError
+from pupper_analysis.robot import build_robot
+from pupper_analysis.settle import settled_pose
+from pupper_analysis.stand import stand_statics
+
+EXACT = 1e-9
+"""Error that a solved stand may have (m, rad)."""
+
+REACHED = 1e-6
+"""A refused stand whose feet come as near as this is in reach after all (m)."""
+
+SAG_TOLERANCE = 5e-4
+"""Error that a predicted sag may have (m)."""
+
+LASTING = 1e-4
+"""A predicted sag is compared if its feet creep slower than this (m/s of the base's height)."""
+
+STARTS = 8
+FACETS = 64
+
+
+class Verdict(StrEnum):
+    HELD = "held"
+    UNREACHABLE = "out of reach"
+    NOT_HELD = "not holdable"
+    REQUEST = "bad request"
+
+
+@dataclass
+class Outcome:
+    """One task's verdict; ``wrong`` says what the checks have against it."""
+
+    task: pa.StandTask
+    verdict: Verdict
+    stand: pa.Stand | None = None
+    wrong: list[str] = field(default_factory=list)
+    error: float = 0.0  # m, rad: of a solved stand
+    shortfall: float = math.inf  # m: how near the check came to a refused one
+
+
+# ------------------------------------------------------------------------------------- tasks
+
+
+def random_task(robot: pa.Robot, random: np.random.Generator) -> pa.StandTask:
+    """A task with some demands of every kind, about half of which are in reach."""
+
+    def chance(share: float) -> bool:
+        return bool(random.random() < share)
+
+    def point(size: float) -> tuple[float, float]:
+        x, y = random.uniform(-size, size, 2)
+        return float(x), float(y)
+
+    feet, leg = list(robot.feet), robot.stand_height
+    height = leg * random.uniform(0.75, 1.25) if chance(0.7) else None
+    roll, pitch, yaw = (random.uniform(-0.3, 0.3) if chance(0.4) else 0.0 for _ in range(3))
+    offsets = {foot: point(0.15 * leg) for foot in feet if chance(0.15)}
+    lifted = {}
+    if chance(0.25):
+        lifted[str(random.choice(feet))] = float(random.uniform(0.02, 0.25) * leg)
+    slope = uphill = 0.0
+    if chance(0.35):
+        slope, uphill = random.uniform(0.0, 0.3), random.uniform(-math.pi, math.pi)
+        if chance(0.4):  # along the slope, which may be too steep to be held
+            slope, uphill = random.uniform(0.2, 1.1), float(random.choice([0.0, math.pi]))
+            roll, pitch = 0.0, -slope * math.cos(uphill) * random.uniform(0.8, 1.0)
+    heights = {foot: random.uniform(0.0, 0.2) * leg for foot in feet if chance(0.1)}
+    com: str | tuple[float, float] = "centre"
+    offset, margin = None, 0.0
+    kind = random.random()
+    if kind < 0.25:
+        offset = point(0.3 * leg)
+    elif kind < 0.5:
+        com, margin = "inside", float(random.uniform(0.0, 0.03))
+    elif kind < 0.65:
+        com = point(0.2 * leg)
+    return pa.StandTask(
+        height=height,
+        roll=roll,
+        pitch=pitch,
+        yaw=yaw,
+        offset=offset,
+        foot_offsets=offsets,
+        lifted=lifted,
+        ground=pa.Ground(slope, uphill, heights),
+        com=com,
+        com_margin=margin,
+    )
+
+
+# ------------------------------------------------------------------------------------- checks
+
+
+@dataclass
+class Demand:
+    """What a task means, worked out anew, with MuJoCo's kinematics of the MJCF."""
+
+    robot: pa.Robot
+    task: pa.StandTask
+
+    def __post_init__(self) -> None:
+        robot, task, ground = self.robot, self.task, self.task.ground
+        self.data = mujoco.MjData(robot.mj_model)
+        nominal = self.feet(robot.neutral())
+        self.normal = (
+            Rotation.from_rotvec(
+                ground.slope * np.array([-math.sin(ground.uphill), math.cos(ground.uphill), 0.0])
+            )
+            .inv()
+            .apply([0.0, 0.0, 1.0])
+        )
+        self.centres, contacts = {}, {}
+        for foot in robot.feet:
+            radius = robot.foot_radius[foot]
+            x, y = nominal[foot][:2] + task.foot_offsets.get(foot, (0.0, 0.0))
+            # The plane at distance radius: normal . (x, y, z - step) = radius
+            z = (radius - self.normal[:2] @ (x, y)) / self.normal[2]
+            z += ground.heights.get(foot, 0.0) + task.lifted.get(foot, 0.0)
+            self.centres[foot] = np.array([x, y, z])
+            if foot not in task.lifted:
+                contacts[foot] = self.centres[foot] - radius * self.normal
+        self.contacts = contacts
+        self.centre = np.mean(list(contacts.values()), axis=0)
+        height = robot.stand_height if task.height is None else task.height
+        self.height = self.centre[2] + height
+        self.rotation = Rotation.from_euler("ZYX", [task.yaw, task.pitch, task.roll])
+        points = np.array([contact[:2] for contact in contacts.values()])
+        self.sides = -ConvexHull(points).equations  # a x + b y + c: distance inside (m)
+
+    def at(self, qpos: np.ndarray) -> None:
+        self.robot.mj_convention.set_state(self.data, qpos)
+        mujoco.mj_kinematics(self.robot.mj_model, self.data)
+        mujoco.mj_comPos(self.robot.mj_model, self.data)
+
+    def feet(self, qpos: np.ndarray) -> dict[str, np.ndarray]:
+        self.at(qpos)
+        return {
+            foot: self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ place
+            for foot, (body, place) in self.robot.foot_places.items()
+        }
+
+    def com(self) -> np.ndarray:
+        """The robot's com where ``feet`` has put it."""
+        return np.array(self.data.subtree_com[0])
+
+    def margin(self, place: np.ndarray) -> float:
+        return float((self.sides[:, :2] @ place[:2] + self.sides[:, 2]).min())
+
+    def misses(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far the feet (3 n,), and base or com (2,) are from where they shall be (m)."""
+        feet, task, com = self.feet(qpos), self.task, self.com()[:2]
+        missed = np.concatenate([feet[foot] - centre for foot, centre in self.centres.items()])
+        if task.offset is not None:
+            place = qpos[:2] - self.centre[:2] - task.offset
+        elif task.com == "inside":
+            short = np.minimum(self.sides[:, :2] @ com + self.sides[:, 2] - task.com_margin, 0.0)
+            worst = np.zeros(4)
+            worst[: len(short)] = short
+            return missed, worst
+        else:
+            place = com - (self.centre[:2] if task.com == "centre" else np.array(task.com))
+        return missed, place
+
+    def nearest(self, random: np.random.Generator) -> float:
+        """How near feet, base and com come to their places in the best of some searches (m)."""
+        robot = self.robot
+        lower, upper = robot.lower_limits, robot.upper_limits
+        w, x, y, z = self.rotation.as_quat(scalar_first=True)
+
+        def qpos(values: np.ndarray) -> np.ndarray:
+            return np.concatenate([values[:2], (self.height, w, x, y, z), values[2:]])
+
+        def residual(values: np.ndarray) -> np.ndarray:
+            return np.concatenate(self.misses(qpos(values)))
+
+        low, high = np.maximum(lower, -math.pi), np.minimum(upper, math.pi)
+        best = math.inf
+        for start in range(STARTS):
+            joints = random.uniform(low, high) if start else np.clip(robot.home[7:], low, high)
+            begin = np.concatenate([self.centre[:2], joints + 1e-3 * (low - joints)])
+            begin[2:] += 1e-3 * (high - joints)
+            outcome = optimize.least_squares(
+                residual,
+                begin,
+                bounds=([-1, -1, *low], [1, 1, *high]),
+                x_scale=np.array([0.1, 0.1, *np.ones(robot.nu)]),
+                ftol=1e-10,
+                xtol=1e-10,
+                gtol=1e-12,
+                max_nfev=60,
+            )
+            best = min(best, float(np.abs(outcome.fun).max()))
+            if best < REACHED:
+                break
+        return best
+
+    def holdable(self, com: np.ndarray, inner: bool) -> bool:
+        """Whether forces in polyhedral cones, inside or around the true ones, balance the robot."""
+        robot = self.robot
+        turn = np.linalg.qr(np.column_stack([self.normal, np.eye(3)[:, :2]]))[0][:, 1:]
+        columns = []
+        for foot, place in self.contacts.items():
+            friction = robot.contacts[foot].sliding_friction
+            friction /= 1.0 if inner else math.cos(math.pi / FACETS)
+            for angle in np.arange(FACETS) * 2 * math.pi / FACETS:
+                force = self.normal + friction * turn @ (math.cos(angle), math.sin(angle))
+                columns.append([*force, *np.cross(place - com, force) / 0.1])
+        return bool(
+            optimize.linprog(
+                np.ones(len(columns)),
+                A_eq=np.array(columns).T,
+                b_eq=np.array([0, 0, 1.0, 0, 0, 0]),  # of the weight
+                method="highs",
+            ).status
+            == 0
+        )
+
+
+def check_reached(demand: Demand, stand: pa.Stand) -> tuple[float, list[str]]:
+    """The worst error of a solved stand (m, rad), and what is wrong with it."""
+    robot, joints = demand.robot, stand.joint_positions(demand.robot)
+    missed, place = demand.misses(stand.qpos)
+    turned = Rotation.from_quat(stand.qpos[3:7], scalar_first=True) * demand.rotation.inv()
+    error = max(
+        float(np.abs(missed).max()),
+        float(np.abs(place).max()),
+        abs(float(stand.qpos[2]) - demand.height),
+        float(turned.magnitude()),
+    )
+    wrong = [] if error < EXACT else [f"off by {error:.1e}"]
+    if (joints < robot.lower_limits - EXACT).any() or (joints > robot.upper_limits + EXACT).any():
+        wrong.append("beyond a joint limit")
+    return error, wrong
+
+
+def check_forces(demand: Demand, statics: pa.GravityCompensation) -> list[str]:
+    """What is wrong with the forces of a stand that is said to hold."""
+    robot, com, weight = demand.robot, demand.com(), statics.contact_forces
+    force, moment = demand.robot.mj_model.body_mass.sum() * robot.gravity, np.zeros(3)
+    scale = float(np.linalg.norm(force))
+    wrong = []
+    for foot, pushed in weight.items():
+        force = force + pushed
+        moment = moment + np.cross(demand.contacts[foot] - com, pushed)
+        normal = float(pushed @ demand.normal)
+        tangential = float(np.linalg.norm(pushed - normal * demand.normal))
+        if tangential > robot.contacts[foot].sliding_friction * normal + 1e-6 * scale:
+            wrong.append(f"{foot} slides")
+    if np.abs([*force, *moment]).max() > 1e-8 * scale:
+        wrong.append("the forces do not balance")
+    return wrong
+
+
+def judge(robot: pa.Robot, task: pa.StandTask, random: np.random.Generator) -> Outcome:
+    """Solves a task, and checks the verdict."""
+    demand = Demand(robot, task)
+    try:
+        stand = pa.solve_stand(robot, task, explain=False)
+    except pa.StanceUnreachableError:
+        near = demand.nearest(random)
+        wrong = [f"in reach: {near:.1e} m"] if near < REACHED else []
+        return Outcome(task, Verdict.UNREACHABLE, wrong=wrong, shortfall=near)
+    except pa.ConfigurationError:
+        place = demand.centre if isinstance(task.com, str) else np.array(task.com)
+        fine = demand.margin(place) >= task.com_margin
+        return Outcome(task, Verdict.REQUEST, wrong=["a fine request"] if fine else [])
+    error, wrong = check_reached(demand, stand)
+    demand.at(stand.qpos)
+    try:
+        statics = stand_statics(robot, stand)
+    except pa.StaticsInfeasibleError:
+        if demand.holdable(demand.com(), inner=True):
+            wrong.append("it can be held")
+        return Outcome(task, Verdict.NOT_HELD, stand, wrong, error)
+    wrong += check_forces(demand, statics)
+    if not demand.holdable(demand.com(), inner=False):
+        wrong.append("it cannot be held")
+    return Outcome(task, Verdict.HELD, stand, wrong, error)
+
+
+def judged(robot: pa.Robot, count: int, seed: int = 0) -> list[Outcome]:
+    """The outcomes of some random tasks."""
+    random = np.random.default_rng(seed)
+    return [judge(robot, random_task(robot, random), random) for _ in range(count)]
+
+
+# ------------------------------------------------------------------------------------- simulation
+
+
+def sag_error(robot: pa.Robot, stand: pa.Stand) -> float | None:
+    """Error of the height predicted without feed-forward (m); None where nothing is predicted."""
+    if stand.task.lifted or not stand.task.ground.level:
+        return None
+    try:
+        pose = settled_pose(robot, stand)
+    except NoEquilibriumError:
+        return None
+    if pose.failures or abs(pose.height_drift) > LASTING:
+        return None
+    run = pa.verify_stand(robot, stand, feedforward=False)
+    return abs(run.base_height - pose.base_height)
+
+
+def firm(robot: pa.Robot) -> pa.Robot:
+    """The robot on feet and ground that hardly give way, so that its load does not tilt it."""
+    spec = robot.description.mjcf.copy()
+    for geom in spec.geoms:
+        geom.solimp[:2] = 0.999, 0.9995
+    built = build_robot(replace(robot.description, mjcf=spec))
+    return replace(built, stand_height=robot.stand_height)
+
+
+def on_own_step(stand: pa.Stand) -> bool:
+    """Whether a lifted foot is above a step."""
+    return any(stand.task.ground.heights.get(foot, 0.0) > 0 for foot in stand.task.lifted)
+
+
+def reason(failures: tuple[str, ...]) -> str:
+    """What went wrong in a simulation, in short."""
+    kinds = {
+        "diverged": "diverged",
+        "touches the ground": "touches ground",
+        "fell over": "fell",
+        "carries nothing": "foot lifts off",
+        "settled": "creeps",
+    }
+    return next(
+        (short for kind, short in kinds.items() if any(kind in text for text in failures)),
+        "off: " + ", ".join(sorted({text.split()[1] for text in failures})),
+    )
+
+
+@click.command()
+@click.option("--variant", type=click.Choice(list(pa.VARIANTS)), multiple=True)
+@click.option("--count", default=200, show_default=True, help="Tasks per variant.")
+@click.option("--simulated", default=40, show_default=True, help="Of these, simulated.")
+@click.option("--seed", default=0, show_default=True)
+@click.option("--verbose", is_flag=True, help="Print why a simulation is not as predicted.")
+def main(variant: tuple[str, ...], count: int, simulated: int, seed: int, verbose: bool) -> None:
+    """Judges random stands of every variant.
+
+    A stand is ok in simulation if `verify_stand` passes it; those that do not are tried again on
+    firm ground, since soft ground tilts a robot whose feet bear unequal loads.
+    """
+    table = Table(title=f"{count} random stands per variant")
+    columns = (
+        *("variant", "held", "out of reach", "not holdable", "bad request", "wrong"),
+        *("worst error", "nearest refused (mm)", "simulated ok", "ok if firm", "torque", "force"),
+        *("sag ok", "worst sag (mm)", "s"),
+    )
+    for name in columns:
+        table.add_column(name, justify="right")
+    console = Console(width=170)
+    for name in variant or pa.VARIANTS:
+        begin, robot = time.perf_counter(), pa.load_variant(name)
+        outcomes = judged(robot, count, seed)
+        counts = Counter(outcome.verdict for outcome in outcomes)
+        for outcome in outcomes:
+            if outcome.wrong:
+                console.print(f"{name}: {outcome.verdict}, but {outcome.wrong}: {outcome.task}")
+        held = [o.stand for o in outcomes if o.verdict is Verdict.HELD and o.stand is not None]
+        failed: Counter[str] = Counter()
+        torque, force, softness, sags = 0.0, 0.0, 0, []
+        firm_robot, stands = firm(robot), held[:simulated]
+        for stand in stands:
+            run = pa.verify_stand(robot, stand)
+            if run.passed:
+                torque, force = max(torque, run.torque_error), max(force, run.force_error)
+            else:
+                second = pa.verify_stand(firm_robot, stand)
+                softness += second.passed
+                if not second.passed:
+                    short = "lifted over a step" if on_own_step(stand) else reason(second.failures)
+                    failed[short] += 1
+                    if verbose:
+                        console.print(f"{name}: {'; '.join(second.failures)}: {stand.task}")
+            sags.append(sag_error(robot, stand))
+        compared = [sag for sag in sags if sag is not None]
+        good = sum(sag < SAG_TOLERANCE for sag in compared)
+        table.add_row(
+            name,
+            *(str(counts[verdict]) for verdict in Verdict),
+            str(sum(bool(outcome.wrong) for outcome in outcomes)),
+            f"{max((o.error for o in outcomes), default=0.0):.0e}",
+            f"{1e3 * min((o.shortfall for o in outcomes), default=math.inf):.3f}",
+            f"{len(stands) - softness - failed.total()}/{len(stands)}",
+            str(softness),
+            f"{torque:.2%}",
+            f"{force:.2%}",
+            f"{good}/{len(compared)}",
+            f"{1e3 * max(compared, default=0.0):.3f}",
+            f"{time.perf_counter() - begin:.0f}",
+        )
+        if failed:
+            console.print(f"{name}, not ok in simulation, firm or not: {dict(failed)}")
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
