@@ -34,6 +34,9 @@ JOINT_TOLERANCE = 1e-3
 FORCE_TOLERANCE = 1e-2
 """Relative error that a verified stand's torques and foot forces may have with feed-forward."""
 
+LIGHT = 0.05
+"""Share of the weight below which a foot's force is not what its error is measured by."""
+
 SETTLED_DRIFT = 5e-4
 """A base whose height changes faster than this in the last second has not settled (m/s)."""
 
@@ -263,7 +266,8 @@ class StandVerification(Result):
         torque_error: Largest deviation / largest predicted torque.
         foot_forces: {foot: (3,)} of the ground on the foot, settled, in world axes (N).
         predicted_forces: {foot: (3,)} (N).
-        force_error: Largest deviation of a vertical foot force / its prediction.
+        force_error: Largest deviation of a vertical foot force / its prediction (or / ``LIGHT`` of
+            the weight, where a foot is predicted to carry less than that).
         mujoco_foot_error: Largest distance of a foot from its target at ``stand.qpos`` by MuJoCo's
             kinematics of the MJCF (m).
         mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
@@ -366,8 +370,9 @@ def verify_stand(
     joint_error = float(np.abs(joints - positions).max())
     largest = np.abs(prediction.joint_torques).max()
     torque_error = float(np.abs(watch.torques - prediction.joint_torques).max() / largest)
+    light = LIGHT * sum(force[2] for force in prediction.contact_forces.values())
     force_error = max(
-        abs(watch.forces[foot][2] - force[2]) / force[2]
+        abs(watch.forces[foot][2] - force[2]) / max(force[2], light)
         for foot, force in prediction.contact_forces.items()
     )
     tilt = _tilt(robot, stand.task.rotation(), states[-1])

@@ -448,3 +448,15 @@ def test_addresses_are_the_public_order() -> None:
         q, v = addresses(load(name))
         np.testing.assert_array_equal(q, np.arange(19))
         np.testing.assert_array_equal(v, np.arange(18))
+
+
+def test_the_error_of_a_foot_that_bears_nothing_is_measured_by_the_weight() -> None:
+    """Even sharing takes all load off RR here; soft ground, which tilts, gives it some back."""
+    robot = load("v3")
+    report = pa.verify_stand(robot, pa.solve_stand(robot, pa.StandTask(com=(0.037, 0.045))))
+    assert report.predicted_forces["RR"][2] == pytest.approx(0, abs=1e-4)
+    weight = robot.total_mass * GRAVITY
+    assert report.force_error == pytest.approx(
+        report.foot_forces["RR"][2] / (0.05 * weight), rel=1e-3
+    )
+    assert not report.passed
