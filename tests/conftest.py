@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
+from pupper_analysis import cli
 
 hypothesis.settings.register_profile(
     "suite",
@@ -322,3 +323,15 @@ def tiny_files(tmp_path_factory: pytest.TempPathFactory) -> Files:
 @pytest.fixture(scope="session")
 def tiny(tiny_files: Files) -> pa.Robot:
     return pa.load_robot(urdf=tiny_files.urdf, mjcf=tiny_files.mjcf, feet=["foot"])
+
+
+def run_command(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    """Runs ``pupper-analysis`` in this process, to save the time of its start.
+
+    Returns:
+        Exit status, standard output and standard error, with what C++ prints.
+    """
+    with pytest.raises(SystemExit) as leaving:
+        cli.run(cli.group, list(arguments))
+    out, err = capfd.readouterr()
+    return int(leaving.value.code or 0), out, err

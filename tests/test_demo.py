@@ -9,17 +9,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from conftest import load
+from conftest import load, run_command
 
-from pupper_analysis import Configuration, cli, demo
+from pupper_analysis import Configuration, demo
 from pupper_analysis.tracking import track_path
-
-
-def run(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as leaving:
-        cli.run(cli.group, ["stand", *arguments])
-    out, err = capfd.readouterr()
-    return int(leaving.value.code or 0), out, err
 
 
 def test_what_they_do() -> None:
@@ -41,7 +34,7 @@ def test_what_they_do() -> None:
 @pytest.mark.parametrize("name", demo.DEMOS)
 def test_mujoco_follows(name: str, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "path.csv"
-    status, out, err = run(capfd, "--headless", "--demo", name, "--csv", str(path))
+    status, out, err = run_command(capfd, "stand", "--headless", "--demo", name, "--csv", str(path))
     assert status == 0, err
     assert out.startswith(f"{name}: {demo.DEMOS[name]}")
     assert "TRACKED" in out
@@ -77,7 +70,7 @@ def test_a_path_that_is_not_tracked_is_exit_status_1(
     from pupper_analysis import tracking
 
     monkeypatch.setattr(tracking, "TRACKING_TOLERANCE", 1e-6)
-    status, out, _ = run(capfd, "--headless", "--demo", "squat")
+    status, out, _ = run_command(capfd, "stand", "--headless", "--demo", "squat")
     assert status == 1
     assert "FAILED: a joint is off by" in out
 
@@ -99,7 +92,7 @@ def test_bad_input_is_one_line_and_exit_status_2(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    status, out, err = run(capfd, "--headless", *arguments)
+    status, out, err = run_command(capfd, "stand", "--headless", *arguments)
     assert status == 2
     assert message in err
     assert len(err.strip().splitlines()) == 1

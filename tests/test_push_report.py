@@ -6,24 +6,16 @@ import json
 from pathlib import Path
 
 import pytest
+from conftest import run_command
 from matplotlib.image import imread
 
-from pupper_analysis import cli
-
 COARSE = ("--directions", "4", "--resolution", "0.3")
-
-
-def run(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as leaving:
-        cli.run(cli.group, ["push", *arguments])
-    out, err = capfd.readouterr()
-    return int(leaving.value.code or 0), out, err
 
 
 def test_two_robots(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path, figure = tmp_path / "all.json", tmp_path / "push.png"
     output = ("--figure", str(figure), "--json", str(path))
-    status, out, err = run(capfd, "original", "heavy", *COARSE, *output)
+    status, out, err = run_command(capfd, "push", "original", "heavy", *COARSE, *output)
     assert status == 0, err
     content = json.loads(path.read_text())
     assert list(content) == ["original", "heavy"]
@@ -42,7 +34,7 @@ def test_a_stand_that_does_not_last_is_exit_status_1(
     from pupper_analysis import push
 
     monkeypatch.setattr(push, "FALLEN_TILT", -1.0)
-    status, out, _ = run(capfd, "original", *COARSE)
+    status, out, _ = run_command(capfd, "push", "original", *COARSE)
     assert status == 1
     assert "0.00 N s" in out
 
@@ -62,7 +54,7 @@ def test_bad_input_is_one_line_and_exit_status_2(
 ) -> None:
     arguments, message = BAD[case]
     monkeypatch.chdir(tmp_path)
-    status, out, err = run(capfd, *arguments, "--json", "all.json")
+    status, out, err = run_command(capfd, "push", *arguments, "--json", "all.json")
     assert status == 2
     assert message in err
     assert len(err.strip().splitlines()) == 1

@@ -6,25 +6,20 @@ import json
 from pathlib import Path
 
 import pytest
+from conftest import run_command
 from matplotlib.image import imread
 from rich.console import Console
 
-from pupper_analysis import StandTask, cli, load_variant, stance_report
-
-
-def run(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    """Returns exit status, standard output and standard error; in this process, to save time."""
-    with pytest.raises(SystemExit) as leaving:
-        cli.run(cli.group, ["stance", *arguments])
-    out, err = capfd.readouterr()
-    return int(leaving.value.code or 0), out, err
+from pupper_analysis import StandTask, load_variant, stance_report
 
 
 def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     arguments = ("v3", "--lift", "FL=0.02", "--com", "inside", "--com-margin", "0.01")
     figure = tmp_path / "stance.png"
-    status, out, err = run(capfd, *arguments, "--figure", str(figure), "--json", str(path))
+    status, out, err = run_command(
+        capfd, "stance", *arguments, "--figure", str(figure), "--json", str(path)
+    )
     assert status == 0, err
     assert "FL lifted 20 mm" in out
     assert "HOLDS in MuJoCo" in out
@@ -42,8 +37,9 @@ def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> N
 
 def test_every_option_reaches_the_task(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
-    status, out, err = run(
+    status, out, err = run_command(
         capfd,
+        "stance",
         "v3-heavy",
         *("--height", "0.12", "--roll", "0.02", "--pitch", "-0.03", "--yaw", "0.04"),
         *("--com", "0.005,-0.004", "--com-margin", "0.02", "--joint-margin", "0.05"),
@@ -61,8 +57,9 @@ def test_every_option_reaches_the_task(capfd: pytest.CaptureFixture[str], tmp_pa
 
 def test_envelope_and_offset(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
-    status, out, err = run(
+    status, out, err = run_command(
         capfd,
+        "stance",
         "original",
         "--offset",
         "0.01,0",
@@ -86,7 +83,7 @@ def test_failure_in_simulation_is_exit_status_1(
     from pupper_analysis import simulation
 
     monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)
-    status, out, _ = run(capfd, "original")
+    status, out, _ = run_command(capfd, "stance", "original")
     assert status == 1
     assert "FAILS in MuJoCo: a joint is off by" in out
 
@@ -129,7 +126,7 @@ def test_bad_input_is_one_line_and_exit_status_2(
     arguments, message = BAD[case]
     monkeypatch.chdir(tmp_path)
     output = [] if "--json" in arguments else ["--json", "all.json"]
-    status, out, err = run(capfd, *arguments, *output)
+    status, out, err = run_command(capfd, "stance", *arguments, *output)
     assert status == 2
     assert message in err
     assert err.startswith("error: ")
