@@ -20,6 +20,19 @@ VERIFIED, FAILED, BAD_INPUT = 0, 1, 2
 
 _CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
+_json_option = click.option(
+    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
+)
+_figure_option = click.option("--figure", type=click.Path(path_type=Path), help="Draw it: a PNG.")
+_format_option = click.option(
+    "--format",
+    "style",
+    type=click.Choice(["text", "github", "junit"]),
+    default="text",
+    show_default=True,
+    help="For people, as GitHub annotations, or as JUnit XML.",
+)
+
 
 def run(command: click.Command, arguments: list[str] | None = None) -> None:
     """Runs a command and leaves the process with its exit status.
@@ -83,9 +96,7 @@ def group() -> None:
     show_default=True,
     help="Folder for the figures; made if need be.",
 )
-@click.option(
-    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
-)
+@_json_option
 @click.option("--no-figures", is_flag=True, help="Print only.")
 @click.option(
     "--write",
@@ -145,7 +156,7 @@ def analyze(
         _print_list(specs or list(VARIANTS.values()))
         return
     specs = specs or list(VARIANTS.values())
-    _check_outputs([None if no_figures else output, write_folder], json_path)
+    _check_outputs(json_path, folders=(None if no_figures else output, write_folder))
     analyses, robots = _analyze_all(specs, height, roll, pitch, yaw)
     _finish(specs, robots, analyses, None if no_figures else output, json_path)
     if write_folder is not None:
@@ -237,16 +248,17 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> list[s
     return lines
 
 
-def _check_outputs(folders: list[Path | None], json_path: Path | None) -> None:
+def _check_outputs(*files: Path | None, folders: tuple[Path | None, ...] = ()) -> None:
     """Finds out before the work begins that its results cannot be written."""
-    for path in (*folders, json_path.parent if json_path is not None else None):
+    for path in (*folders, *(file.parent for file in files if file is not None)):
         if path is None:
             continue
         existing = next(parent for parent in (path, *path.absolute().parents) if parent.exists())
         if not existing.is_dir():
             raise OutputError(path, f"{existing} is not a folder")
-    if json_path is not None and json_path.is_dir():
-        raise OutputError(json_path, "it is a folder; give the name of a file")
+    for file in files:
+        if file is not None and file.is_dir():
+            raise OutputError(file, "it is a folder; give the name of a file")
 
 
 def _print_list(specs: list[VariantSpec]) -> None:
@@ -291,17 +303,8 @@ def _print_list(specs: list[VariantSpec]) -> None:
 )
 @click.option("--strict", is_flag=True, help="Tolerate rounding errors alone (1e-9), not digits.")
 @click.option("--all", "everything", is_flag=True, help="Print every difference.")
-@click.option(
-    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
-)
-@click.option(
-    "--format",
-    "style",
-    type=click.Choice(["text", "github", "junit"]),
-    default="text",
-    show_default=True,
-    help="For people, as GitHub annotations, or as JUnit XML.",
-)
+@_json_option
+@_format_option
 def crosscheck(
     urdf: Path,
     mjcf: Path,
@@ -345,7 +348,7 @@ def crosscheck(
             raise ConfigurationError("package", f"{name}: {folder} is not a folder")
     tolerances = Tolerances.strict() if strict else Tolerances()
     tolerances = tolerances.changed(dict(_number("tolerance", text) for text in changes))
-    _check_outputs([], json_path)
+    _check_outputs(json_path)
     comparison = compare_models(
         urdf, mjcf, names=names, packages=folders, feet=feet, tolerances=tolerances
     )
@@ -383,17 +386,8 @@ def crosscheck(
     show_default=True,
     help="The least severity that makes the exit status 1.",
 )
-@click.option(
-    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
-)
-@click.option(
-    "--format",
-    "style",
-    type=click.Choice(["text", "github", "junit"]),
-    default="text",
-    show_default=True,
-    help="For people, as GitHub annotations, or as JUnit XML.",
-)
+@_json_option
+@_format_option
 def audit_command(
     file: Path | None,
     packages: tuple[str, ...],
@@ -427,7 +421,7 @@ def audit_command(
     if file is None:
         raise ConfigurationError("FILE", "give the URDF or MJCF to audit")
     folders = {name: Path(value) for name, value in (_assignment("package", p) for p in packages)}
-    _check_outputs([], json_path)
+    _check_outputs(json_path)
     result = audit_model(file, packages=folders, disabled=disabled)
     if style == "text":
         audit_report.print_audit(report.console(), result)
@@ -482,10 +476,8 @@ def _write_json(path: Path | None, content: object) -> None:
 @click.option("--slope", type=float, default=0.0, metavar="RAD", help="Slope of the ground (rad).")
 @click.option("--uphill", type=float, default=0.0, metavar="RAD", help="Where it rises (rad).")
 @click.option("--envelope", is_flag=True, help="Also how far the base can go from there.")
-@click.option("--figure", type=click.Path(path_type=Path), help="Draw it: a PNG.")
-@click.option(
-    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
-)
+@_figure_option
+@_json_option
 def stance(
     name: str,
     height: float | None,
@@ -536,8 +528,7 @@ def stance(
         lifted=dict(_number("lift", text) for text in lifts),
         ground=Ground(slope, uphill, dict(_number("step", text) for text in steps)),
     )
-    _check_outputs([], figure)
-    _check_outputs([], json_path)
+    _check_outputs(figure, json_path)
     robot = load_variant(name)
     result = stance_report.study(robot, task, envelope=envelope)
     stance_report.print_stance(report.console(), result)
@@ -565,10 +556,8 @@ def _place(option: str, text: str) -> tuple[float, float]:
     "--resolution", default=0.02, show_default=True, metavar="NS", help="Of the impulses (N s)."
 )
 @click.option("--height", type=float, metavar="M", help="Base above the ground (m).")
-@click.option("--figure", type=click.Path(path_type=Path), help="Draw it: a PNG.")
-@click.option(
-    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
-)
+@_figure_option
+@_json_option
 def push(
     names: tuple[str, ...],
     directions: int,
@@ -598,8 +587,7 @@ def push(
     from pupper_analysis.task import StandTask
     from pupper_analysis.variants import VARIANTS
 
-    _check_outputs([], figure)
-    _check_outputs([], json_path)
+    _check_outputs(figure, json_path)
     robots = [load_variant(name) for name in dict.fromkeys(names or VARIANTS)]
     stands = [solve_stand(robot, StandTask(height=height)) for robot in robots]
     results = {
@@ -652,7 +640,7 @@ def stand(headless: bool, seconds: float | None, demo: str | None, csv: Path | N
             raise ConfigurationError("--seconds", "a demo has its own duration")
         from pupper_analysis import demo as demos
 
-        _check_outputs([], csv)
+        _check_outputs(csv)
         good = demos.demo(demo, headless=headless, csv=csv)
     if not good:
         click.get_current_context().exit(FAILED)
