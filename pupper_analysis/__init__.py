@@ -55,6 +55,7 @@ if TYPE_CHECKING:
         sweep_gains,
         verify_stand,
     )
+    from pupper_analysis.sink import sunk_stand
     from pupper_analysis.stand import Stand, solve_stand, stand_statics
     from pupper_analysis.statics import GravityCompensation, LoadSharing, gravity_compensation
     from pupper_analysis.task import Ground, StandTask
@@ -89,6 +90,7 @@ _HOME = {
     "least_kp": "settle",
     "settled_pose": "settle",
     "stand_statics": "stand",
+    "sunk_stand": "sink",
     "compare_models": "comparison",
     "Tolerances": "explain",
     "OutputError": "errors",
@@ -176,6 +178,7 @@ __all__ = [
     "solve_stand",
     "stance_path",
     "stand_statics",
+    "sunk_stand",
     "sweep_gains",
     "to_json",
     "track_path",

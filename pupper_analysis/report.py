@@ -226,9 +226,9 @@ def print_loads(
         )
     out.print(table)
     out.print(
-        "least torque: the best share that friction allows; even load: vertical forces, which last "
-        "in a simulator,\nwhose friction creeps, and so what the simulation is compared with"
-        + explanation,
+        "least torque: the best share that friction allows; even load: the least tangential "
+        "forces, which last\nin a simulator, whose friction creeps: what the simulation is "
+        "compared with" + explanation,
         style="dim",
     )
     table = titled_table(

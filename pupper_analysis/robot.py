@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -292,7 +292,8 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
 
     Returns:
         The same robot, whose MuJoCo model has the floor turned and a box for each step. The steps
-        have the floor's contact parameters.
+        have the floor's contact parameters. A foot on a step does not touch the floor, into which
+        it would sink through a low one.
 
     Raises:
         ModelError: If the MJCF has no floor.
@@ -307,9 +308,10 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
     turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), ground.normal())
     quat = turn.coeffs()[[3, 0, 1, 2]]
     floor.quat = quat
-    for foot, height in ground.heights.items():
-        if height <= 0:
-            continue
+    steps = {foot: height for foot, height in ground.heights.items() if height > 0}
+    contype, conaffinity = floor.contype, floor.conaffinity
+    _leave_floor(robot, spec, floor, steps)
+    for foot, height in steps.items():
         radius = robot.foot_radius[foot]  # of a lifted foot only the horizontal place counts
         top = ground.centre(foot, places[foot][:2], radius) - radius * ground.normal()
         half = np.array([STEP_HALF_WIDTH, STEP_HALF_WIDTH, height / 2 * np.cos(ground.slope)])
@@ -320,8 +322,8 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
             pos=top - half[2] * ground.normal(),
             quat=quat,
             condim=floor.condim,
-            contype=floor.contype,
-            conaffinity=floor.conaffinity,
+            contype=contype,
+            conaffinity=conaffinity,
             friction=floor.friction,
             solref=floor.solref,
             solimp=floor.solimp,
@@ -331,6 +333,27 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
         )
     built = build_robot(replace(robot.description, mjcf=spec))
     return replace(built, stand_height=robot.stand_height, notes=robot.notes)
+
+
+def _leave_floor(
+    robot: Robot, spec: mujoco.MjSpec, floor: mujoco.MjsGeom, feet: Container[str]
+) -> None:
+    """Lets all that touched the floor touch it, except some feet's soles."""
+    spec.compile()  # numbers the geoms
+    geoms = [geom for geom in spec.geoms if geom.id != floor.id]
+    touching = [
+        geom
+        for geom in geoms
+        if geom.contype & floor.conaffinity or geom.conaffinity & floor.contype
+    ]
+    taken = floor.contype | floor.conaffinity
+    for geom in geoms:
+        taken |= geom.contype | geom.conaffinity
+    free = next(1 << bit for bit in range(31) if not taken & 1 << bit)
+    floor.contype, floor.conaffinity = 0, free
+    for geom in touching:
+        if robot.soles.get(geom.id) not in feet:
+            geom.contype |= free
 
 
 # ------------------------------------------------------------------------------------- MuJoCo

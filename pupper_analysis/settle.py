@@ -10,16 +10,17 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg, optimize
+from scipy import linalg
 
 from pupper_analysis import contact
 from pupper_analysis.configuration import UP, Configuration
 from pupper_analysis.errors import ConfigurationError, NoEquilibriumError
+from pupper_analysis.ground import GroundLaw
 from pupper_analysis.results import Result
-from pupper_analysis.robot import Robot
+from pupper_analysis.robot import Robot, on_ground
 from pupper_analysis.simulation import drop_at, servos
-from pupper_analysis.stand import Stand
-from pupper_analysis.statics import LoadSharing, gravity_compensation
+from pupper_analysis.stand import Stand, stand_statics
+from pupper_analysis.statics import LoadSharing
 
 Array = NDArray[np.float64]
 Feet = Literal["pinned", "sliding"]
@@ -31,96 +32,8 @@ _MAX_ITERATIONS = 15
 _TRUST = 0.5  # rad, m: a longer Newton step has left the branch
 _LEAST_SHARE = 1 / 64  # of the feed-forward that is taken away in one step
 _STEP = 1e-6  # rad, m: of the numeric derivatives
+_CREEP_STEPS = 20
 _WEAK = 1e-3  # N/m: holds a sliding robot in its place as creep does, with 1e-5 N
-
-
-@dataclass(frozen=True)
-class GroundLaw:
-    """The ground under one foot, as MuJoCo has it at rest.
-
-    With r the penetration, d(r) the impedance of ``solimp`` and A the ``diagApprox`` of the
-    contact, R = (1 - d)/d A; a constraint at rest has the force aref / R, aref = k d r - b v. So
-
-        normal force:      f = k d(r)^2 r / ((1 - d(r)) A)
-        tangential force:  f = -c v, c = b d / ((1 - d) A_t), A_t = A / impratio  (a creeping foot)
-
-    with k = 1/(dmax timeconst dampratio)^2 and b = 2/(dmax timeconst), or -solref/(dmax^2, dmax).
-
-    Source: MuJoCo documentation, "Computation: Solver parameters"; engine_core_constraint.c.
-
-    Attributes:
-        stiffness: k (1/s^2).
-        damping: b (1/s).
-        solimp: dmin, dmax, width (m), midpoint, power; within MuJoCo's bounds.
-        normal: A (1/kg).
-        tangential: A_t (1/kg); infinite without friction.
-    """
-
-    stiffness: float
-    damping: float
-    solimp: tuple[float, ...]
-    normal: float
-    tangential: float
-
-    @staticmethod
-    def of(robot: Robot, foot: str) -> GroundLaw:
-        """Returns the law of one foot's contact with the ground, cone elliptic or pyramidal."""
-        model, parameters = robot.mj_model, robot.contacts[foot]
-        dmin, dmax, width, midpoint, power = parameters.solimp
-        dmin, dmax, midpoint = np.clip((dmin, dmax, midpoint), mujoco.mjMINIMP, mujoco.mjMAXIMP)
-        first, second = parameters.solref
-        if first > 0:
-            if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE.value:
-                first = max(first, 2 * float(model.opt.timestep))
-            stiffness, damping = (dmax * first * second) ** -2, 2 / (dmax * first)
-        else:
-            stiffness, damping = -first / dmax**2, -second / dmax
-        normal = float(model.body_invweight0[robot.foot_places[foot][0], 0])
-        tangential, mu = normal / float(model.opt.impratio), parameters.sliding_friction
-        if mu > 0 and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value:
-            tangential *= 1 + mu**2
-            normal = tangential * mu**2 / (parameters.condim - 1)  # of its 2 (condim - 1) edges
-        return GroundLaw(
-            stiffness=float(stiffness),
-            damping=float(damping),
-            solimp=(float(dmin), float(dmax), width, float(midpoint), max(power, 1.0)),
-            normal=normal,
-            tangential=tangential if mu > 0 else math.inf,
-        )
-
-    def impedance(self, depth: float) -> float:
-        """Returns d at a penetration (m): from dmin at none to dmax at ``width``."""
-        dmin, dmax, width, midpoint, power = self.solimp
-        if dmin == dmax or width <= mujoco.mjMINVAL:
-            return (dmin + dmax) / 2
-        x = min(abs(depth) / width, 1.0)
-        if x <= midpoint:
-            y = midpoint * (x / midpoint) ** power
-        else:
-            y = 1 - (1 - midpoint) * ((1 - x) / (1 - midpoint)) ** power
-        return float(dmin + y * (dmax - dmin))
-
-    def force(self, depth: float) -> float:
-        """Returns the normal force (N) at a penetration (m) at rest."""
-        d = self.impedance(depth)
-        return self.stiffness * d**2 * depth / ((1 - d) * self.normal)
-
-    def rate(self, depth: float) -> float:
-        """Returns the normal stiffness (N/m) at a penetration (m)."""
-        low, high = max(depth - 1e-8, 0.0), max(depth, 0.0) + 1e-8
-        return (self.force(high) - self.force(low)) / (high - low)
-
-    def depth(self, force: float) -> float:
-        """Returns the penetration (m) under a normal force (N); linear where the foot pulls."""
-        linear = force / self.rate(0.0)
-        if force <= 0:
-            return linear
-        return float(optimize.brentq(lambda r: self.force(r) - force, 0.0, 2 * linear, xtol=1e-16))
-
-    def viscosity(self, depth: float) -> float:
-        """Returns c (N s/m), tangential force per creep velocity, at a penetration (m)."""
-        d = self.impedance(depth)
-        return self.damping * d / ((1 - d) * self.tangential)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +89,7 @@ def settled_pose(
     kp: ArrayLike | None = None,
     feedforward: bool = False,
     feet: Feet = "pinned",
+    seconds: float = 0.0,
 ) -> SettledPose:
     """Predicts where position servos let a standing robot sag to.
 
@@ -184,8 +98,10 @@ def settled_pose(
         g(q) - S^T tau - sum J_i(q)^T f_i = 0,  depth_i(f_i) = r_i - z_i(q)
 
     J_i is the Jacobian of the material point at the contact. Pinned, that point stays (the foot
-    rolls on it); sliding, its tangential force is zero. Newton's iteration follows the equilibrium
-    from the stand itself, which full feed-forward holds, while feed-forward is taken away.
+    rolls on it), or creeps with -f_t / c as MuJoCo's friction has it, if ``seconds`` are given;
+    sliding, its tangential force is zero. Newton's iteration follows the equilibrium from the stand
+    itself, which full feed-forward holds, while feed-forward is taken away; then backward Euler
+    steps follow the creep.
 
     Args:
         robot: The robot.
@@ -194,6 +110,7 @@ def settled_pose(
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         feet: ``pinned``: friction holds, as rubber's does for good and MuJoCo's for seconds.
             ``sliding``: no tangential force is left, where MuJoCo's creeping feet end.
+        seconds: How long pinned feet have crept (s).
 
     Returns:
         The equilibrium; ``failures`` says why the robot will not stand so.
@@ -206,13 +123,21 @@ def settled_pose(
     """
     if not robot.floating or not robot.contacts or stand.qpos.shape != (robot.nq,):
         raise ConfigurationError("robot", f"{robot.name} cannot stand on its feet like that")
-    if any(abs(stand.foot_targets[f][2] - r) > 1e-6 for f, r in robot.foot_radius.items()):
-        raise ConfigurationError("stand", "every foot must be on level ground at z = 0")
     if feet not in ("pinned", "sliding"):
         raise ConfigurationError("feet", f"{feet!r} is neither 'pinned' nor 'sliding'")
+    if not 0 <= seconds < math.inf or (seconds and feet == "sliding"):
+        raise ConfigurationError("seconds", f"{seconds} s: feet that are pinned creep for >= 0 s")
+    if feet == "sliding" and stand.task.ground.slope:
+        raise ConfigurationError("feet", "on a slope only friction holds a robot: they are pinned")
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    balance = stand_statics(robot, stand, sharing=LoadSharing.EVEN)
     system = _Equilibrium(robot, stand, kp, feet)
-    balance = gravity_compensation(Configuration(robot, stand.qpos), sharing=LoadSharing.EVEN)
-    forces = np.array([balance.contact_forces[foot] for foot in robot.feet])
+    forces = np.array(
+        [
+            turn @ balance.contact_forces[foot]
+            for foot, turn in zip(stand.carrying, system.frames, strict=True)
+        ]
+    )
     qpos = stand.qpos.copy()
     qpos[2] -= np.mean(system.depths(forces))
     share, step, goal, iterations = 0.0, 1.0, 0.0 if feedforward else 1.0, 0
@@ -225,7 +150,7 @@ def settled_pose(
             iterations += len(residuals) - 1
             share = wanted
             if share == goal:
-                return system.result(qpos, forces, residuals, iterations)
+                break
         elif step > _LEAST_SHARE and goal > 0:
             step /= 2
         else:
@@ -234,6 +159,15 @@ def settled_pose(
                 f"with {feet} feet and kp = {system.kp.min():.3g} N m/rad it ends where "
                 f"{share:.0%} of the feed-forward is taken away",
             )
+    for number in range(_CREEP_STEPS if seconds else 0):
+        system.creep(qpos, forces, seconds / _CREEP_STEPS)
+        solution = system.solve(qpos, forces)
+        if solution is None:
+            after = number * seconds / _CREEP_STEPS
+            raise NoEquilibriumError(1.0, f"after {after:.1f} s of creep it ends")
+        qpos, forces, residuals = solution
+        iterations += len(residuals) - 1
+    return system.result(qpos, forces, residuals, iterations)
 
 
 def least_kp(
@@ -275,7 +209,10 @@ def least_kp(
 
 
 class _Equilibrium:
-    """The equations of the equilibrium, in (qpos, forces (n, 3)), for a servo ``target`` (nu,)."""
+    """The equations of the equilibrium, in (qpos, forces (n, 3)), for a servo ``target`` (nu,).
+
+    Forces, slips and depths are in the frame of each contact, whose z is the ground's normal.
+    """
 
     def __init__(self, robot: Robot, stand: Stand, kp: ArrayLike | None, feet: Feet) -> None:
         drive = servos(robot, kp, None if kp is None else 0.0)
@@ -286,9 +223,15 @@ class _Equilibrium:
         self.upper = np.where(limited, limits.max(axis=1), np.inf)
         self.robot, self.stand, self.feet, self.kp = robot, stand, feet, drive.kp
         self.target = stand.qpos[7:]
-        self.laws = [GroundLaw.of(robot, foot) for foot in robot.feet]
+        self.crept = np.zeros((len(stand.carrying), 2))
+        self.yielding = np.zeros(len(stand.carrying))  # m/N: creep in this step per force
+        self.laws = [GroundLaw.of(robot, foot) for foot in stand.carrying]
         config = Configuration(robot, stand.qpos)
-        self.turned = [config.frame_rotation(robot.foot_frames[foot]) for foot in robot.feet]
+        self.turned = [config.frame_rotation(robot.foot_frames[foot]) for foot in stand.carrying]
+        self.frames = [
+            pin.Quaternion.FromTwoVectors(stand.normals[foot], UP).matrix()
+            for foot in stand.carrying
+        ]
 
     def depths(self, forces: Array) -> Array:
         """Returns how deep the feet sink (n,) under forces (n, 3)."""
@@ -302,15 +245,17 @@ class _Equilibrium:
         """Returns the balance (nv,), the feet's slip and depth (n, 3), the Jacobian (3 n, nv)."""
         config = Configuration(self.robot, qpos)
         places, jacobians = [], []
-        for foot, turned in zip(self.robot.feet, self.turned, strict=True):
+        stand = self.stand
+        for foot, turned, local in zip(stand.carrying, self.turned, self.frames, strict=True):
             frame, radius = self.robot.foot_frames[foot], self.robot.foot_radius[foot]
-            moved = config.frame_position(frame) - self.stand.foot_targets[foot]
+            moved = config.frame_position(frame) - stand.foot_targets[foot]
+            depth = -float(stand.normals[foot] @ moved)
             # MuJoCo has the contact half way into the penetration.
-            arm = (radius + moved[2] / 2) * UP
-            jacobians.append(config.frame_jacobian(frame, -arm)[:3])
+            arm = (radius - depth / 2) * stand.normals[foot]
+            jacobians.append(local @ config.frame_jacobian(frame, -arm)[:3])
             turn = pin.log3(config.frame_rotation(frame) @ turned.T)
-            slip = moved - np.cross(turn, arm)  # less what the sphere has rolled
-            places.append((slip[0], slip[1], -moved[2]))
+            slip = local @ (moved - np.cross(turn, arm))  # less what the sphere has rolled
+            places.append((slip[0], slip[1], depth))
         jacobian = np.concatenate(jacobians)
         balance = config.gravity() - jacobian.T @ forces.ravel()
         balance[6:] -= self.torques(qpos)
@@ -321,6 +266,8 @@ class _Equilibrium:
         balance, places, _ = self.terms(qpos, forces)
         if self.feet == "sliding":
             places[:, :2] = forces[:, :2] + _WEAK * places[:, :2]
+        else:
+            places[:, :2] += self.yielding[:, None] * forces[:, :2] - self.crept
         places[:, 2] -= self.depths(forces)
         return np.concatenate([balance, places.ravel()])
 
@@ -338,7 +285,7 @@ class _Equilibrium:
             by_qpos[n:].reshape(-1, 3, n)[:, :2] *= _WEAK
         *_, jacobian = self.terms(qpos, forces)
         by_force = np.zeros((len(forces), 3))
-        by_force[:, :2] = self.feet == "sliding"
+        by_force[:, :2] = 1.0 if self.feet == "sliding" else self.yielding[:, None]
         depths = self.depths(forces)
         by_force[:, 2] = [-1 / law.rate(d) for law, d in zip(self.laws, depths, strict=True)]
         return np.hstack([by_qpos, np.vstack([-jacobian.T, np.diag(by_force.ravel())])])
@@ -360,6 +307,21 @@ class _Equilibrium:
                 return None
             qpos, forces = move(qpos, step[:n]), forces + step[n:].reshape(-1, 3)
         return None
+
+    def creep(self, qpos: Array, forces: Array, seconds: float) -> None:
+        """Begins a step of creep, with the viscosities of where it begins."""
+        _, places, _ = self.terms(qpos, forces)
+        self.crept = places[:, :2]
+        self.yielding = seconds / self.viscosities(places[:, 2])
+
+    def viscosities(self, depths: Array) -> Array:
+        """Returns tangential force per velocity (n,) (N s/m); infinite where a foot pulls."""
+        return np.array(
+            [
+                law.viscosity(depth) if depth > 0 else math.inf
+                for law, depth in zip(self.laws, depths, strict=True)
+            ]
+        )
 
     def stiffness(self, qpos: Array, forces: Array, derivative: Array) -> float:
         """Returns the least eigenvalue of the Hessian where the feet allow it to move."""
@@ -386,16 +348,17 @@ class _Equilibrium:
         stiffness = self.stiffness(qpos, forces, derivative)
         creep, flow = np.zeros((len(forces), 2)), np.zeros(len(derivative))
         if self.feet == "pinned":
-            c = [law.viscosity(depth) for law, depth in zip(self.laws, places[:, 2], strict=True)]
             with np.errstate(divide="ignore"):
-                creep = -forces[:, :2] / np.array(c)[:, None]
+                creep = -forces[:, :2] / self.viscosities(places[:, 2])[:, None]
             flow[robot.nv :].reshape(-1, 3)[:, :2] = creep
-        targets = np.array([stand.foot_targets[foot] for foot in robot.feet])
+        targets = np.array([stand.foot_targets[foot] for foot in stand.carrying])
+        centres = Configuration(robot, qpos).foot_positions()
+        reached = np.array([centres[foot] for foot in stand.carrying])
         loss = float(stand.qpos[2] - qpos[2])
-        contact_sag = drop_at(stand.qpos[:2], targets, places[:, 2])
+        contact_sag = drop_at(stand.qpos[:2], targets, (targets - reached)[:, 2])
         torques = self.torques(qpos)
         names = np.array(robot.joint_names)
-        per_foot = dict(zip(robot.feet, forces, strict=True))
+        per_foot = dict(zip(stand.carrying, forces, strict=True))
         return SettledPose(
             feet=self.feet,
             qpos=qpos,
@@ -405,8 +368,13 @@ class _Equilibrium:
             contact_sag=contact_sag,
             joint_torques=torques,
             saturated=tuple(names[(torques <= self.lower) | (torques >= self.upper)].tolist()),
-            contact_forces=per_foot,
-            foot_creep=dict(zip(robot.feet, np.linalg.norm(creep, axis=1).tolist(), strict=True)),
+            contact_forces={
+                foot: turn.T @ force
+                for (foot, force), turn in zip(per_foot.items(), self.frames, strict=True)
+            },
+            foot_creep=dict(
+                zip(stand.carrying, np.linalg.norm(creep, axis=1).tolist(), strict=True)
+            ),
             height_drift=float(np.linalg.solve(derivative, flow)[2]),
             iterations=iterations,
             residual=residuals[-1],

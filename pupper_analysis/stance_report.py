@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 
@@ -11,13 +12,14 @@ from rich.console import Console
 from rich.markup import escape
 
 from pupper_analysis.envelope import PoseEnvelope, pose_envelope
-from pupper_analysis.errors import ConfigurationError, NoEquilibriumError
+from pupper_analysis.errors import NoEquilibriumError, StanceUnreachableError
 from pupper_analysis.payload import PayloadLimit, payload_limit
 from pupper_analysis.report import print_loads, titled_table
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
 from pupper_analysis.settle import SettledPose, settled_pose
 from pupper_analysis.simulation import StandVerification, verify_stand
+from pupper_analysis.sink import sunk_stand
 from pupper_analysis.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.statics import GravityCompensation
 from pupper_analysis.task import StandTask
@@ -36,7 +38,8 @@ class Stance(Result):
         stand: The solved stand.
         statics: Torques and contact forces, of least torque.
         payload: The greatest mass at the base's origin.
-        verification: The simulated stand, with feed-forward.
+        sunk: The stance with its feet sunk into MuJoCo's ground; None where that is out of reach.
+        verification: The simulation, with feed-forward, of ``sunk``, or else of ``stand``.
         settled: Where it settles without feed-forward; None where that is not predicted.
         unsettled: Why ``settled`` is None.
         envelope: How far the base can go; None if it was not asked for.
@@ -48,6 +51,7 @@ class Stance(Result):
     stand: Stand
     statics: GravityCompensation
     payload: PayloadLimit
+    sunk: Stand | None
     verification: StandVerification
     settled: SettledPose | None
     unsettled: str
@@ -68,19 +72,23 @@ def study(robot: Robot, task: StandTask, *, envelope: bool = False) -> Stance:
         ConfigurationError: If the task makes no sense for the robot.
     """
     stand = solve_stand(robot, task)
-    settled, unsettled = None, ""
+    statics = stand_statics(robot, stand)
+    settled, unsettled, sunk = None, "", None
     try:
         settled = settled_pose(robot, stand)
-    except (ConfigurationError, NoEquilibriumError) as error:
+    except NoEquilibriumError as error:
         unsettled = str(error)
+    with contextlib.suppress(StanceUnreachableError):
+        sunk = sunk_stand(robot, task, explain=False)
     return Stance(
         name=robot.name,
         joint_positions=stand.joint_positions(robot),
         limits=robot.effort_limits,
         stand=stand,
-        statics=stand_statics(robot, stand),
+        statics=statics,
         payload=payload_limit(robot, stand),
-        verification=verify_stand(robot, stand),
+        sunk=sunk,
+        verification=verify_stand(robot, sunk or stand),
         settled=settled,
         unsettled=unsettled,
         envelope=pose_envelope(robot, task) if envelope else None,
@@ -102,6 +110,19 @@ def print_stance(out: Console, stance: Stance) -> None:
     _print_settled(out, stance)
     if stance.envelope is not None:
         _print_envelope(out, stance.envelope)
+    if stance.sunk is None:
+        out.print(
+            "[yellow]note:[/] its feet, sunk into MuJoCo's soft ground, would be out of reach; "
+            "simulated with joints for rigid ground",
+            soft_wrap=True,
+        )
+    else:
+        deepest = 1e3 * max(stance.sunk.depths.values())
+        out.print(
+            f"simulated with its legs longer by what the feet sink into MuJoCo's soft ground "
+            f"(at most {deepest:.2f} mm)",
+            soft_wrap=True,
+        )
     if verification.passed:
         out.print(
             f"[bold green]HOLDS[/] in MuJoCo: torques within {verification.torque_error:.2%}, "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from xml.etree import ElementTree
@@ -44,6 +44,7 @@ class Stand(Result):
         task: The task, with its height filled in.
         qpos: (nq,) the configuration.
         foot_targets: {foot: (3,)} where the centre of each foot's sphere shall be (m).
+        depths: {foot that carries: how deep it has sunk into the ground (m)}; 0 on rigid ground.
         carrying: The feet that carry.
         normals: {foot that carries: (3,) direction out of the ground}.
         contact_points: {foot that carries: (3,) where it touches the ground (m)}.
@@ -58,6 +59,7 @@ class Stand(Result):
     task: StandTask
     qpos: Array
     foot_targets: dict[str, Array]
+    depths: dict[str, float]
     carrying: tuple[str, ...]
     normals: dict[str, Array]
     contact_points: dict[str, Array]
@@ -79,6 +81,7 @@ class _Goal:
     Attributes:
         task: The task, with its height filled in.
         targets: {foot: (3,)} of the feet's centres.
+        depths: {foot that carries: m} how deep these are in the ground.
         carrying: The feet that carry.
         contacts: (n, 3) contact points of these.
         height: z of the base frame.
@@ -90,6 +93,7 @@ class _Goal:
 
     task: StandTask
     targets: dict[str, Array]
+    depths: dict[str, float]
     carrying: tuple[str, ...]
     contacts: Array
     height: float
@@ -99,7 +103,13 @@ class _Goal:
     upper: Array
 
 
-def solve_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = True) -> Stand:
+def solve_stand(
+    robot: Robot,
+    task: StandTask | None = None,
+    *,
+    depths: Mapping[str, float] | None = None,
+    explain: bool = True,
+) -> Stand:
     """Finds the configuration that satisfies a stand task, within the joint limits.
 
     PlaCo solves a sequence of quadratic programmes on the floating base: the base's orientation
@@ -109,6 +119,8 @@ def solve_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = 
     Args:
         robot: A robot with a floating base.
         task: How to stand; the nominal stand by default.
+        depths: {foot that carries: how deep it sinks into the ground (m)}; 0 where not given. The
+            base stays where the task has it. ``sunk_stand`` finds MuJoCo's.
         explain: Where the stance is out of reach, find out how near the feet can come, which single
             demand is in the way, and how far it would have to give (some tenths of a second).
             Otherwise the shortfall is PlaCo's, which may be a little too large.
@@ -123,7 +135,7 @@ def solve_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = 
         StanceUnreachableError: If it is out of reach; names the feet and how far they miss, and the
             demands of which one would have to give.
     """
-    goal = _goal(robot, task or StandTask())
+    goal = _goal(robot, task or StandTask(), depths or {})
     wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _bare_urdf(robot))
     outcome = _attempt(robot, wrapper, goal)
     if outcome.foot_error < TASK_TOLERANCE:
@@ -158,16 +170,21 @@ def stand_statics(
     Raises:
         StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.
     """
-    config = Configuration(robot, stand.qpos)
-    return gravity_compensation(config, stand.carrying, normals=stand.normals, sharing=sharing)
+    return gravity_compensation(
+        Configuration(robot, stand.qpos),
+        stand.carrying,
+        normals=stand.normals,
+        depths=stand.depths,
+        sharing=sharing,
+    )
 
 
-def _goal(robot: Robot, task: StandTask) -> _Goal:
+def _goal(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> _Goal:
     if not robot.floating:
         raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
     if not robot.feet:
         raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
-    for foot in (*task.feet, *task.foot_offsets, *task.lifted, *task.ground.heights):
+    for foot in (*task.feet, *task.foot_offsets, *task.lifted, *task.ground.heights, *depths):
         robot.check_foot(foot)
     carrying = tuple(foot for foot in robot.feet if foot not in task.lifted)
     if len(carrying) < 3:
@@ -182,6 +199,8 @@ def _goal(robot: Robot, task: StandTask) -> _Goal:
         targets[foot] = ground.centre(foot, place, robot.foot_radius[foot])
         targets[foot][2] += task.lifted.get(foot, 0.0)
     contacts = np.array([targets[foot] - robot.foot_radius[foot] * normal for foot in carrying])
+    for foot in carrying:
+        targets[foot] = targets[foot] - depths.get(foot, 0.0) * normal
     centre = contacts.mean(axis=0)
     lower, upper = robot.lower_limits + task.joint_margin, robot.upper_limits - task.joint_margin
     if (lower > upper).any():
@@ -205,6 +224,7 @@ def _goal(robot: Robot, task: StandTask) -> _Goal:
     return _Goal(
         task=task,
         targets=targets,
+        depths={foot: float(depths.get(foot, 0.0)) for foot in carrying},
         carrying=carrying,
         contacts=contacts,
         height=float(centre[2]) + task.height,
@@ -296,6 +316,7 @@ def _measure(robot: Robot, goal: _Goal, qpos: Array, iterations: int) -> Stand:
         task=goal.task,
         qpos=config.qpos.copy(),
         foot_targets=goal.targets,
+        depths=goal.depths,
         carrying=goal.carrying,
         normals=dict.fromkeys(goal.carrying, normal),
         contact_points=dict(zip(goal.carrying, goal.contacts, strict=True)),
@@ -408,15 +429,15 @@ def _unreachable(
     feasible: Stand | None = None
     if explain:
         for demand in _DEMANDS:
-            stand = _furthest(robot, wrapper, goal.task, [demand])
+            stand = _furthest(robot, wrapper, goal, [demand])
             if stand is not None:
                 possible[demand] = f"{demand} {_value(stand.task, demand)}"
-        feasible = _furthest(robot, wrapper, goal.task, _DEMANDS)
+        feasible = _furthest(robot, wrapper, goal, _DEMANDS)
     return StanceUnreachableError(str(goal.task), missed, at_limit, possible, feasible)
 
 
 def _furthest(
-    robot: Robot, wrapper: placo.RobotWrapper, task: StandTask, demands: Sequence[str]
+    robot: Robot, wrapper: placo.RobotWrapper, goal: _Goal, demands: Sequence[str]
 ) -> Stand | None:
     """Finds how far demands can go from the nominal stand's towards the task's.
 
@@ -426,6 +447,7 @@ def _furthest(
         The stand there; None if the demands do not differ from the nominal stand's, or giving them
         up altogether does not help.
     """
+    task = goal.task
     if _shrunk(robot, task, demands, 0.0) == _shrunk(robot, task, demands, 1.0):
         return None
     best: Stand | None = None
@@ -433,7 +455,8 @@ def _furthest(
     share = 0.0
     while high - low > 1e-3 or share == 0.0:
         try:
-            stand = _attempt(robot, wrapper, _goal(robot, _shrunk(robot, task, demands, share)))
+            shrunk = _goal(robot, _shrunk(robot, task, demands, share), goal.depths)
+            stand = _attempt(robot, wrapper, shrunk)
         except ConfigurationError:
             return None
         if stand.foot_error < TASK_TOLERANCE:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from numbers import Real
 
@@ -16,6 +16,7 @@ from scipy import linalg, sparse
 
 from pupper_analysis.configuration import UP, Configuration
 from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
+from pupper_analysis.ground import GroundLaw
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
@@ -26,6 +27,14 @@ BALANCE_TOLERANCE = 1e-9
 _INSIDE = 1e-6
 """The cones are narrowed by this much for the solver, so that its rounding stays inside them."""
 
+_TANGENTIAL = 1e3
+"""Weight of tangential forces against normal ones, for even load."""
+
+_LIGHTEST = 1e-3
+"""Share of the largest force below which a foot's viscosity is not looked at."""
+
+_MAX_ITERATIONS = 50
+
 _NO_SLIDING = 1e4
 """A friction coefficient that stands for a foot that cannot slide."""
 
@@ -34,9 +43,12 @@ class LoadSharing(StrEnum):
     """Which of the feasible contact forces is meant, where balance leaves a choice.
 
     LEAST_TORQUE has the least sum of squared motor torques: the best that the motors can do.
-    EVEN has the least sum of squared contact forces: how the feet share the load on ground that is
-    equally soft under each. On level ground its forces are vertical; these are what a simulator
-    holds for good, because its regularised friction lets tangential forces creep away.
+    EVEN has the least tangential forces, and of those that remain the least sum of squared normal
+    forces: how the feet share the load on ground that is equally soft under each. These are what
+    MuJoCo holds for good, because its regularised friction lets feet creep against each other until
+    no tangential force is left that they can get rid of: none on level ground and steps, and on a
+    slope those with which all feet creep down it together. (The least sum of f_t^2 / c, with c the
+    viscosity of ``GroundLaw``: its optimality condition is f_t = c (v + omega x r).)
     """
 
     LEAST_TORQUE = "least torque"
@@ -82,6 +94,7 @@ def gravity_compensation(
     *,
     friction: float | Mapping[str, float] | None = None,
     normals: Mapping[str, ArrayLike] | None = None,
+    depths: Mapping[str, float] | None = None,
     sharing: LoadSharing = LoadSharing.LEAST_TORQUE,
 ) -> GravityCompensation:
     """Computes motor torques and contact forces that hold a robot still.
@@ -99,6 +112,8 @@ def gravity_compensation(
         contacts: The feet that carry; all by default, none for a fixed base.
         friction: Friction coefficient, for all or per foot; by default that of MuJoCo's contact.
         normals: Per foot, the direction (3,) in the world out of the ground; up where not given.
+        depths: Per foot, how deep it has sunk into the ground (m), 0 where not given. The force
+            acts half way, as MuJoCo has it.
         sharing: Which of the feasible forces: by default those of least torque.
 
     Returns:
@@ -123,14 +138,15 @@ def gravity_compensation(
     if not feet:
         return _result(config, {}, {}, {}, {}, gravity[:base_rows])
 
-    for given in (normals, friction):
+    for given in (normals, depths, friction):
         for foot in given if isinstance(given, Mapping) else ():
             robot.check_foot(foot)
     directions = {foot: _normal(foot, (normals or {}).get(foot, UP)) for foot in feet}
     coefficients = {foot: _friction(config, foot, friction) for foot in feet}
     points, jacobians = {}, []
     for foot in feet:
-        offset = -robot.foot_radius[foot] * directions[foot]
+        depth = (depths or {}).get(foot, 0.0)
+        offset = -(robot.foot_radius[foot] - depth / 2) * directions[foot]
         frame = robot.foot_frames[foot]
         points[foot] = config.frame_position(frame) + offset
         jacobians.append(config.frame_jacobian(frame, offset)[:3])
@@ -141,9 +157,12 @@ def gravity_compensation(
         joints=stacked[base_rows:],
         torques=gravity[base_rows:],
         normals=np.array(list(directions.values())),
-        sharing=sharing,
+        grip=np.ones(len(feet)) if sharing is LoadSharing.EVEN else None,
     )
-    forces = problem.solve(np.array(list(coefficients.values())))
+    limits = np.array(list(coefficients.values()))
+    forces = problem.solve(limits)
+    if forces is not None and sharing is LoadSharing.EVEN and robot.contacts:
+        forces = _creeping(problem, forces, limits, [GroundLaw.of(robot, foot) for foot in feet])
     if forces is None:
         raise _explain(config, problem, points, coefficients)
     per_foot = dict(zip(feet, forces.reshape(-1, 3), strict=True))
@@ -152,14 +171,18 @@ def gravity_compensation(
 
 @dataclass(frozen=True, eq=False)
 class _Balance:
-    """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,)."""
+    """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,).
+
+    ``grip`` (n,) are the feet's viscosities, relative to each other, for even load; without it the
+    forces of least torque are meant.
+    """
 
     base: Array
     weight: Array
     joints: Array
     torques: Array
     normals: Array
-    sharing: LoadSharing
+    grip: Array | None
 
     def solve(self, friction: Array) -> Array | None:
         """Returns the best f (3 n,), or None if there is none."""
@@ -168,10 +191,11 @@ class _Balance:
             return None
         free = linalg.null_space(self.base, rcond=1e-12)
         # The objective is |cost f - target|^2, over f = particular + free z.
-        if self.sharing is LoadSharing.LEAST_TORQUE:
+        if self.grip is None:
             cost, target = self.joints @ free, self.torques - self.joints @ particular
         else:
-            cost, target = free, -particular
+            metric = self._metric(self.grip)
+            cost, target = metric @ free, -metric @ particular
         forces: Array = particular + free @ np.linalg.lstsq(cost, target)[0]
         if self._violation(forces, friction) > 0:
             coordinates = self._solve_cones(particular, free, cost, target, friction)
@@ -180,13 +204,26 @@ class _Balance:
             forces = particular + free @ coordinates
         return forces
 
+    def _metric(self, grip: Array) -> Array:
+        """Returns the (3 n, 3 n) matrix whose product with f shall be short for even load."""
+        blocks = []
+        for normal, share in zip(self.normals, grip, strict=True):
+            along = np.outer(normal, normal)
+            blocks.append(along + _TANGENTIAL / math.sqrt(share) * (np.eye(3) - along))
+        metric: Array = linalg.block_diag(*blocks)
+        return metric
+
+    def normal_forces(self, forces: Array) -> Array:
+        """Returns the normal parts (n,) of forces (3 n,)."""
+        normal: Array = np.sum(forces.reshape(-1, 3) * self.normals, axis=1)
+        return normal
+
     def _balances(self, forces: Array) -> bool:
         error = np.abs(self.base @ forces - self.weight).max()
         return bool(error < BALANCE_TOLERANCE * np.abs(self.weight).max())
 
     def _violation(self, forces: Array, friction: Array) -> float:
-        per_foot = forces.reshape(-1, 3)
-        normal = np.sum(per_foot * self.normals, axis=1)
+        per_foot, normal = forces.reshape(-1, 3), self.normal_forces(forces)
         sliding = np.linalg.norm(per_foot - normal[:, None] * self.normals, axis=1)
         return float(np.max(sliding - friction * normal))
 
@@ -222,6 +259,27 @@ class _Balance:
         # Judge the answer itself, not the solver's opinion of it.
         excess = self._violation(particular + free @ coordinates, friction)
         return coordinates if excess <= 1e-9 * scale else None
+
+
+def _creeping(
+    problem: _Balance, forces: Array, friction: Array, laws: Sequence[GroundLaw]
+) -> Array | None:
+    """Finds the even forces (3 n,) for the viscosities that the normal forces themselves give."""
+    scale = np.abs(forces).max()
+    if np.linalg.norm(problem.normals - UP) < BALANCE_TOLERANCE:
+        return forces  # nothing creeps
+    for _ in range(_MAX_ITERATIONS):
+        loads = np.maximum(problem.normal_forces(forces), _LIGHTEST * scale)
+        grip = np.array(
+            [law.viscosity(law.depth(load)) for law, load in zip(laws, loads, strict=True)]
+        )
+        if not grip.all():
+            return forces  # without friction there is no creep
+        found = replace(problem, grip=grip / grip.mean()).solve(friction)
+        if found is None or np.abs(found - forces).max() < BALANCE_TOLERANCE * scale:
+            return found
+        forces = found
+    return forces
 
 
 def _explain(

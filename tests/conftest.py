@@ -1,6 +1,8 @@
 """Shared by the tests: robots loaded once, random states, and each engine's own view of a robot."""
 
+import copy
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -60,6 +62,13 @@ def stand(variant: str) -> pa.Stand:
 
 
 # ------------------------------------------------------------------------------------- states
+
+
+def changed(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:
+    """The robot with another MuJoCo model."""
+    model = copy.copy(robot.mj_model)
+    change(model)
+    return replace(robot, mj_model=model)
 
 
 def numbers(size: int, limit: float) -> st.SearchStrategy[np.ndarray]:

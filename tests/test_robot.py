@@ -14,11 +14,13 @@ from conftest import (
     Files,
     assert_same_bodies,
     load,
+    mujoco_at,
     mujoco_bodies,
     pinocchio_bodies,
 )
 
 import pupper_analysis as pa
+from pupper_analysis.robot import on_ground
 
 
 def write(folder: Path, urdf: str = TINY_URDF, mjcf: str = TINY_MJCF) -> Files:
@@ -287,3 +289,28 @@ def test_unknown_foot_of_a_robot() -> None:
     with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL") as caught:
         load("v3").check_foot("left")
     assert (caught.value.kind, caught.value.name) == ("foot", "left")
+
+
+# ------------------------------------------------------------------------------------- ground
+
+
+def test_a_foot_on_a_low_step_touches_the_step_alone() -> None:
+    """Else it would sink through the step on to the floor, and be carried by both."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(heights={"RR": 0.001})))
+    on_step = on_ground(robot, stand.task.ground, stand.foot_targets)
+    qpos = stand.qpos.copy()
+    qpos[2] -= 0.003
+    data = mujoco_at(on_step, qpos)
+    touched = {
+        on_step.soles[int(sole)]: on_step.mj_model.geom(int(other)).name
+        for pair in data.contact.geom
+        for sole, other in (pair, pair[::-1])
+        if int(sole) in on_step.soles
+    }
+    assert len(data.contact.geom) == 4
+    floor = robot.mj_model.geom(pa.contact.ground_geom(robot.mj_model)).name
+    assert touched == {"FR": floor, "FL": floor, "RR": "step_RR", "RL": floor}
+    qpos[2] -= 0.12  # other parts still touch the floor
+    bodies = pa.contact.bodies_on_ground(on_step.mj_model, mujoco_at(on_step, qpos), on_step.soles)
+    assert "base_link" in bodies

@@ -1,30 +1,20 @@
 """The predicted sag, each number two ways: against differences, balances, MuJoCo, simulations."""
 
-import copy
-from collections.abc import Callable
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 import pytest
-from conftest import NAMES, SKELETON_NAMES, load, mujoco_at, stand_of
+from conftest import NAMES, SKELETON_NAMES, changed, load, mujoco_at, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis import settle
-from pupper_analysis.settle import GroundLaw, least_kp, settled_pose
+from pupper_analysis.ground import GroundLaw
+from pupper_analysis.settle import least_kp, settled_pose
 from pupper_analysis.simulation import SETTLED_DRIFT, servos
 
 LASTING = 1e-4
 """With less height drift than this, 5 s of creep change the height by less than 0.5 mm (m/s)."""
 
 SETTLING = tuple(name for name in NAMES if name != "v3-long-leg")
-
-
-def changed(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:
-    """The robot with another MuJoCo model."""
-    model = copy.copy(robot.mj_model)
-    change(model)
-    return replace(robot, mj_model=model)
 
 
 def fast_creep(model: mujoco.MjModel) -> None:
@@ -38,84 +28,6 @@ def firm_grip(model: mujoco.MjModel) -> None:
     """Friction that hardly creeps, and holds no moments."""
     fast_creep(model)
     model.opt.impratio = 1e4
-
-
-# ------------------------------------------------------------------------------------- the ground
-
-
-def cone(kind: mujoco.mjtCone) -> Callable[[mujoco.MjModel], None]:
-    return lambda model: setattr(model.opt, "cone", kind.value)
-
-
-def negative(model: mujoco.MjModel) -> None:
-    model.geom_solref[:] = -3000, -90
-
-
-def short(model: mujoco.MjModel) -> None:
-    model.geom_solref[:] = 0.001, 0.8
-    model.geom_solimp[:] = 0.2, 0.9, 0.01, 0.3, 3
-
-
-@pytest.mark.parametrize("change", [None, negative, short, "pyramidal"])
-@pytest.mark.parametrize("name", ["original", "v3"])
-def test_law_is_mujocos(name: str, change: object) -> None:
-    robot = load(name)
-    if change == "pyramidal":
-        robot = changed(robot, cone(mujoco.mjtCone.mjCONE_PYRAMIDAL))
-    elif callable(change):
-        robot = changed(robot, change)
-    ground = pa.contact.ground_geom(robot.mj_model)
-    assert ground is not None
-    robot = replace(
-        robot,
-        contacts={f: pa.contact.combine(robot.mj_model, s, ground) for s, f in robot.soles.items()},
-    )
-    for drop in (1e-4, 2e-3, 5e-3, 9e-3):
-        qpos = stand_of(name).qpos.copy()
-        qpos[2] -= drop
-        data = mujoco_at(robot, qpos)
-        touches = [touch for touch in data.contact if set(touch.geom) <= {ground, *robot.soles}]
-        assert len(touches) == 4
-        for touch in touches:
-            foot = robot.soles[max(touch.geom)]
-            law = GroundLaw.of(robot, foot)
-            row = touch.efc_address
-            r, aref = data.efc_R[row], data.efc_aref[row]
-            depth = -touch.dist
-            assert depth == pytest.approx(drop, abs=1e-9)
-            if change == "pyramidal":
-                edges, mu = 2 * (touch.dim - 1), touch.friction[0]
-                assert law.force(depth) == pytest.approx(edges * aref / r, rel=1e-9)
-                pair = 2 * mu**2 * data.efc_KBIP[row, 1] / r
-                assert law.viscosity(depth) == pytest.approx(pair, rel=1e-9)
-                continue
-            d = law.impedance(depth)
-            assert d == pytest.approx(data.efc_KBIP[row, 2], rel=1e-12)
-            assert law.normal == pytest.approx(data.efc_diagA[row], rel=1e-12)
-            assert law.stiffness == pytest.approx(data.efc_KBIP[row, 0], rel=1e-12)
-            assert aref == pytest.approx(law.stiffness * d * depth, rel=1e-9)
-            assert law.force(depth) == pytest.approx(aref / r, rel=1e-9)
-            sliding = data.efc_KBIP[row + 1, 1] / data.efc_R[row + 1]
-            assert law.viscosity(depth) == pytest.approx(sliding, rel=1e-9)
-
-
-@pytest.mark.parametrize("name", ["original", "v3"])
-def test_depth_is_the_inverse_of_force(name: str) -> None:
-    robot = load(name)
-    law = GroundLaw.of(robot, robot.feet[0])
-    for depth in (1e-6, 1e-3, 5e-3, 2e-2):
-        assert law.depth(law.force(depth)) == pytest.approx(depth, rel=1e-9)
-        difference = (law.force(depth + 1e-7) - law.force(depth - 1e-7)) / 2e-7
-        assert law.rate(depth) == pytest.approx(difference, rel=1e-3)
-    assert law.depth(-1.0) == pytest.approx(-1 / law.rate(0.0))
-
-
-@pytest.mark.parametrize("name", ["original", "v3"])
-def test_feet_sink_as_deep_as_in_the_simulation(name: str) -> None:
-    robot, stand = load(name), stand_of(name)
-    run = pa.verify_stand(robot, stand)
-    depth = np.mean([GroundLaw.of(robot, f).depth(x[2]) for f, x in run.foot_forces.items()])
-    assert depth == pytest.approx(run.contact_sag, rel=1e-3)
 
 
 # ------------------------------------------------------------------------------------- equilibrium
@@ -276,6 +188,52 @@ def test_force_limits_of_servos() -> None:
     assert "it fell over" in run.failures[0]
 
 
+ANYWHERE = {
+    "slope": pa.StandTask(pitch=-0.2, ground=pa.Ground(0.25, 0.3), com="inside"),
+    "steps": pa.StandTask(ground=pa.Ground(heights={"FR": 0.012, "RL": 0.006})),
+    "three legs": pa.StandTask(lifted={"FL": 0.03}, com="inside", com_margin=0.01),
+    "off the centre": pa.StandTask(offset=(-0.01, 0.02)),
+}
+
+
+@pytest.mark.parametrize("what", ANYWHERE)
+@pytest.mark.parametrize("name", ["original", "heavy", "v3"])
+def test_slopes_steps_and_three_legs(name: str, what: str) -> None:
+    kp = 20.0 if name == "v3" else None  # its own servos let the lifted foot down to the ground
+    kd = 0.5 if name == "v3" else None
+    robot, stand = load(name), pa.solve_stand(load(name), ANYWHERE[what])
+    pose = settled_pose(robot, stand, kp=kp, seconds=4.5)
+    assert not pose.failures
+    run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, kd=kd)
+    assert pose.base_height == pytest.approx(run.base_height, abs=1e-4)
+    np.testing.assert_allclose(pose.joint_torques, run.joint_torques, atol=0.01)
+    for foot, force in run.foot_forces.items():
+        if foot in stand.carrying:
+            np.testing.assert_allclose(pose.contact_forces[foot], force, atol=0.25)
+
+
+@pytest.mark.parametrize("name", ["heavy", "v3"])
+def test_creep_in_time(name: str) -> None:
+    """Sliding down a slope, and towards the sliding equilibrium on the level."""
+    robot = load(name)
+    stand = pa.solve_stand(robot, ANYWHERE["slope"])
+    for seconds in (2.0, 8.0):
+        run = pa.verify_stand(robot, stand, feedforward=False, duration=seconds)
+        pose = settled_pose(robot, stand, seconds=seconds - 0.5)
+        assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
+    drift = run.height_drift
+    assert drift < -1e-5
+    assert pose.height_drift == pytest.approx(drift, rel=0.1)
+    stand = stand_of(name)
+    away = [
+        abs(settled_pose(robot, stand, seconds=seconds).base_height - end)
+        for end in (settled_pose(robot, stand, feet="sliding").base_height,)
+        for seconds in (0.0, 10.0, 1000.0)
+    ]
+    assert away[0] >= away[1] >= away[2]
+    assert away[2] < 0.05 * away[0] + 1e-6
+
+
 # ------------------------------------------------------------------------------------- stability
 
 
@@ -333,9 +291,12 @@ def test_wrong_requests() -> None:
         settled_pose(robot, stand, feet="glued")  # type: ignore[arg-type]
     with pytest.raises(pa.ConfigurationError, match="robot"):
         settled_pose(load("v3", fixed_base=True), stand)
-    raised = {foot: np.add(target, (0, 0, 0.01)) for foot, target in stand.foot_targets.items()}
-    with pytest.raises(pa.ConfigurationError, match="level ground"):
-        settled_pose(robot, replace(stand, foot_targets=raised))
+    slope = pa.solve_stand(robot, pa.StandTask(pitch=-0.1, ground=pa.Ground(0.1)))
+    with pytest.raises(pa.ConfigurationError, match="slope"):
+        settled_pose(robot, slope, feet="sliding")
+    for seconds, feet in ((-1.0, "pinned"), (np.inf, "pinned"), (1.0, "sliding")):
+        with pytest.raises(pa.ConfigurationError, match="seconds"):
+            settled_pose(robot, stand, seconds=seconds, feet=feet)
     with pytest.raises(pa.ConfigurationError, match="kp"):
         settled_pose(robot, stand, kp=-1)
 

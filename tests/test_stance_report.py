@@ -30,8 +30,9 @@ def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> N
     weight = 3.170 * 9.81
     assert sum(force[2] for force in forces.values()) == pytest.approx(weight, rel=1e-3)
     assert content["statics"]["com_margin"] > 0.01
-    assert content["settled"] is None
-    assert "level ground" in content["unsettled"]
+    assert content["settled"]["base_height"] < content["stand"]["qpos"][2]
+    assert set(content["sunk"]["depths"]) == {"FR", "RR", "RL"}
+    assert content["verification"]["height_loss"] == pytest.approx(0, abs=1e-5)
     assert content["payload"]["mass"] > 0
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy import linalg, optimize
 
 import pupper_analysis as pa
+from pupper_analysis.ground import GroundLaw
 from pupper_analysis.statics import com_margin
 
 GRAVITY = 9.81  # [m/s^2]
@@ -175,17 +176,22 @@ def test_nothing_feasible_nearby_is_better(
         ) -> float:
             if sharing is pa.LoadSharing.LEAST_TORQUE:
                 forces = joint_torques(config, best, forces)
-            return float(forces @ forces)
+                return float(forces @ forces)
+            return float(np.sum(forces.reshape(-1, 3)[:, :2] ** 2))
 
         free = null_space(best)
         assert free.shape[1] == 6
+        if sharing is pa.LoadSharing.EVEN:  # equal tangential forces: no less normal ones
+            sideways = linalg.null_space(np.delete(np.eye(12), np.s_[2::3], axis=0) @ free)
+            assert np.abs(forces[2::3] @ (free @ sideways)[2::3]).max() < 1e-4 * forces.max()
         for size in (1e-3, 1e-2, 1e-1, 1.0):
             for direction in random.standard_normal((40, 6)):
                 other = forces + size * free @ (direction / np.linalg.norm(direction))
                 push = other[2::3]
                 slide = np.hypot(other[0::3], other[1::3])
                 if (slide <= friction * push * (1 - 1e-5)).all():
-                    assert cost(other) >= cost(forces) * (1 - 1e-6)
+                    least = 1e-9 * float(forces @ forces)
+                    assert cost(other) >= cost(forces) * (1 - 1e-6) - least
 
 
 def test_least_torque_is_less_than_even(variant: str) -> None:
@@ -234,6 +240,60 @@ def test_even_shares_are_those_of_the_lever_arms() -> None:
             np.testing.assert_allclose(
                 result.contact_forces[side], [0, 0, share * load_ / 2], atol=1e-5
             )
+
+
+@pytest.mark.parametrize("name", ["long-leg", "v3"])
+def test_even_forces_are_vertical_on_level_steps(name: str) -> None:
+    robot = load(name)
+    ground = pa.Ground(heights={"FR": 0.02, "RL": 0.01})
+    stand = pa.solve_stand(robot, pa.StandTask(ground=ground, com=(0.02, -0.015)))
+    result = pa.stand_statics(robot, stand, sharing=pa.LoadSharing.EVEN)
+    scale = float(np.linalg.norm(weight(at_stand(name))))
+    for force in result.contact_forces.values():
+        np.testing.assert_allclose(force[:2], 0, atol=1e-6 * scale)
+    best = pa.stand_statics(robot, stand).contact_forces
+    assert max(np.linalg.norm(force[:2]) for force in best.values()) > 5e-3 * scale
+
+
+@pytest.mark.parametrize("name", ["long-leg", "v3"])
+def test_even_forces_make_all_feet_creep_as_one_body(name: str) -> None:
+    """On a slope f_t = c (v + omega x r): the feet's velocities are those of a rigid motion."""
+    robot, ground = load(name), pa.Ground(0.2, 0.7, {"FL": 0.01})
+    task = pa.StandTask(ground=ground, com="inside", offset=None, com_margin=0.02)
+    stand = pa.solve_stand(robot, task)
+    result = pa.stand_statics(robot, stand, sharing=pa.LoadSharing.EVEN)
+    assert max(result.friction_utilisation.values()) < 0.9
+    normal = ground.normal()
+    along = np.linalg.qr(np.column_stack([normal, np.eye(3)[:, :2]]))[0][:, 1:]  # (3, 2)
+    rows, velocities = [], []
+    for foot, force in result.contact_forces.items():
+        law = GroundLaw.of(robot, foot)
+        viscosity = law.viscosity(law.depth(float(force @ normal)))
+        velocities.append(along.T @ force / viscosity)
+        turn = along.T @ np.cross(normal, result.contact_points[foot])
+        rows.append(np.column_stack([np.eye(2), turn]))
+    rigid = np.concatenate(rows)
+    velocity = np.concatenate(velocities)
+    motion = np.linalg.lstsq(rigid, velocity)[0]
+    np.testing.assert_allclose(rigid @ motion, velocity, atol=1e-3 * np.abs(velocity).max())
+
+
+def test_a_sunk_foots_force_acts_half_way() -> None:
+    """On a slope the arm of the tangential forces is shorter by half the depth."""
+    robot = load("v3")
+    task = pa.StandTask(ground=pa.Ground(0.2), pitch=-0.2)
+    stand = pa.solve_stand(robot, task)
+    config = pa.Configuration(robot, stand.qpos)
+    depths = dict.fromkeys(robot.feet, 0.004)
+    result = pa.gravity_compensation(config, normals=stand.normals, depths=depths)
+    for foot, point in result.contact_points.items():
+        centre = config.foot_positions()[foot]
+        reach = robot.foot_radius[foot] - 0.002
+        np.testing.assert_allclose(centre - point, reach * stand.normals[foot], atol=1e-12)
+    torque = np.zeros(3)
+    for foot, force in result.contact_forces.items():
+        torque += np.cross(result.contact_points[foot] - config.center_of_mass(), force)
+    np.testing.assert_allclose(torque, 0, atol=1e-9)
 
 
 def test_three_feet_share_by_the_triangles_coordinates() -> None:

@@ -1,0 +1,63 @@
+"""Stands on MuJoCo's soft ground: the feet sink by what they carry, and the base stays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from pupper_analysis.configuration import Configuration
+from pupper_analysis.errors import NoEquilibriumError
+from pupper_analysis.ground import GroundLaw
+from pupper_analysis.robot import Robot
+from pupper_analysis.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.statics import LoadSharing
+from pupper_analysis.task import StandTask
+
+DEPTH_TOLERANCE = 1e-9
+"""Change of the feet's depths between iterations that counts as none (m)."""
+
+_MAX_ITERATIONS = 50
+
+
+def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = True) -> Stand:
+    """Finds the stand that satisfies a task on ground as soft as MuJoCo's.
+
+    On rigid ground only the feet's places count. MuJoCo's ground gives way by millimetres, in
+    proportion to what a foot carries: a robot that is commanded the joints of ``solve_stand`` sinks
+    and, where its feet bear unequal loads, tilts, by which the loads change too. Here the legs are
+    longer by what their feet sink in, so that base and com are where the task has them, and the
+    forces are those of ``LoadSharing.EVEN``. The depths and forces determine each other; repeated
+    substitution finds them in 4 to 8 rounds.
+
+    Args:
+        robot: A robot with a floating base and a ground.
+        task: How to stand; the nominal stand by default.
+        explain: Where the stance is out of reach, find out why.
+
+    Returns:
+        The stand; its ``depths`` are those of MuJoCo's contacts under its forces.
+
+    Raises:
+        ConfigurationError: As ``solve_stand``.
+        StanceUnreachableError: If it is out of reach, at least with its feet sunk.
+        StaticsInfeasibleError: If no contact forces balance it.
+        NoEquilibriumError: If the depths do not settle.
+    """
+    task = task or StandTask()
+    stand = solve_stand(robot, task, explain=explain)
+    asked = stand.task
+    if task.com == "inside":
+        x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
+        task = replace(task, com=(float(x), float(y)), com_margin=0.0)
+    laws = {foot: GroundLaw.of(robot, foot) for foot in stand.carrying}
+    for _ in range(_MAX_ITERATIONS):
+        forces = stand_statics(robot, stand, sharing=LoadSharing.EVEN).contact_forces
+        depths = {
+            foot: law.depth(max(0.0, float(forces[foot] @ stand.normals[foot])))
+            for foot, law in laws.items()
+        }
+        change = max(abs(depths[foot] - stand.depths[foot]) for foot in depths)
+        if change < DEPTH_TOLERANCE:
+            return replace(stand, task=asked)
+        posture = tuple(stand.joint_positions(robot).tolist())
+        stand = solve_stand(robot, replace(task, posture=posture), depths=depths, explain=explain)
+    raise NoEquilibriumError(0.0, f"the feet's depths do not settle, by {1e3 * change:.3g} mm")

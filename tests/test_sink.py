@@ -1,0 +1,66 @@
+"""Stands on soft ground: what is commanded is what MuJoCo holds, to a part in a thousand."""
+
+import numpy as np
+import pytest
+from conftest import NAMES, load
+
+import pupper_analysis as pa
+from pupper_analysis.ground import GroundLaw
+from pupper_analysis.simulation import FORCE_TOLERANCE
+from pupper_analysis.sink import sunk_stand
+from pupper_analysis.stand import stand_statics
+
+TASKS = {
+    "nominal": pa.StandTask(),
+    "off the centre": pa.StandTask(offset=(-0.02, 0.025), yaw=0.1),
+    "slope": pa.StandTask(pitch=-0.25, ground=pa.Ground(0.3, 0.2), com="inside"),
+    "steps": pa.StandTask(com=(0.015, 0.01), ground=pa.Ground(heights={"FR": 0.015, "RL": 0.005})),
+    "low step": pa.StandTask(ground=pa.Ground(heights={"RR": 0.0004}), com=(0.01, -0.02)),
+    "three legs": pa.StandTask(lifted={"FL": 0.025}, com="inside", com_margin=0.01),
+}
+
+
+@pytest.mark.parametrize("what", TASKS)
+@pytest.mark.parametrize("name", NAMES)
+def test_simulation_holds_what_is_predicted(name: str, what: str) -> None:
+    robot = load(name)
+    stand = sunk_stand(robot, TASKS[what])
+    assert max(stand.foot_error, stand.height_error, stand.com_error) < 1e-9
+    run = pa.verify_stand(robot, stand)
+    assert run.passed, run.failures
+    assert run.torque_error < 0.3 * FORCE_TOLERANCE
+    assert run.force_error < 0.3 * FORCE_TOLERANCE
+    if not stand.task.ground.slope:  # where it slides down as a whole
+        assert abs(run.height_loss) < 5e-6
+
+
+@pytest.mark.parametrize("what", ["off the centre", "slope"])
+@pytest.mark.parametrize("name", ["long-leg", "v3"])
+def test_rigid_stand_is_another(name: str, what: str) -> None:
+    """Without its feet sunk, the same stance does not hold its loads on soft ground."""
+    assert not pa.verify_stand(load(name), pa.solve_stand(load(name), TASKS[what])).passed
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_feet_are_as_deep_as_their_load_takes_them(name: str) -> None:
+    robot, task = load(name), TASKS["slope"]
+    rigid, stand = pa.solve_stand(robot, task), sunk_stand(robot, task)
+    assert stand.task == rigid.task
+    np.testing.assert_allclose(stand.qpos[:7], rigid.qpos[:7], atol=1e-3)  # the com is, exactly
+    forces = stand_statics(robot, stand, sharing=pa.LoadSharing.EVEN).contact_forces
+    feet = pa.Configuration(robot, stand.qpos).foot_positions()
+    for foot, depth in stand.depths.items():
+        law, normal = GroundLaw.of(robot, foot), stand.normals[foot]
+        assert law.force(depth) == pytest.approx(float(forces[foot] @ normal), rel=1e-5)
+        sunk = rigid.foot_targets[foot] - feet[foot]
+        np.testing.assert_allclose(sunk, depth * normal, atol=1e-9)
+        assert 1e-4 < depth < 8e-3
+
+
+def test_at_full_stretch_the_sunk_feet_are_out_of_reach() -> None:
+    robot = load("v3")
+    highest = pa.reachable_heights(robot).high
+    task = pa.StandTask(height=highest - 1e-4)
+    pa.solve_stand(robot, task)
+    with pytest.raises(pa.StanceUnreachableError):
+        sunk_stand(robot, task)
