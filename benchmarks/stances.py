@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.errors import NoEquilibriumError
+from pupper_analysis.robot import on_ground
 from pupper_analysis.settle import settled_pose
 from pupper_analysis.stand import stand_statics
 
@@ -49,6 +50,7 @@ FACETS = 64
 class Verdict(StrEnum):
     HELD = "held"
     UNREACHABLE = "out of reach"
+    BLOCKED = "in the way"
     NOT_HELD = "not holdable"
     REQUEST = "bad request"
 
@@ -188,8 +190,24 @@ class Demand:
             place = com - (self.centre[:2] if task.com == "centre" else np.array(task.com))
         return missed, place
 
+    def in_the_way(self, qpos: np.ndarray) -> bool:
+        """Whether MuJoCo finds a part other than a foot in the ground."""
+        robot = on_ground(self.robot, self.task.ground, self.centres)
+        model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+        robot.mj_convention.set_state(data, qpos)
+        mujoco.mj_forward(model, data)
+        return any(
+            touch.dist < -REACHED
+            and 0 in model.geom_bodyid[touch.geom]
+            and not robot.soles.keys() & set(touch.geom.tolist())
+            for touch in data.contact
+        )
+
     def nearest(self, random: np.random.Generator) -> float:
-        """How near feet, base and com come to their places in the best of some searches (m)."""
+        """How near feet, base and com come to their places in the best of some searches (m).
+
+        With parts in the ground a search counts as a metre off.
+        """
         robot = self.robot
         lower, upper = robot.lower_limits, robot.upper_limits
         w, x, y, z = self.rotation.as_quat(scalar_first=True)
@@ -216,7 +234,8 @@ class Demand:
                 gtol=1e-12,
                 max_nfev=60,
             )
-            best = min(best, float(np.abs(outcome.fun).max()))
+            off = float(np.abs(outcome.fun).max())
+            best = min(best, 1.0 if off < REACHED and self.in_the_way(qpos(outcome.x)) else off)
             if best < REACHED:
                 break
         return best
@@ -257,6 +276,8 @@ def check_reached(demand: Demand, stand: pa.Stand) -> tuple[float, list[str]]:
     wrong = [] if error < EXACT else [f"off by {error:.1e}"]
     if (joints < robot.lower_limits - EXACT).any() or (joints > robot.upper_limits + EXACT).any():
         wrong.append("beyond a joint limit")
+    if demand.in_the_way(stand.qpos):
+        wrong.append("a part is in the ground")
     return error, wrong
 
 
@@ -283,10 +304,11 @@ def judge(robot: pa.Robot, task: pa.StandTask, random: np.random.Generator) -> O
     demand = Demand(robot, task)
     try:
         stand = pa.solve_stand(robot, task, explain=False)
-    except pa.StanceUnreachableError:
+    except pa.StanceUnreachableError as error:
         near = demand.nearest(random)
         wrong = [f"in reach: {near:.1e} m"] if near < REACHED else []
-        return Outcome(task, Verdict.UNREACHABLE, wrong=wrong, shortfall=near)
+        verdict = Verdict.BLOCKED if error.blocked else Verdict.UNREACHABLE
+        return Outcome(task, verdict, wrong=wrong, shortfall=near)
     except pa.ConfigurationError:
         place = demand.centre if isinstance(task.com, str) else np.array(task.com)
         fine = demand.margin(place) >= task.com_margin
@@ -365,7 +387,7 @@ def main(variant: tuple[str, ...], count: int, simulated: int, seed: int, verbos
     """
     table = Table(title=f"{count} random stands per variant")
     columns = (
-        *("variant", "held", "out of reach", "not holdable", "bad request", "wrong"),
+        *("variant", "held", "out of reach", "in the way", "not holdable", "bad request", "wrong"),
         *("worst error", "nearest refused (mm)", "simulated ok", "torque", "force", "joint (rad)"),
         *("settled sag ok", "any sag ok", "worst sag (mm)", "fall as said", "s"),
     )

@@ -71,7 +71,7 @@ class ConfigurationError(PupperAnalysisError):
 
 
 class StanceUnreachableError(PupperAnalysisError):
-    """No configuration inside the joint limits satisfies a stand task.
+    """No configuration inside the joint limits, and clear of obstacles, satisfies a stand task.
 
     Attributes:
         shortfall: How far each foot that cannot be planted ends from its target, in metres.
@@ -79,6 +79,8 @@ class StanceUnreachableError(PupperAnalysisError):
         possible: {demand: how far it can go}, for each demand that alone is in the way, in words.
         nearest: A stand that is in reach, with all demands shrunk alike towards the nominal stand;
             None if there is none, or it was not asked for.
+        blocked: What is in the way where the feet could be planted: a part in the ground, or parts
+            too near to each other, in words.
     """
 
     def __init__(
@@ -88,13 +90,16 @@ class StanceUnreachableError(PupperAnalysisError):
         at_limit: Mapping[str, float],
         possible: Mapping[str, str] | None = None,
         nearest: Any = None,
+        blocked: Iterable[str] = (),
     ) -> None:
+        self.blocked = tuple(blocked)
         self.shortfall = dict(shortfall)
         self.at_limit = dict(at_limit)
         self.possible = dict(possible or {})
         self.nearest = nearest
         feet = ", ".join(f"{foot} by {1e3 * gap:.1f} mm" for foot, gap in self.shortfall.items())
-        text = f"stance out of reach ({task}): the feet miss their targets: {feet}"
+        missed = [f"the feet miss their targets: {feet}"] if feet else []
+        text = f"stance out of reach ({task}): {'; '.join((*missed, *self.blocked))}"
         if self.at_limit:
             joints = ", ".join(
                 f"{name} ({limit:+.2f} rad)" for name, limit in self.at_limit.items()

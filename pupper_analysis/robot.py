@@ -305,21 +305,18 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
     floor = next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
     if floor is None:
         raise ModelError(robot.description.mjcf_source, "it has no floor to be sloped or stepped")
-    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), ground.normal())
-    quat = turn.coeffs()[[3, 0, 1, 2]]
+    quat = pin.Quaternion(ground.rotation()).coeffs()[[3, 0, 1, 2]]
     floor.quat = quat
-    steps = {foot: height for foot, height in ground.heights.items() if height > 0}
+    steps = [foot for foot, height in ground.heights.items() if height > 0]
     contype, conaffinity = floor.contype, floor.conaffinity
     _leave_floor(robot, spec, floor, steps)
-    for foot, height in steps.items():
-        radius = robot.foot_radius[foot]  # of a lifted foot only the horizontal place counts
-        top = ground.centre(foot, places[foot][:2], radius) - radius * ground.normal()
-        half = np.array([STEP_HALF_WIDTH, STEP_HALF_WIDTH, height / 2 * np.cos(ground.slope)])
+    for foot in steps:
+        centre, half = ground.step(foot, places[foot], STEP_HALF_WIDTH)
         spec.worldbody.add_geom(
             name=f"step_{foot}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=half,
-            pos=top - half[2] * ground.normal(),
+            pos=centre,
             quat=quat,
             condim=floor.condim,
             contype=contype,

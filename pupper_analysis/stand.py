@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -14,6 +13,7 @@ import placo
 import shapely
 from numpy.typing import NDArray
 
+from pupper_analysis.collision import Clearance, Shapes
 from pupper_analysis.configuration import UP, Configuration
 from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.results import Result
@@ -31,8 +31,13 @@ Array = NDArray[np.float64]
 TASK_TOLERANCE = 1e-9
 """Error up to which a task counts as satisfied (m, rad)."""
 
+TOUCHING = 1e-6
+"""How much nearer than allowed parts may come (m): rounding."""
+
 _STEP_TOLERANCE = 1e-13
 _MAX_ITERATIONS = 200
+_TRIGGER = 0.02  # m: links that are further than this from their least distance are left alone
+_APART_WEIGHT = 1e3  # of links staying apart, against feet
 _TRUST_RADIUS = 0.5  # rad per joint and iteration
 
 
@@ -53,6 +58,10 @@ class Stand(Result):
         height_error: Of the base frame (m).
         com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
             base frame.
+        ground_clearance: How high the lowest part other than the feet is above the ground, by the
+            URDF's shapes; None if it has none.
+        self_clearance: The least distance between links that are not neighbours; None if it was
+            not asked for.
         iterations: Quadratic programmes solved.
     """
 
@@ -67,11 +76,34 @@ class Stand(Result):
     orientation_error: float
     height_error: float
     com_error: float
+    ground_clearance: Clearance | None
+    self_clearance: Clearance | None
     iterations: int
+
+    @property
+    def blocked(self) -> tuple[str, ...]:
+        """What comes nearer to the ground, or to another link, than the task allows."""
+        found = []
+        near, least = self.ground_clearance, self.task.ground_clearance
+        if near is not None and near.distance < least - TOUCHING:
+            found.append(f"{near.links[0]} is {_distance(near, 'above', 'in')} the ground")
+        near, least = self.self_clearance, self.task.self_clearance or 0.0
+        if near is not None and near.distance < least - TOUCHING:
+            found.append(f"{near.links[0]} is {_distance(near, 'from', 'in')} {near.links[1]}")
+        return tuple(found)
+
+    @property
+    def solved(self) -> bool:
+        """Whether the feet are where they shall be, and nothing is in the way."""
+        return self.foot_error < TASK_TOLERANCE and not self.blocked
 
     def joint_positions(self, robot: Robot) -> Array:
         """Returns the joints' part (nu,) of ``qpos`` (rad)."""
         return self.qpos[robot.nq - robot.nu :]
+
+
+def _distance(near: Clearance, apart: str, inside: str) -> str:
+    return f"{1e3 * abs(near.distance):.1f} mm {apart if near.distance >= 0 else inside}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +146,8 @@ def solve_stand(
 
     PlaCo solves a sequence of quadratic programmes on the floating base: the base's orientation
     and height and the com's place are hard constraints, which the free base can always satisfy;
-    the feet are the objective, which vanishes if the stance is in reach.
+    the feet are the objective, which vanishes if the stance is in reach. Where links shall stay
+    apart, PlaCo's avoidance of self-collisions weighs more than the feet.
 
     Args:
         robot: A robot with a floating base.
@@ -136,25 +169,30 @@ def solve_stand(
             demands of which one would have to give.
     """
     goal = _goal(robot, task or StandTask(), depths or {})
-    wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _bare_urdf(robot))
-    outcome = _attempt(robot, wrapper, goal)
-    if outcome.foot_error < TASK_TOLERANCE:
+    shapes = Shapes(robot)
+    outcome = _attempt(shapes, goal)
+    if outcome.solved:
         return outcome
-    inside = goal.task.com == "inside"
-    nearest = _nearest(robot, goal, outcome.qpos) if explain or inside else outcome
+    inside, nearest = goal.task.com == "inside", outcome
+    if goal.task.self_clearance is not None:  # is that what is in the way?
+        closer = replace(goal, task=replace(goal.task, self_clearance=None))
+        outcome = _measure(shapes, goal, _attempt(shapes, closer).qpos, outcome.iterations)
+        nearest = outcome
+    if outcome.foot_error >= TASK_TOLERANCE and (explain or inside):
+        nearest = _nearest(shapes, goal, outcome.qpos)
     for start in (outcome.joint_positions(robot), *_starts(robot, goal)) if inside else ():
         # Wherever the com came to lie inside, there the feet may be in reach. Where it comes to lie
         # depends on the start; where a joint is then at its limit, the place is not exact enough.
         qpos = outcome.qpos.copy()
         qpos[7:] = start
-        closest = _nearest(robot, goal, qpos)
+        closest = _nearest(shapes, goal, qpos)
         place = Configuration(robot, closest.qpos).center_of_mass()[:2]
         moved = replace(goal, place=place)
-        solved = _solve_from(robot, wrapper, moved, closest.joint_positions(robot))
-        if solved.foot_error < TASK_TOLERANCE:
+        solved = _solve_from(shapes, moved, closest.joint_positions(robot))
+        if solved.solved:
             return solved
-        nearest = min(nearest, closest, key=lambda stand: stand.foot_error)
-    raise _unreachable(robot, wrapper, goal, nearest, explain)
+        nearest = min(nearest, closest, solved, key=lambda stand: stand.foot_error)
+    raise _unreachable(shapes, goal, nearest, explain)
 
 
 def stand_statics(
@@ -235,20 +273,21 @@ def _goal(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> _Goal:
     )
 
 
-def _attempt(robot: Robot, wrapper: placo.RobotWrapper, goal: _Goal) -> Stand:
+def _attempt(shapes: Shapes, goal: _Goal) -> Stand:
     """Tries all starts; returns the first success, or else the best failure."""
     best: Stand | None = None
-    for start in _starts(robot, goal):
-        stand = _solve_from(robot, wrapper, goal, start)
-        if best is None or stand.foot_error < best.foot_error:
+    for start in _starts(shapes.robot, goal):
+        stand = _solve_from(shapes, goal, start)
+        if best is None or stand.solved or stand.foot_error < best.foot_error:
             best = stand
-        if stand.foot_error < TASK_TOLERANCE:
+        if stand.solved:
             break
     assert best is not None
     return best
 
 
-def _solve_from(robot: Robot, wrapper: placo.RobotWrapper, goal: _Goal, joints: Array) -> Stand:
+def _solve_from(shapes: Shapes, goal: _Goal, joints: Array) -> Stand:
+    robot, wrapper = shapes.robot, shapes.wrapper
     convention = robot.pin_convention
     qpos = robot.neutral()
     qpos[:3] = (*goal.place, goal.height)
@@ -281,6 +320,12 @@ def _solve_from(robot: Robot, wrapper: placo.RobotWrapper, goal: _Goal, joints: 
         place = solver.add_com_task(where)
     place.mask.set_axises("xy")
     place.configure("place", "hard")
+    if goal.task.self_clearance is not None:
+        shapes.pair()
+        apart = solver.add_avoid_self_collisions_constraint()
+        apart.self_collisions_margin = goal.task.self_clearance
+        apart.self_collisions_trigger = goal.task.self_clearance + _TRIGGER
+        apart.configure("apart", "soft", _APART_WEIGHT)
     # Decides between configurations that place the feet equally well; too small to move a foot.
     solver.add_regularization_task(1e-9)
 
@@ -302,11 +347,11 @@ def _solve_from(robot: Robot, wrapper: placo.RobotWrapper, goal: _Goal, joints: 
         error, q = new_error, np.array(wrapper.state.q)
         if np.abs(step).max() < _STEP_TOLERANCE:
             break
-    return _measure(robot, goal, convention.qpos(np.array(wrapper.state.q)), iterations)
+    return _measure(shapes, goal, convention.qpos(np.array(wrapper.state.q)), iterations)
 
 
-def _measure(robot: Robot, goal: _Goal, qpos: Array, iterations: int) -> Stand:
-    config = Configuration(robot, qpos)
+def _measure(shapes: Shapes, goal: _Goal, qpos: Array, iterations: int) -> Stand:
+    config = Configuration(shapes.robot, qpos)
     feet = config.foot_positions()
     turn = goal.task.rotation().T @ config.base_rotation()
     at = config.qpos[:2] if goal.by_base else config.center_of_mass()[:2]
@@ -324,11 +369,17 @@ def _measure(robot: Robot, goal: _Goal, qpos: Array, iterations: int) -> Stand:
         orientation_error=float(np.linalg.norm(pin.log3(turn))),
         height_error=abs(float(config.qpos[2]) - goal.height),
         com_error=float(np.linalg.norm(at - goal.place)),
+        ground_clearance=shapes.above_ground(
+            config.qpos, goal.task.ground, goal.targets, goal.depths
+        ),
+        self_clearance=(
+            None if goal.task.self_clearance is None else shapes.between_links(config.qpos)
+        ),
         iterations=iterations,
     )
 
 
-def _nearest(robot: Robot, goal: _Goal, start: Array) -> Stand:
+def _nearest(shapes: Shapes, goal: _Goal, start: Array) -> Stand:
     """Finds how near the feet can come to targets that are out of reach.
 
     The sum of the squared distances is minimised over the base's place and the joints, inside their
@@ -337,6 +388,7 @@ def _nearest(robot: Robot, goal: _Goal, start: Array) -> Stand:
     """
     from scipy import optimize  # slow to import
 
+    robot = shapes.robot
     free = [0, 1, *range(7, robot.nq)]
     columns = [0, 1, *range(6, robot.nv)]
 
@@ -386,7 +438,7 @@ def _nearest(robot: Robot, goal: _Goal, start: Array) -> Stand:
         constraints=constraint,
         options={"ftol": 1e-14, "maxiter": 200},
     )
-    return _measure(robot, goal, at(outcome.x).qpos, 0)
+    return _measure(shapes, goal, at(outcome.x).qpos, 0)
 
 
 def _sides(contacts: Array) -> Array:
@@ -411,12 +463,17 @@ def _starts(robot: Robot, goal: _Goal) -> Iterator[Array]:
 
 # ------------------------------------------------------------------------------------- refusals
 
-_DEMANDS = ("height", "roll", "pitch", "yaw", "offset", "feet", "foot_offsets", "lifted", "ground")
+_LENGTHS = ("ground_clearance", "self_clearance")
+_DEMANDS = (
+    *("height", "roll", "pitch", "yaw", "offset", "feet", "foot_offsets", "lifted", "ground"),
+    *_LENGTHS,
+)
 
 
 def _unreachable(
-    robot: Robot, wrapper: placo.RobotWrapper, goal: _Goal, nearest: Stand, explain: bool
+    shapes: Shapes, goal: _Goal, nearest: Stand, explain: bool
 ) -> StanceUnreachableError:
+    robot = shapes.robot
     feet = Configuration(robot, nearest.qpos).foot_positions()
     gaps = {foot: float(np.linalg.norm(feet[foot] - goal.targets[foot])) for foot in feet}
     joints = nearest.joint_positions(robot)
@@ -429,16 +486,15 @@ def _unreachable(
     feasible: Stand | None = None
     if explain:
         for demand in _DEMANDS:
-            stand = _furthest(robot, wrapper, goal, [demand])
+            stand = _furthest(shapes, goal, [demand])
             if stand is not None:
                 possible[demand] = f"{demand} {_value(stand.task, demand)}"
-        feasible = _furthest(robot, wrapper, goal, _DEMANDS)
-    return StanceUnreachableError(str(goal.task), missed, at_limit, possible, feasible)
+        feasible = _furthest(shapes, goal, _DEMANDS)
+    blocked = () if missed else nearest.blocked
+    return StanceUnreachableError(str(goal.task), missed, at_limit, possible, feasible, blocked)
 
 
-def _furthest(
-    robot: Robot, wrapper: placo.RobotWrapper, goal: _Goal, demands: Sequence[str]
-) -> Stand | None:
+def _furthest(shapes: Shapes, goal: _Goal, demands: Sequence[str]) -> Stand | None:
     """Finds how far demands can go from the nominal stand's towards the task's.
 
     Bisection: between a share that is in reach and one that is not; to 1 part in 1000.
@@ -447,7 +503,7 @@ def _furthest(
         The stand there; None if the demands do not differ from the nominal stand's, or giving them
         up altogether does not help.
     """
-    task = goal.task
+    robot, task = shapes.robot, goal.task
     if _shrunk(robot, task, demands, 0.0) == _shrunk(robot, task, demands, 1.0):
         return None
     best: Stand | None = None
@@ -456,10 +512,10 @@ def _furthest(
     while high - low > 1e-3 or share == 0.0:
         try:
             shrunk = _goal(robot, _shrunk(robot, task, demands, share), goal.depths)
-            stand = _attempt(robot, wrapper, shrunk)
+            stand = _attempt(shapes, shrunk)
         except ConfigurationError:
             return None
-        if stand.foot_error < TASK_TOLERANCE:
+        if stand.solved:
             best, low = stand, share
         elif share == 0.0:
             return None
@@ -478,7 +534,7 @@ def _shrunk(robot: Robot, task: StandTask, demands: Sequence[str], share: float)
         if demand == "height":
             height = robot.stand_height if value is None else value
             changes[demand] = robot.stand_height + share * (height - robot.stand_height)
-        elif demand in ("roll", "pitch", "yaw"):
+        elif demand in ("roll", "pitch", "yaw") or (demand in _LENGTHS and value is not None):
             changes[demand] = share * value
         elif demand == "offset" and value is not None:
             changes[demand] = (share * value[0], share * value[1])
@@ -508,16 +564,8 @@ def _value(task: StandTask, demand: str) -> str:
         return f"slope {math.degrees(value.slope):.1f} deg" + (f", steps {steps}" if steps else "")
     if demand == "lifted":
         return ", ".join(f"{foot} {1e3 * h:.0f} mm" for foot, h in value.items())
+    if demand in _LENGTHS:
+        return f"{1e3 * value:.1f} mm"
     if demand == "offset":
         return f"({1e3 * value[0]:.0f}, {1e3 * value[1]:.0f}) mm"
     return ", ".join(f"{foot} ({1e3 * x:.0f}, {1e3 * y:.0f}) mm" for foot, (x, y) in value.items())
-
-
-def _bare_urdf(robot: Robot) -> str:
-    """Returns the URDF without its shapes, so that no mesh file is needed."""
-    root = ElementTree.fromstring(robot.description.urdf)
-    for link in root.iter("link"):
-        for tag in ("visual", "collision"):
-            for shape in link.findall(tag):
-                link.remove(shape)
-    return ElementTree.tostring(root, encoding="unicode")

@@ -52,6 +52,27 @@ class Ground:
             [-tilt * math.cos(self.uphill), -tilt * math.sin(self.uphill), math.cos(self.slope)]
         )
 
+    def rotation(self) -> Array:
+        """Returns the rotation (3, 3) that takes the level to the plane, by the shortest way."""
+        turn: Array = pin.Quaternion.FromTwoVectors(
+            np.array([0.0, 0.0, 1.0]), self.normal()
+        ).matrix()
+        return turn
+
+    def step(
+        self, foot: str, place: Sequence[float] | Array, half_width: float
+    ) -> tuple[Array, Array]:
+        """Returns centre (3,) and half size (3,) of the box that is a foot's step (m).
+
+        Args:
+            foot: Which foot.
+            place: (x, y, ...) of the foot's centre (m); its height does not matter.
+            half_width: Half of the box's edge (m).
+        """
+        half = np.array([half_width, half_width, self.heights[foot] / 2 * math.cos(self.slope)])
+        top = np.array([place[0], place[1], self.height(place, foot)])
+        return top - half[2] * self.normal(), half
+
     def height(self, place: Sequence[float] | Array, foot: str | None = None) -> float:
         """Returns the height (m) of the plane at a place (x, y), or of a foot's step there."""
         rise = math.tan(self.slope)
@@ -94,6 +115,9 @@ class StandTask:
             polygon with at least ``com_margin``, over the centre if that is in reach.
         com_margin: Least distance of the com's projection from the polygon's edge (m).
         joint_margin: Least distance of every joint from its limits (rad).
+        ground_clearance: Least height above the ground of every part but the feet (m).
+        self_clearance: Least distance between links that are not neighbours (m); by default they
+            are not looked at.
         posture: (nu,) joint positions to start from (rad), which decides between ways to bend a
             knee; the robot's ``home`` by default.
     """
@@ -110,20 +134,24 @@ class StandTask:
     com: str | Point = "centre"
     com_margin: float = 0.0
     joint_margin: float = 0.0
+    ground_clearance: float = 0.0
+    self_clearance: float | None = None
     posture: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
-        for name in ("roll", "pitch", "yaw", "com_margin", "joint_margin"):
+        if self.self_clearance is not None:
+            put("self_clearance", _number("self_clearance", self.self_clearance))
+        for name in ("roll", "pitch", "yaw", "com_margin", "joint_margin", "ground_clearance"):
             put(name, _number(name, getattr(self, name)))
         for name in ("roll", "pitch", "yaw"):
             if abs(getattr(self, name)) > math.pi:
                 value = getattr(self, name)
                 raise ConfigurationError(name, f"{value} rad is not between -pi and pi")
-        for name in ("com_margin", "joint_margin"):
-            if getattr(self, name) < 0:
+        for name in ("com_margin", "joint_margin", "ground_clearance", "self_clearance"):
+            if (getattr(self, name) or 0.0) < 0:
                 raise ConfigurationError(name, f"{getattr(self, name)} is negative")
         if self.height is not None:
             put("height", _number("height", self.height))
@@ -180,6 +208,10 @@ class StandTask:
             parts.append(f"com inside by {1e3 * self.com_margin:.0f} mm")
         elif not isinstance(self.com, str):
             parts.append(f"com at {_millimetres(self.com)}")
+        if self.ground_clearance:
+            parts.append(f"{1e3 * self.ground_clearance:.0f} mm off the ground")
+        if self.self_clearance is not None:
+            parts.append(f"links {1e3 * self.self_clearance:.0f} mm apart")
         return ", ".join(parts)
 
 

@@ -105,7 +105,7 @@ def test_sag_is_that_of_the_simulation() -> None:
 BAD = {
     "no such robot": (["spot"], "'spot'"),
     "too high": (["v3", "--height", "0.3"], "height 0.192 m"),
-    "too steep": (["v3", "--slope", "0.9"], "ground slope 37.0 deg"),
+    "too steep": (["v3", "--slope", "0.9"], "ground slope 34.6 deg"),
     "below the ground": (["v3", "--height", "-0.1"], "not above the ground"),
     "not finite": (["v3", "--roll", "nan"], "roll"),
     "no such foot": (["v3", "--lift", "XX=0.02"], "no foot 'XX'; there are: FR, FL, RR, RL"),

@@ -1,0 +1,223 @@
+"""Distances between parts, and to the ground: the URDF's in coal against the MJCF's in MuJoCo."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import NAMES, load, mujoco_at, random_state
+
+import pupper_analysis as pa
+from pupper_analysis.collision import Shapes
+from pupper_analysis.robot import on_ground
+
+FAR = 10.0  # m
+
+
+def shapes_of(robot: pa.Robot, body: int) -> list[int]:
+    """The geoms of a body that touch things, but for the soles."""
+    model = robot.mj_model
+    return [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] == body
+        and (model.geom_contype[geom] or model.geom_conaffinity[geom])
+    ]
+
+
+def distance(model: mujoco.MjModel, data: mujoco.MjData, one: int, two: int) -> float:
+    return float(mujoco.mj_geomDistance(model, data, one, two, FAR, None))
+
+
+def ground_distances(robot: pa.Robot, qpos: np.ndarray) -> Iterator[float]:
+    """MuJoCo's distances between all that is not a foot, and floor and steps."""
+    model, data = robot.mj_model, mujoco_at(robot, qpos)
+    for body in range(1, model.nbody):
+        for part in shapes_of(robot, body):
+            if part in robot.soles:
+                continue
+            for obstacle in shapes_of(robot, 0):
+                if model.geom_type[obstacle] == mujoco.mjtGeom.mjGEOM_PLANE.value:
+                    normal = data.geom_xmat[obstacle].reshape(3, 3)[:, 2]
+                    yield lowest(model, data, part, normal, data.geom_xpos[obstacle])
+                else:
+                    yield distance(model, data, part, obstacle)
+
+
+def lowest(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, normal: np.ndarray, point: np.ndarray
+) -> float:
+    """How high a geom's lowest point is above a plane, in closed form."""
+    size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
+    local = data.geom_xmat[geom].reshape(3, 3).T @ normal
+    reach = {
+        mujoco.mjtGeom.mjGEOM_SPHERE: size[0],
+        mujoco.mjtGeom.mjGEOM_CAPSULE: size[0] + size[1] * abs(local[2]),
+        mujoco.mjtGeom.mjGEOM_CYLINDER: size[0] * np.hypot(*local[:2]) + size[1] * abs(local[2]),
+        mujoco.mjtGeom.mjGEOM_BOX: float(size @ np.abs(local)),
+    }[kind]
+    return float(normal @ (data.geom_xpos[geom] - point) - reach)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_height_above_level_ground(name: str) -> None:
+    robot, shapes = load(name), Shapes(load(name))
+    for seed in range(20):
+        qpos, _ = random_state(robot, seed)
+        found = shapes.above_ground(qpos, pa.Ground(), {}, {})
+        assert found is not None
+        assert found.distance == pytest.approx(min(ground_distances(robot, qpos)), abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_height_above_slope_and_steps(name: str) -> None:
+    robot, shapes = load(name), Shapes(load(name))
+    ground = pa.Ground(0.2, 0.8, {"FL": 0.03, "RR": 0.05})
+    feet = pa.Configuration(robot, robot.home).foot_positions()
+    there, seen = on_ground(robot, ground, feet), 0
+    for seed in range(40):
+        qpos, _ = random_state(robot, seed)
+        qpos[:3] = 0.05 * np.tanh(qpos[:3]) + (0, 0, 0.3)
+        found = shapes.above_ground(qpos, ground, feet, {})
+        expected = min(ground_distances(there, qpos))
+        assert found is not None
+        if expected > 0:  # of shapes in each other the two libraries give other depths
+            seen += 1
+            assert found.distance == pytest.approx(expected, abs=1e-5)
+        else:
+            assert found.distance < 1e-5
+    assert seen > 10
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_distance_between_links(name: str) -> None:
+    robot, shapes = load(name), Shapes(load(name))
+    model, seen = robot.mj_model, 0
+    home = mujoco_at(robot, robot.home)
+
+    def pairs(data: mujoco.MjData) -> dict[tuple[int, int], float]:
+        found = {}
+        for one, two in itertools.combinations(range(1, model.nbody), 2):
+            if model.body_parentid[two] == one or model.body_parentid[one] == two:
+                continue
+            gaps = [
+                distance(model, data, *pair)
+                for pair in itertools.product(shapes_of(robot, one), shapes_of(robot, two))
+            ]
+            if gaps:
+                found[one, two] = min(gaps)
+        return found
+
+    neighbours = {pair for pair, gap in pairs(home).items() if gap <= 0}
+    for seed in range(10):
+        qpos, _ = random_state(robot, seed)
+        found = shapes.between_links(qpos)
+        assert found is not None
+        gaps = {p: gap for p, gap in pairs(mujoco_at(robot, qpos)).items() if p not in neighbours}
+        if min(gaps.values()) > 0:
+            seen += 1
+            assert found.distance == pytest.approx(min(gaps.values()), abs=1e-5)
+        else:
+            assert found.distance < 1e-5
+    assert seen
+
+
+def test_a_calf_may_be_as_deep_as_its_foot() -> None:
+    """The skeleton's calf ends in its foot, 7 mm above the ground; a sunk foot takes it along."""
+    robot, shapes = load("original"), Shapes(load("original"))
+    stand = pa.solve_stand(robot)
+    places, deep = stand.foot_targets, dict.fromkeys(robot.feet, 0.009)
+    qpos = stand.qpos.copy()
+    qpos[2] -= 0.009
+    rigid, soft = (shapes.above_ground(qpos, pa.Ground(), places, d) for d in ({}, deep))
+    assert rigid is not None
+    assert soft is not None
+    assert rigid.links[0].endswith("_calf")
+    assert rigid.distance == pytest.approx(-0.002)
+    assert soft.distance == pytest.approx(0.007)
+
+
+def test_meshes_and_visuals_are_left_out() -> None:
+    robot = load("v3")
+    root = ElementTree.fromstring(robot.description.urdf)
+    for link in root.iter("link"):
+        for shape in link.findall("collision/geometry"):
+            for primitive in list(shape):
+                shape.remove(primitive)
+            ElementTree.SubElement(shape, "mesh", filename="nowhere.stl")
+    urdf = ElementTree.tostring(root, encoding="unicode")
+    bare = replace(robot, description=replace(robot.description, urdf=urdf))
+    stand = pa.solve_stand(bare, pa.StandTask(self_clearance=0.1))
+    assert stand.ground_clearance is None
+    assert stand.self_clearance is None
+
+
+# ------------------------------------------------------------------------------------- stands
+
+LOW = pa.StandTask(height=0.1113, pitch=0.3755, ground=pa.Ground(0.465, np.pi))
+
+
+def test_a_stand_with_a_knee_in_the_ground_is_refused() -> None:
+    robot = load("v3")
+    with pytest.raises(
+        pa.StanceUnreachableError, match=r"leg_\w+_2 is .* mm in the ground"
+    ) as caught:
+        pa.solve_stand(robot, LOW)
+    error = caught.value
+    assert error.shortfall == {}
+    assert len(error.blocked) == 1
+    assert "height" in error.possible
+    assert error.nearest is not None
+    nearest = error.nearest
+    there = on_ground(robot, nearest.task.ground, nearest.foot_targets)
+    near = min(ground_distances(there, nearest.qpos))
+    assert near == pytest.approx(nearest.ground_clearance.distance, abs=1e-9)
+    assert near == pytest.approx(0, abs=1e-3)
+    assert near > -1e-6
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_ground_clearance(name: str) -> None:
+    robot = load(name)
+    near = pa.solve_stand(robot).ground_clearance
+    assert near is not None
+    for more, reached in ((-1e-4, True), (1e-4, False)):
+        task = pa.StandTask(ground_clearance=near.distance + more)
+        if reached:
+            pa.solve_stand(robot, task)
+        else:
+            with pytest.raises(pa.StanceUnreachableError, match="above the ground"):
+                pa.solve_stand(robot, task)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_self_clearance(name: str) -> None:
+    robot = load(name)
+    near = pa.solve_stand(robot, pa.StandTask(self_clearance=0.0)).self_clearance
+    assert near is not None
+    task = pa.StandTask(self_clearance=near.distance - 1e-4)
+    assert pa.solve_stand(robot, task).foot_error < 1e-9
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, replace(task, self_clearance=near.distance + 1e-3))
+    assert near.links[0] in caught.value.blocked[0]
+    assert list(caught.value.possible) == ["self_clearance"]
+    assert f"{1e3 * near.distance:.1f} mm" in caught.value.possible["self_clearance"]
+
+
+def test_links_that_would_touch_are_kept_apart() -> None:
+    """Two feet of one side on one spot."""
+    robot = load("v3")
+    x = 0.075
+    task = pa.StandTask(foot_offsets={"FL": (-x, 0.0), "RL": (x, 0.0)}, com="inside")
+    pa.solve_stand(robot, task)
+    with pytest.raises(pa.StanceUnreachableError, match="mm in leg_") as caught:
+        pa.solve_stand(robot, replace(task, self_clearance=0.004))
+    nearest = caught.value.nearest
+    assert nearest is not None
+    assert nearest.self_clearance.distance > nearest.task.self_clearance - 1e-6
+    assert "foot_offsets" in caught.value.possible
