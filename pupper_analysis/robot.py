@@ -294,17 +294,11 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
         The same robot, whose MuJoCo model has the floor turned and a box for each step. The steps
         have the floor's contact parameters. A foot on a step does not touch the floor, into which
         it would sink through a low one.
-
-    Raises:
-        ModelError: If the MJCF has no floor.
     """
     if ground.level:
         return robot
     spec = robot.description.mjcf.copy()
-    plane = mujoco.mjtGeom.mjGEOM_PLANE
-    floor = next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
-    if floor is None:
-        raise ModelError(robot.description.mjcf_source, "it has no floor to be sloped or stepped")
+    floor = _floor(spec) or _add_floor(spec)
     quat = pin.Quaternion(ground.rotation()).coeffs()[[3, 0, 1, 2]]
     floor.quat = quat
     steps = [foot for foot, height in ground.heights.items() if height > 0]
@@ -330,6 +324,16 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
         )
     built = build_robot(replace(robot.description, mjcf=spec))
     return replace(built, stand_height=robot.stand_height, notes=robot.notes)
+
+
+def _floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
+    planes = (geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE)
+    return next(planes, None)
+
+
+def _add_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom:
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    return spec.worldbody.add_geom(name="floor", type=plane, size=(0, 0, 0.05))
 
 
 def _leave_floor(
@@ -367,9 +371,8 @@ def _mujoco_model(
     if fixed_base:
         for element in (*free, *spec.keys):
             spec.delete(element)
-    elif free and not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
-        plane = mujoco.mjtGeom.mjGEOM_PLANE
-        spec.worldbody.add_geom(name="floor", type=plane, size=(0, 0, 0.05))
+    elif free and not _floor(spec):
+        _add_floor(spec)
         notes.append("the MJCF has no ground: a plane with MuJoCo's default contact was added")
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
     return model, keyframe if len(keyframe) else np.array(model.qpos0)

@@ -180,15 +180,7 @@ def solve_stand(
         nearest = outcome
     if outcome.foot_error >= TASK_TOLERANCE and (explain or inside):
         nearest = _nearest(shapes, goal, outcome.qpos)
-    for start in (outcome.joint_positions(robot), *_starts(robot, goal)) if inside else ():
-        # Wherever the com came to lie inside, there the feet may be in reach. Where it comes to lie
-        # depends on the start; where a joint is then at its limit, the place is not exact enough.
-        qpos = outcome.qpos.copy()
-        qpos[7:] = start
-        closest = _nearest(shapes, goal, qpos)
-        place = Configuration(robot, closest.qpos).center_of_mass()[:2]
-        moved = replace(goal, place=place)
-        solved = _solve_from(shapes, moved, closest.joint_positions(robot))
+    for solved, closest in _elsewhere(shapes, goal, outcome) if inside else ():
         if solved.solved:
             return solved
         nearest = min(nearest, closest, solved, key=lambda stand: stand.foot_error)
@@ -271,6 +263,23 @@ def _goal(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> _Goal:
         lower=lower,
         upper=upper,
     )
+
+
+def _elsewhere(shapes: Shapes, goal: _Goal, outcome: Stand) -> Iterator[tuple[Stand, Stand]]:
+    """Tries other places of a com that may lie anywhere inside; yields stands and what led to them.
+
+    The com goes to where it comes to lie as the feet get as near to their places as they can: there
+    they may be in reach. That depends on the start; and where a joint is then at its limit, the
+    place is not exact enough. First parts may be in the ground, then not.
+    """
+    for clear in (False, True):
+        for start in (outcome.joint_positions(shapes.robot), *_starts(shapes.robot, goal)):
+            qpos = outcome.qpos.copy()
+            qpos[7:] = start
+            closest = _nearest(shapes, goal, qpos, clear=clear)
+            place = Configuration(shapes.robot, closest.qpos).center_of_mass()[:2]
+            moved = replace(goal, place=place)
+            yield _solve_from(shapes, moved, closest.joint_positions(shapes.robot)), closest
 
 
 def _attempt(shapes: Shapes, goal: _Goal) -> Stand:
@@ -379,12 +388,13 @@ def _measure(shapes: Shapes, goal: _Goal, qpos: Array, iterations: int) -> Stand
     )
 
 
-def _nearest(shapes: Shapes, goal: _Goal, start: Array) -> Stand:
+def _nearest(shapes: Shapes, goal: _Goal, start: Array, *, clear: bool = False) -> Stand:
     """Finds how near the feet can come to targets that are out of reach.
 
     The sum of the squared distances is minimised over the base's place and the joints, inside their
     limits, with the base's orientation and height and the com's place as the task has them. PlaCo's
-    Gauss-Newton steps, made for errors that vanish, stop short of that minimum.
+    Gauss-Newton steps, made for errors that vanish, stop short of that minimum. If ``clear``, no
+    part but the feet may be lower than the task allows.
     """
     from scipy import optimize  # slow to import
 
@@ -429,13 +439,22 @@ def _nearest(shapes: Shapes, goal: _Goal, start: Array) -> Stand:
             "fun": lambda values: at(values).center_of_mass()[:2] - goal.place,
             "jac": lambda values: at(values).com_jacobian()[:2, columns],
         }
+    constraints = [constraint]
+    if clear:
+
+        def room(values: Array) -> Array:
+            heights = shapes.heights(at(values).qpos, goal.task.ground, goal.targets, goal.depths)
+            finite: Array = heights[np.isfinite(heights)]
+            return finite - (goal.task.ground_clearance + TOUCHING)
+
+        constraints.append({"type": "ineq", "fun": room})
     outcome = optimize.minimize(
         distances,
         start[free],
         jac=True,
         method="SLSQP",
         bounds=[(None, None), (None, None), *zip(goal.lower, goal.upper, strict=True)],
-        constraints=constraint,
+        constraints=constraints,
         options={"ftol": 1e-14, "maxiter": 200},
     )
     return _measure(shapes, goal, at(outcome.x).qpos, 0)

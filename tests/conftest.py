@@ -1,10 +1,13 @@
 """Shared by the tests: robots loaded once, random states, and each engine's own view of a robot."""
 
 import copy
+import importlib.util
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import hypothesis
@@ -332,6 +335,17 @@ def tiny_files(tmp_path_factory: pytest.TempPathFactory) -> Files:
 @pytest.fixture(scope="session")
 def tiny(tiny_files: Files) -> pa.Robot:
     return pa.load_robot(urdf=tiny_files.urdf, mjcf=tiny_files.mjcf, feet=["foot"])
+
+
+def benchmark(name: str) -> ModuleType:
+    path = ROOT / "benchmarks" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(f"{name}_benchmark", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # its dataclasses look themselves up there
+    spec.loader.exec_module(module)
+    return module
 
 
 def run_command(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:

@@ -28,8 +28,10 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
+from conftest import benchmark
 from robots import found, line_at
 
+import pupper_analysis as pa
 from pupper_analysis.comparison import Comparison, compare_models
 from pupper_analysis.explain import Difference
 
@@ -51,7 +53,7 @@ def file(package: str, name: str) -> Path:
     if folder is None:
         pytest.skip(f"{PACKAGE[package]} is not installed; see the module's docstring")
     path = folder / name
-    assert path.is_file(), f"{PACKAGE[package]} has no {name}: another version?"
+    assert path.exists(), f"{PACKAGE[package]} has no {name}: another version?"
     return path
 
 
@@ -337,3 +339,34 @@ def test_a_fixed_base_with_links_welded_to_it_is_no_difference(name: str, tmp_pa
     comparison = compare_models(urdf, converted(urdf, tmp_path, free=False), configurations=1)
     assert found(comparison) == []
     assert comparison.engines == ()
+
+
+# ------------------------------------------------------------------------------------- stands
+
+stances = benchmark("stances")
+
+
+@pytest.mark.parametrize("name", stances.OTHERS)
+def test_random_stands_of_other_quadrupeds(name: str) -> None:
+    """Through `load_robot`: no verdict is wrong, once both files have the URDF's inertials."""
+    for package in (MJCF, URDF):
+        file(package, ".").resolve()
+    folder = next(top for top in _folders() if (top / MJCF).is_dir())
+    robot = stances.other_robot(folder, name)
+    outcomes = stances.judged(robot, 15, seed=7, shapes=False)
+    assert not [(str(outcome.task), outcome.wrong) for outcome in outcomes if outcome.wrong]
+    held = [outcome for outcome in outcomes if outcome.verdict is stances.Verdict.HELD]
+    assert len(held) > 5
+    assert max(outcome.error for outcome in held) < 1e-9
+
+
+def test_mini_cheetah_stands_as_predicted() -> None:
+    """It has no servos of its own; with some, MuJoCo holds what Pinocchio predicts."""
+    folder = file(MJCF, ".").parents[1]
+    robot = stances.other_robot(folder, "mini-cheetah")
+    with pytest.raises(pa.ModelError, match="no position servo"):
+        pa.verify_stand(robot, pa.solve_stand(robot))
+    for task in (pa.StandTask(), pa.StandTask(lifted={"FL": 0.03}, com="inside", com_margin=0.02)):
+        run = pa.verify_stand(robot, pa.sunk_stand(robot, task), kp=100, kd=3)
+        assert run.passed, run.failures
+        assert max(run.torque_error, run.force_error) < 1e-3
