@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import tempfile
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +37,16 @@ class Clearance(Result):
 
     distance: float
     links: tuple[str, ...]
+
+
+def shapes_of(robot: Robot) -> Shapes:
+    """Returns a robot's shapes, built once per robot and thread."""
+    return _cached(robot, threading.get_ident())
+
+
+@functools.lru_cache(maxsize=8)
+def _cached(robot: Robot, _thread: int) -> Shapes:
+    return Shapes(robot)
 
 
 class Shapes:

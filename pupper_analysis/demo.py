@@ -9,10 +9,12 @@ import numpy as np
 
 from pupper_analysis.configuration import Configuration
 from pupper_analysis.path import StancePath, stance_path
+from pupper_analysis.report import console
 from pupper_analysis.robot import Robot, load_variant
 from pupper_analysis.simulation import STATE
+from pupper_analysis.stance_report import print_tracking
 from pupper_analysis.task import StandTask
-from pupper_analysis.tracking import PathTracking, path_commands, track_path
+from pupper_analysis.tracking import path_commands, track_path
 from pupper_analysis.viewer import check_display, show
 
 DEMOS = {
@@ -74,8 +76,8 @@ def demo(name: str, *, headless: bool, csv: Path | None = None) -> bool:
     if not headless:
         _show(robot, path)
     tracking = track_path(robot, path)
-    print(f"{name}: {DEMOS[name]}; {path.time[-1]:g} s, {len(path.time)} samples")
-    _print(path, tracking)
+    print(f"{name}: {DEMOS[name]}")
+    print_tracking(console(), path, tracking)
     if csv is not None:
         path.to_csv(csv)
         print(f"path: {csv}")
@@ -93,21 +95,3 @@ def _show(robot: Robot, path: StancePath) -> None:
         mujoco.mj_step(model, data)
 
     show(model, data, step, len(plan.ctrl))
-
-
-def _print(path: StancePath, tracking: PathTracking) -> None:
-    lowest = path.loads.min(axis=0)
-    print(
-        f"motors: at most {path.peak_utilisation:.1%} of their limit at rest; com at least "
-        f"{1e3 * path.com_margin.min():.1f} mm inside the support polygon"
-    )
-    loads = ", ".join(f"{foot} {low:.2f}" for foot, low in zip(path.feet, lowest, strict=True))
-    print(f"least load of the feet (N): {loads}")
-    print(
-        f"in MuJoCo: joints within {tracking.joint_error:.3f} rad "
-        f"({tracking.joint_error_rms:.3f} rms), base height within "
-        f"{1e3 * tracking.height_error:.1f} mm, orientation within "
-        f"{tracking.orientation_error:.3f} rad, feet within "
-        f"{1e3 * max(tracking.foot_slip.values()):.1f} mm of their places"
-    )
-    print("TRACKED" if tracking.passed else f"FAILED: {'; '.join(tracking.failures)}")

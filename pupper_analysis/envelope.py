@@ -45,12 +45,12 @@ class PoseEnvelope(Result):
     """How far the base can go from a stand, in each direction alone, with the feet planted.
 
     Attributes:
-        task: The stand's task.
+        start: The stand where the search began.
         intervals: {``height`` (m, absolute), ``roll``, ``pitch``, ``yaw`` (rad, absolute), ``x``,
             ``y`` (m, of the base from the centre of the feet)}.
     """
 
-    task: StandTask
+    start: Stand
     intervals: dict[str, Interval]
 
 
@@ -72,7 +72,9 @@ def pose_envelope(robot: Robot, task: StandTask | None = None) -> PoseEnvelope:
     """Finds how far the base can rise, roll, pitch, yaw and shift with its feet planted.
 
     Each direction is searched on its own, outwards from the task, to where a stand is first out of
-    reach. Shifts are those of the base; the com follows, and must stay over the support polygon.
+    reach, with the com where the task has it; if that may lie anywhere inside the support polygon,
+    where the task's stand has it. Shifts are those of the base; the com follows, and must stay
+    inside with the task's margin.
 
     Args:
         robot: The robot.
@@ -84,7 +86,7 @@ def pose_envelope(robot: Robot, task: StandTask | None = None) -> PoseEnvelope:
     """
     start = solve_stand(robot, task)
     return PoseEnvelope(
-        task=start.task,
+        start=start,
         intervals={direction: _interval(robot, start, direction) for direction in DIRECTIONS},
     )
 
@@ -123,18 +125,33 @@ def _offset(start: Stand) -> Array:
 
 
 def _reached(robot: Robot, start: Stand, direction: str, value: float) -> bool:
+    try:
+        stand = stand_at(robot, start, direction, value)
+    except (StanceUnreachableError, ConfigurationError):
+        return False
+    com = Configuration(robot, stand.qpos).center_of_mass()
+    margin = com_margin(com, stand.contact_points)
+    return direction not in ("x", "y") or margin >= start.task.com_margin
+
+
+def stand_at(robot: Robot, start: Stand, direction: str, value: float) -> Stand:
+    """Returns a stand with one of its coordinates changed.
+
+    Args:
+        robot: The robot.
+        start: The stand.
+        direction: One of ``DIRECTIONS``.
+        value: The coordinate's value, as in ``PoseEnvelope.intervals`` (m, or rad).
+
+    Raises:
+        StanceUnreachableError: If it is out of reach.
+    """
     changes: dict[str, Any] = {direction: value}
+    if start.task.com == "inside":
+        x, y, _ = Configuration(robot, start.qpos).center_of_mass()
+        changes |= {"com": (float(x), float(y)), "com_margin": 0.0}
     if direction in ("x", "y"):
         x, y = _offset(start)
         place = (value, float(y)) if direction == "x" else (float(x), value)
         changes = {"com": "centre", "com_margin": 0.0, "offset": place}
-    try:
-        stand = solve_stand(robot, replace(start.task, **changes), explain=False)
-    except (StanceUnreachableError, ConfigurationError):
-        return False
-    return direction not in ("x", "y") or _inside(robot, stand)
-
-
-def _inside(robot: Robot, stand: Stand) -> bool:
-    com = Configuration(robot, stand.qpos).center_of_mass()
-    return com_margin(com, stand.contact_points) >= stand.task.com_margin
+    return solve_stand(robot, replace(start.task, **changes), explain=False)

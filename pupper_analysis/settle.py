@@ -254,7 +254,7 @@ class _Equilibrium:
             arm = (radius - depth / 2) * stand.normals[foot]
             jacobians.append(local @ config.frame_jacobian(frame, -arm)[:3])
             turn = pin.log3(config.frame_rotation(frame) @ turned.T)
-            slip = local @ (moved - np.cross(turn, arm))  # less what the sphere has rolled
+            slip = local @ (moved - pin.skew(turn) @ arm)  # less what the sphere has rolled
             places.append((slip[0], slip[1], depth))
         jacobian = np.concatenate(jacobians)
         balance = config.gravity() - jacobian.T @ forces.ravel()

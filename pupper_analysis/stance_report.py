@@ -4,27 +4,36 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 
+from pupper_analysis.best import BestStance, Objective, best_stance
+from pupper_analysis.configuration import Configuration
 from pupper_analysis.envelope import PoseEnvelope, pose_envelope
 from pupper_analysis.errors import NoEquilibriumError, StanceUnreachableError
+from pupper_analysis.path import StancePath, stance_path
 from pupper_analysis.payload import PayloadLimit, payload_limit
+from pupper_analysis.push import PushRecovery, push_recovery
+from pupper_analysis.push_report import print_pushes
 from pupper_analysis.report import print_loads, titled_table
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
-from pupper_analysis.settle import SettledPose, settled_pose
+from pupper_analysis.settle import SettledPose, least_kp, settled_pose
 from pupper_analysis.simulation import StandVerification, verify_stand
 from pupper_analysis.sink import sunk_stand
 from pupper_analysis.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.statics import GravityCompensation
 from pupper_analysis.task import StandTask
+from pupper_analysis.tracking import PathTracking, track_path
 
 Array = NDArray[np.float64]
+
+DISAGREEMENT = 1e-4
+"""What a stand may leave of the balance in MuJoCo's terms before it is remarked upon (N, N m)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +46,18 @@ class Stance(Result):
         limits: (nu,) of the motors' torques (N m).
         stand: The solved stand.
         statics: Torques and contact forces, of least torque.
-        payload: The greatest mass at the base's origin.
+        point: Where the payload is, in the base's frame (m).
+        payload: The greatest mass there.
         sunk: The stance with its feet sunk into MuJoCo's ground; None where that is out of reach.
         verification: The simulation, with feed-forward, of ``sunk``, or else of ``stand``.
         settled: Where it settles without feed-forward; None where that is not predicted.
         unsettled: Why ``settled`` is None.
-        envelope: How far the base can go; None if it was not asked for.
+        best: How it was found, if the best stance was asked for.
+        least_kp: The softest servos that carry it without feed-forward (N m/rad), if asked for.
+        envelope: How far the base can go, if asked for.
+        path: From the nominal stand to it, if asked for.
+        tracking: The simulation of ``path``.
+        push: The largest pushes it survives, if asked for.
     """
 
     name: str
@@ -50,66 +65,127 @@ class Stance(Result):
     limits: Array
     stand: Stand
     statics: GravityCompensation
+    point: tuple[float, float, float]
     payload: PayloadLimit
     sunk: Stand | None
     verification: StandVerification
     settled: SettledPose | None
     unsettled: str
+    best: BestStance | None
+    least_kp: float | None
     envelope: PoseEnvelope | None
+    path: StancePath | None
+    tracking: PathTracking | None
+    push: PushRecovery | None
+
+    @property
+    def passed(self) -> bool:
+        """Whether it holds, and the path to it is tracked."""
+        return self.verification.passed and (self.tracking is None or self.tracking.passed)
 
 
-def study(robot: Robot, task: StandTask, *, envelope: bool = False) -> Stance:
+def study(
+    robot: Robot,
+    task: StandTask,
+    *,
+    kp: float | None = None,
+    kd: float | None = None,
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    objective: Objective | None = None,
+    softest: bool = False,
+    envelope: bool = False,
+    seconds: float | None = None,
+    push: bool = False,
+) -> Stance:
     """Solves a stance, and finds out what it costs and whether it holds.
 
     Args:
         robot: The robot.
         task: The stance.
+        kp: Servo stiffness (N m/rad); the model's own by default.
+        kd: Servo damping (N m s/rad); the model's own by default.
+        point: Where a payload is, in the base's frame (m).
+        objective: Search for the best stance in this, from the task on (some seconds).
+        softest: Also find the softest servos that carry it without feed-forward.
         envelope: Also find how far the base can go from there (a second or two).
+        seconds: Also move there from the nominal stand, in this time (s).
+        push: Also push it (some seconds).
 
     Raises:
         StanceUnreachableError: If it is out of reach.
         StaticsInfeasibleError: If it is reached, but slides or tips.
-        ConfigurationError: If the task makes no sense for the robot.
+        ConfigurationError: If the task, or another argument, makes no sense for the robot.
+        ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
-    stand = solve_stand(robot, task)
+    best = None if objective is None else best_stance(robot, objective, task=task, point=point)
+    stand = solve_stand(robot, task) if best is None else best.stand
     statics = stand_statics(robot, stand)
-    settled, unsettled, sunk = None, "", None
+    settled, unsettled, sunk, softness = None, "", None, None
     try:
-        settled = settled_pose(robot, stand)
+        settled = settled_pose(robot, stand, kp=kp)
+        softness = least_kp(robot, stand) if softest else None
     except NoEquilibriumError as error:
         unsettled = str(error)
     with contextlib.suppress(StanceUnreachableError):
-        sunk = sunk_stand(robot, task, explain=False)
+        sunk = sunk_stand(robot, stand.task, explain=False)
+    path = None if seconds is None else stance_path(robot, way_to(robot, stand), seconds)
     return Stance(
         name=robot.name,
         joint_positions=stand.joint_positions(robot),
         limits=robot.effort_limits,
         stand=stand,
         statics=statics,
-        payload=payload_limit(robot, stand),
+        point=point,
+        payload=payload_limit(robot, stand, point),
         sunk=sunk,
-        verification=verify_stand(robot, sunk or stand),
+        verification=verify_stand(robot, sunk or stand, kp=kp, kd=kd),
         settled=settled,
         unsettled=unsettled,
-        envelope=pose_envelope(robot, task) if envelope else None,
+        best=best,
+        least_kp=softness,
+        envelope=pose_envelope(robot, stand.task) if envelope else None,
+        path=path,
+        tracking=None if path is None else track_path(robot, path, kp=kp, kd=kd),
+        push=push_recovery(robot, sunk or stand, kp=kp, kd=kd) if push else None,
     )
+
+
+def way_to(robot: Robot, stand: Stand) -> list[StandTask]:
+    """Returns the stances that lead to a stand: the nominal one, with its feet where they are.
+
+    Where a foot is lifted, the weight is first shifted on to the others.
+    """
+    task = stand.task
+    x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
+    over = replace(task, com=(float(x), float(y)), com_margin=0.0, offset=None)
+    nominal = StandTask(
+        feet=task.feet, foot_offsets=task.foot_offsets, ground=task.ground, posture=task.posture
+    )
+    return [nominal, *([replace(over, lifted={})] if task.lifted else []), over]
 
 
 def print_stance(out: Console, stance: Stance) -> None:
     """Prints a stance."""
     stand, verification = stance.stand, stance.verification
     out.print(f"[bold]{escape(stance.name)}[/]: {escape(str(stand.task))}", soft_wrap=True)
+    if stance.best is not None:
+        _print_best(out, stance.best)
     more = {"position (rad)": stance.joint_positions}
     print_loads(out, stance.statics, verification, stance.limits.tolist(), more)
     where = f" ({', '.join(stance.payload.where)})" if stance.payload.where else ""
     out.print(
-        f"payload at the base's origin: {stance.payload.mass:.2f} kg, then "
-        f"{stance.payload.failure.value}{where}",
+        f"payload at ({', '.join(f'{1e3 * value:.0f}' for value in stance.point)}) mm of the base: "
+        f"{stance.payload.mass:.2f} kg, then {stance.payload.failure.value}{where}",
         soft_wrap=True,
     )
+    _print_clearance(out, stand)
     _print_settled(out, stance)
     if stance.envelope is not None:
         _print_envelope(out, stance.envelope)
+    if stance.push is not None:
+        print_pushes(out, {stance.name: stance.push})
+    if stance.path is not None and stance.tracking is not None:
+        print_tracking(out, stance.path, stance.tracking)
     if stance.sunk is None:
         out.print(
             "[yellow]note:[/] its feet, sunk into MuJoCo's soft ground, would be out of reach; "
@@ -123,6 +199,13 @@ def print_stance(out: Console, stance: Stance) -> None:
             f"(at most {deepest:.2f} mm)",
             soft_wrap=True,
         )
+    if verification.mujoco_residual > DISAGREEMENT:
+        out.print(
+            "[yellow]note:[/] the two models disagree: by the MJCF "
+            f"{verification.mujoco_residual:.1e} N (or N m) of the balance are left; "
+            "pupper-analysis crosscheck says why",
+            soft_wrap=True,
+        )
     if verification.passed:
         out.print(
             f"[bold green]HOLDS[/] in MuJoCo: torques within {verification.torque_error:.2%}, "
@@ -130,6 +213,62 @@ def print_stance(out: Console, stance: Stance) -> None:
         )
     else:
         out.print(f"[bold red]FAILS[/] in MuJoCo: {escape('; '.join(verification.failures))}")
+
+
+def _print_best(out: Console, best: BestStance) -> None:
+    unit = {Objective.UTILISATION: "", Objective.MARGIN: " m", Objective.PAYLOAD: " kg"}
+    what = {
+        Objective.UTILISATION: "peak motor utilisation",
+        Objective.MARGIN: "distance of the com from the support polygon's edge",
+        Objective.PAYLOAD: "payload",
+    }[best.objective]
+    coordinates = ", ".join(
+        f"{name} {math.degrees(value):+.1f} deg"
+        if name == "pitch"
+        else f"{name} {1e3 * value:.1f} mm"
+        for name, value in best.coordinates.items()
+    )
+    out.print(
+        f"best of {best.evaluations} stances: {what} {best.value:.4g}{unit[best.objective]}, "
+        f"against {best.nominal_value:.4g} as asked; {coordinates}"
+        + (f"; at its limit: {', '.join(best.active)}" if best.active else ""),
+        soft_wrap=True,
+    )
+
+
+def _print_clearance(out: Console, stand: Stand) -> None:
+    near, links = stand.ground_clearance, stand.self_clearance
+    if near is not None:
+        out.print(f"lowest part but the feet: {near.links[0]}, {1e3 * near.distance:.1f} mm")
+    if links is not None:
+        out.print(
+            f"nearest links: {' and '.join(links.links)}, {1e3 * links.distance:.1f} mm apart"
+        )
+
+
+def print_tracking(out: Console, path: StancePath, tracking: PathTracking) -> None:
+    """Prints how well a path is followed."""
+    lowest = path.loads.min(axis=0)
+    loads = ", ".join(f"{foot} {low:.2f}" for foot, low in zip(path.feet, lowest, strict=True))
+    out.print(
+        f"path of {path.time[-1]:g} s, {len(path.time)} samples: motors at most "
+        f"{path.peak_utilisation:.1%} of their limit at rest; com at least "
+        f"{1e3 * path.com_margin.min():.1f} mm inside the support polygon",
+        soft_wrap=True,
+    )
+    out.print(f"least load of the feet (N): {loads}", soft_wrap=True)
+    out.print(
+        f"in MuJoCo: joints within {tracking.joint_error:.3f} rad "
+        f"({tracking.joint_error_rms:.3f} rms), base height within "
+        f"{1e3 * tracking.height_error:.1f} mm, orientation within "
+        f"{tracking.orientation_error:.3f} rad, feet within "
+        f"{1e3 * max(tracking.foot_slip.values()):.1f} mm of their places",
+        soft_wrap=True,
+    )
+    if tracking.passed:
+        out.print("[bold green]TRACKED[/]")
+    else:
+        out.print(f"[bold red]FAILED[/]: {escape('; '.join(tracking.failures))}", soft_wrap=True)
 
 
 def _print_settled(out: Console, stance: Stance) -> None:
@@ -146,6 +285,8 @@ def _print_settled(out: Console, stance: Stance) -> None:
     if settled.failures:
         text += f"; but {'; '.join(settled.failures)}"
     out.print(escape(text), soft_wrap=True)
+    if stance.least_kp is not None:
+        out.print(f"softest servos that carry it: {stance.least_kp:.2f} N m/rad", soft_wrap=True)
 
 
 def _print_envelope(out: Console, envelope: PoseEnvelope) -> None:

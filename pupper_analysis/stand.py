@@ -13,7 +13,7 @@ import placo
 import shapely
 from numpy.typing import NDArray
 
-from pupper_analysis.collision import Clearance, Shapes
+from pupper_analysis.collision import Clearance, Shapes, shapes_of
 from pupper_analysis.configuration import UP, Configuration
 from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.results import Result
@@ -169,7 +169,7 @@ def solve_stand(
             demands of which one would have to give.
     """
     goal = _goal(robot, task or StandTask(), depths or {})
-    shapes = Shapes(robot)
+    shapes = shapes_of(robot)
     outcome = _attempt(shapes, goal)
     if outcome.solved:
         return outcome
@@ -270,16 +270,21 @@ def _elsewhere(shapes: Shapes, goal: _Goal, outcome: Stand) -> Iterator[tuple[St
 
     The com goes to where it comes to lie as the feet get as near to their places as they can: there
     they may be in reach. That depends on the start; and where a joint is then at its limit, the
-    place is not exact enough. First parts may be in the ground, then not.
+    place is not exact enough. Where parts are in the way, once more without them in the ground.
     """
+    robot, blocked = shapes.robot, False
     for clear in (False, True):
-        for start in (outcome.joint_positions(shapes.robot), *_starts(shapes.robot, goal)):
+        for start in (outcome.joint_positions(robot), *_starts(robot, goal)):
             qpos = outcome.qpos.copy()
             qpos[7:] = start
             closest = _nearest(shapes, goal, qpos, clear=clear)
-            place = Configuration(shapes.robot, closest.qpos).center_of_mass()[:2]
+            place = Configuration(robot, closest.qpos).center_of_mass()[:2]
             moved = replace(goal, place=place)
-            yield _solve_from(shapes, moved, closest.joint_positions(shapes.robot)), closest
+            solved = _solve_from(shapes, moved, closest.joint_positions(robot))
+            blocked |= solved.foot_error < TASK_TOLERANCE
+            yield solved, closest
+        if not blocked:
+            return
 
 
 def _attempt(shapes: Shapes, goal: _Goal) -> Stand:

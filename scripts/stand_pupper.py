@@ -1,6 +1,6 @@
-"""Drops Pupper v3 and sees that it stands: ``pupper-analysis stand`` as a script."""
+"""Drops Pupper v3 and sees that it stands: ``pupper-analysis drop`` as a script."""
 
-from pupper_analysis.cli import run, stand
+from pupper_analysis.cli import drop, run
 
 if __name__ == "__main__":
-    run(stand)
+    run(drop)

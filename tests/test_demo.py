@@ -34,7 +34,7 @@ def test_what_they_do() -> None:
 @pytest.mark.parametrize("name", demo.DEMOS)
 def test_mujoco_follows(name: str, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "path.csv"
-    status, out, err = run_command(capfd, "stand", "--headless", "--demo", name, "--csv", str(path))
+    status, out, err = run_command(capfd, "drop", "--headless", "--demo", name, "--csv", str(path))
     assert status == 0, err
     assert out.startswith(f"{name}: {demo.DEMOS[name]}")
     assert "TRACKED" in out
@@ -70,7 +70,7 @@ def test_a_path_that_is_not_tracked_is_exit_status_1(
     from pupper_analysis import tracking
 
     monkeypatch.setattr(tracking, "TRACKING_TOLERANCE", 1e-6)
-    status, out, _ = run_command(capfd, "stand", "--headless", "--demo", "squat")
+    status, out, _ = run_command(capfd, "drop", "--headless", "--demo", "squat")
     assert status == 1
     assert "FAILED: a joint is off by" in out
 
@@ -92,7 +92,7 @@ def test_bad_input_is_one_line_and_exit_status_2(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    status, out, err = run_command(capfd, "stand", "--headless", *arguments)
+    status, out, err = run_command(capfd, "drop", "--headless", *arguments)
     assert status == 2
     assert message in err
     assert len(err.strip().splitlines()) == 1

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from conftest import load
 
 import pupper_analysis as pa
-from pupper_analysis.envelope import pose_envelope, reachable_heights
+from pupper_analysis.envelope import (
+    pose_envelope,
+    reachable_heights,
+    stand_at,
+)
+from pupper_analysis.statics import com_margin
 
 
 def reached(robot: pa.Robot, task: pa.StandTask) -> bool:
@@ -65,6 +71,32 @@ def test_the_task_is_where_it_begins() -> None:
     assert level.low < tilted.low < tilted.high < level.high
     with pytest.raises(pa.StanceUnreachableError):
         reachable_heights(robot, pa.StandTask(height=1.0))
-    assert pose_envelope(robot, pa.StandTask(yaw=0.1)).task == replace(
+    assert pose_envelope(robot, pa.StandTask(yaw=0.1)).start.task == replace(
         pa.StandTask(yaw=0.1), height=robot.stand_height
     )
+
+
+def test_com_keeps_its_margin() -> None:
+    """A shift ends where the com is as near to the polygon's edge as the task allows."""
+    robot = load("original")
+    free = pose_envelope(robot).intervals["x"]
+    task = pa.StandTask(com="inside", com_margin=0.07)
+    bound = pose_envelope(robot, task).intervals["x"]
+    assert free.low < bound.low < bound.high < free.high
+    for value in (bound.low, bound.high):
+        stand = stand_at(robot, pa.solve_stand(robot, task), "x", value)
+        com = pa.Configuration(robot, stand.qpos).center_of_mass()
+        assert com_margin(com, stand.contact_points) == pytest.approx(0.07, abs=1e-4)
+
+
+def test_com_anywhere_inside_stays_where_the_stand_has_it() -> None:
+    robot = load("v3")
+    task = pa.StandTask(lifted={"FL": 0.02}, com="inside", com_margin=0.01)
+    start = pa.solve_stand(robot, task)
+    place = pa.Configuration(robot, start.qpos).center_of_mass()[:2]
+    other = stand_at(robot, start, "pitch", 0.1)
+    found = pa.Configuration(robot, other.qpos).center_of_mass()[:2]
+    np.testing.assert_allclose(found, place, atol=1e-9)
+    interval = pose_envelope(robot, task).intervals["pitch"]
+    assert interval.low < -0.2
+    assert interval.high > 0.2

@@ -17,7 +17,7 @@ stances = benchmark("stances")
 @pytest.mark.parametrize("name", NAMES)
 def test_no_verdict_is_wrong(name: str) -> None:
     robot = load(name)
-    outcomes = stances.judged(robot, 12, seed=100 + NAMES.index(name))
+    outcomes = stances.judged(robot, 8, seed=100 + NAMES.index(name))
     assert not [(str(outcome.task), outcome.wrong) for outcome in outcomes if outcome.wrong]
     held = [outcome for outcome in outcomes if outcome.verdict is stances.Verdict.HELD]
     assert len(held) >= 3

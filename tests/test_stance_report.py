@@ -1,16 +1,24 @@
-"""``pupper-analysis stance``: what it prints and writes, its exit status, and bad input."""
+"""``pupper-analysis stand``: what it prints and writes, its exit status, and bad input."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import run_command
 from matplotlib.image import imread
 from rich.console import Console
 
-from pupper_analysis import StandTask, load_variant, stance_report
+from pupper_analysis import (
+    Ground,
+    StandTask,
+    load_variant,
+    solve_stand,
+    stance_report,
+    write_variant,
+)
 
 
 def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -18,7 +26,7 @@ def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> N
     arguments = ("v3", "--lift", "FL=0.02", "--com", "inside", "--com-margin", "0.01")
     figure = tmp_path / "stance.png"
     status, out, err = run_command(
-        capfd, "stance", *arguments, "--figure", str(figure), "--json", str(path)
+        capfd, "stand", *arguments, "--figure", str(figure), "--json", str(path)
     )
     assert status == 0, err
     assert "FL lifted 20 mm" in out
@@ -40,7 +48,7 @@ def test_every_option_reaches_the_task(capfd: pytest.CaptureFixture[str], tmp_pa
     path = tmp_path / "all.json"
     status, out, err = run_command(
         capfd,
-        "stance",
+        "stand",
         "v3-heavy",
         *("--height", "0.12", "--roll", "0.02", "--pitch", "-0.03", "--yaw", "0.04"),
         *("--com", "0.005,-0.004", "--com-margin", "0.02", "--joint-margin", "0.05"),
@@ -60,7 +68,7 @@ def test_envelope_and_offset(capfd: pytest.CaptureFixture[str], tmp_path: Path) 
     path = tmp_path / "all.json"
     status, out, err = run_command(
         capfd,
-        "stance",
+        "stand",
         "original",
         "--offset",
         "0.01,0",
@@ -84,7 +92,7 @@ def test_failure_in_simulation_is_exit_status_1(
     from pupper_analysis import simulation
 
     monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)
-    status, out, _ = run_command(capfd, "stance", "original")
+    status, out, _ = run_command(capfd, "stand", "original")
     assert status == 1
     assert "FAILS in MuJoCo: a joint is off by" in out
 
@@ -102,7 +110,88 @@ def test_sag_is_that_of_the_simulation() -> None:
     assert f"settles at {settled.base_height:.5f} m" in capture.get()
 
 
+def test_way_there(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    csv, npz = tmp_path / "way.csv", tmp_path / "way.npz"
+    arguments = ("--lift", "RR=0.01", "--com", "inside", "--com-margin", "0.01", "--path", "3")
+    status, out, err = run_command(
+        capfd, "stand", "original", *arguments, "--csv", str(csv), "--npz", str(npz)
+    )
+    assert status == 0, err
+    assert "TRACKED" in out
+    assert "path of 3 s" in out
+    rows = csv.read_text().splitlines()
+    arrays = np.load(npz)
+    assert len(rows) > 100
+    robot = load_variant("original")
+    goal = solve_stand(robot, StandTask(lifted={"RR": 0.01}, com="inside", com_margin=0.01))
+    np.testing.assert_allclose(arrays["qpos"][-1][7:], goal.qpos[7:], atol=1e-9)
+    np.testing.assert_allclose(arrays["qpos"][0], solve_stand(robot).qpos, atol=1e-9)
+
+
+def test_the_way_keeps_moved_feet_and_ground() -> None:
+    robot = load_variant("v3")
+    task = StandTask(0.12, foot_offsets={"FL": (0.01, 0.0)}, ground=Ground(0.05), com=(0.005, 0.0))
+    way = stance_report.way_to(robot, solve_stand(robot, task))
+    assert len(way) == 2
+    for stance in way:
+        assert stance.ground == task.ground
+        assert stance.foot_offsets == task.foot_offsets
+    assert way[1].height == 0.12
+    assert way[1].com == pytest.approx((0.005, 0.0), abs=1e-9)
+
+
+def test_best_payload_and_servos(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
+    status, out, err = run_command(
+        capfd,
+        *("stand", "original", "--best", "margin", "--payload-at", "0.01,0,0.08", "--least-kp"),
+        *("--kp", "80", "--kd", "1.5", "--self-clearance", "0.002", "--ground-clearance", "0.005"),
+        *("--json", str(path)),
+    )
+    assert status == 0, err
+    content = json.loads(path.read_text())
+    assert content["best"]["objective"] == "margin"
+    assert content["best"]["value"] > content["best"]["nominal_value"]
+    assert content["statics"]["com_margin"] == pytest.approx(content["best"]["value"])
+    assert content["point"] == [0.01, 0.0, 0.08]
+    assert content["verification"]["kp"] == [80.0] * 12
+    assert content["verification"]["kd"] == [1.5] * 12
+    assert content["stand"]["self_clearance"]["distance"] > 0.002 - 1e-6
+    assert content["stand"]["ground_clearance"]["distance"] > 0.005 - 1e-6
+    assert 0.5 < content["least_kp"] < 20
+    for text in ("best of", "payload at (10, 0, 80) mm", "softest servos", "nearest links"):
+        assert text in out
+
+
+def test_envelope_figure_and_push(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    figure = tmp_path / "envelope.png"
+    status, out, err = run_command(
+        capfd, "stand", "heavy", "--envelope-figure", str(figure), "--push"
+    )
+    assert status == 0, err
+    assert "Largest push" in out
+    assert imread(figure).std() > 0.05
+
+
+def test_a_robot_of_ones_own(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    urdf, mjcf = write_variant("heavy", tmp_path)
+    files = ["--urdf", str(urdf), "--mjcf", str(mjcf)]
+    feet = [part for foot in ("FL", "FR", "RL", "RR") for part in ("--foot", f"{foot}={foot}_foot")]
+    status, own, err = run_command(capfd, "stand", *files, *feet, "--height", "0.15")
+    assert status == 0, err
+    status, ours, _ = run_command(capfd, "stand", "heavy", "--height", "0.15")
+    assert status == 0
+    assert own.splitlines()[1:] == ours.splitlines()[1:]  # all but the name
+
+
 BAD = {
+    "path to nowhere": (["v3", "--csv", "a.csv"], "give --path too"),
+    "name and files": (["v3", "--urdf", "a.urdf"], "give a variant's name, or"),
+    "no feet": (["--urdf", "a.urdf", "--mjcf", "a.xml"], "needs all three"),
+    "no such file": (["--urdf", "a.urdf", "--mjcf", "a.xml", "--foot", "a=b"], "a.urdf"),
+    "no point": (["v3", "--payload-at", "1,2"], "not of the form X,Y,Z"),
+    "no damping": (["v3", "--kp", "-3"], "kp"),
+    "too near": (["v3", "--self-clearance", "0.05"], "Possible with all else as asked: self_"),
     "no such robot": (["spot"], "'spot'"),
     "too high": (["v3", "--height", "0.3"], "height 0.192 m"),
     "too steep": (["v3", "--slope", "0.9"], "ground slope 34.6 deg"),
@@ -127,7 +216,7 @@ def test_bad_input_is_one_line_and_exit_status_2(
     arguments, message = BAD[case]
     monkeypatch.chdir(tmp_path)
     output = [] if "--json" in arguments else ["--json", "all.json"]
-    status, out, err = run_command(capfd, "stance", *arguments, *output)
+    status, out, err = run_command(capfd, "stand", *arguments, *output)
     assert status == 2
     assert message in err
     assert err.startswith("error: ")

@@ -1,0 +1,185 @@
+"""``pupper-analysis crosscheck`` and ``audit``: what is wrong in, and between, model files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pupper_analysis.cli.shared import (
+    CONTEXT,
+    FAILED,
+    assignment,
+    check_outputs,
+    format_option,
+    json_option,
+    number,
+    write_json,
+)
+from pupper_analysis.errors import ConfigurationError
+
+
+@click.command(context_settings=CONTEXT, short_help="Find what makes a URDF and an MJCF disagree.")
+@click.argument("urdf", type=click.Path(path_type=Path))
+@click.argument("mjcf", type=click.Path(path_type=Path))
+@click.option(
+    "--map",
+    "pairs",
+    multiple=True,
+    metavar="URDF=MJCF",
+    help="A joint's or frame's name in the URDF, and in the MJCF. May be repeated.",
+)
+@click.option(
+    "--map-file",
+    type=click.Path(path_type=Path),
+    help='TOML file of such names: a line "name in the URDF" = "name in the MJCF" each.',
+)
+@click.option(
+    "--package",
+    "packages",
+    multiple=True,
+    metavar="NAME=DIR",
+    help="Where package://NAME/ is; else ROS_PACKAGE_PATH, then the folders above the URDF.",
+)
+@click.option(
+    "--foot", "feet", multiple=True, metavar="FRAME", help="Compare this frame (all common ones)."
+)
+@click.option(
+    "--tolerance",
+    "changes",
+    multiple=True,
+    metavar="KIND=VALUE",
+    help="Of mass, com, inertia, position, rotation, axis, limit, effort, velocity, damping, "
+    "friction or dynamics. May be repeated.",
+)
+@click.option("--strict", is_flag=True, help="Tolerate rounding errors alone (1e-9), not digits.")
+@click.option("--all", "everything", is_flag=True, help="Print every difference.")
+@json_option
+@format_option
+def crosscheck(
+    urdf: Path,
+    mjcf: Path,
+    pairs: tuple[str, ...],
+    map_file: Path | None,
+    packages: tuple[str, ...],
+    feet: tuple[str, ...],
+    changes: tuple[str, ...],
+    strict: bool,
+    everything: bool,
+    json_path: Path | None,
+    style: str,
+) -> None:
+    """Find which number in which file makes a robot's URDF and MJCF disagree.
+
+    Both models are compared in both engines, and body by body; each difference is shown with its
+    place in both files and its effect, the greatest first, and the list is proven complete.
+    Joints are matched by name, by --map, and the rest by structure (which is then printed).
+
+    \b
+    Examples:
+      pupper-analysis crosscheck go1.urdf go1.xml
+      pupper-analysis crosscheck robot.urdf robot.xml --map lf_haa=FL_hip --tolerance mass=1e-3
+      pupper-analysis crosscheck robot.urdf robot.xml --strict --format github
+
+    \b
+    Exit status: 0 they agree within the tolerances, 1 they differ, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis import comparison_report, formats, matching, report
+    from pupper_analysis.comparison import compare_models
+    from pupper_analysis.explain import Tolerances
+
+    names = matching.read_mapping(map_file) if map_file is not None else {}
+    for text in pairs:
+        old, new = assignment("map", text)
+        if names.setdefault(old, new) != new:
+            raise ConfigurationError("map", f"{old!r} is mapped to both {names[old]!r} and {new!r}")
+    folders = {name: Path(value) for name, value in (assignment("package", p) for p in packages)}
+    for name, folder in folders.items():
+        if not folder.is_dir():
+            raise ConfigurationError("package", f"{name}: {folder} is not a folder")
+    tolerances = Tolerances.strict() if strict else Tolerances()
+    tolerances = tolerances.changed(dict(number("tolerance", text) for text in changes))
+    check_outputs(json_path)
+    comparison = compare_models(
+        urdf, mjcf, names=names, packages=folders, feet=feet, tolerances=tolerances
+    )
+    if style == "text":
+        comparison_report.print_models(report.console(), comparison, everything=everything)
+    elif style == "github":
+        click.echo(formats.github(comparison_report.remarks(comparison)))
+    else:
+        suite = f"{urdf.name} against {mjcf.name}"
+        click.echo(formats.junit(suite, comparison_report.cases(comparison)))
+    write_json(json_path, comparison)
+    if not comparison.agree:
+        click.get_current_context().exit(FAILED)
+
+
+@click.command(
+    "audit", context_settings=CONTEXT, short_help="Find what is wrong in one URDF or MJCF."
+)
+@click.argument("file", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--package",
+    "packages",
+    multiple=True,
+    metavar="NAME=DIR",
+    help="Where package://NAME/ is. May be repeated.",
+)
+@click.option(
+    "--disable", "disabled", multiple=True, metavar="RULE", help="Do not run this rule. Repeatable."
+)
+@click.option("--list-rules", is_flag=True, help="List the rules, and stop.")
+@click.option(
+    "--fail-on",
+    type=click.Choice(["error", "warning", "info"]),
+    default="error",
+    show_default=True,
+    help="The least severity that makes the exit status 1.",
+)
+@json_option
+@format_option
+def audit_command(
+    file: Path | None,
+    packages: tuple[str, ...],
+    disabled: tuple[str, ...],
+    list_rules: bool,
+    fail_on: str,
+    json_path: Path | None,
+    style: str,
+) -> None:
+    """Find what is physically or practically wrong in one model file, URDF or MJCF.
+
+    Masses and inertias that no body can have, legs that are no mirror images, shapes that end
+    beside their joints, limits in degrees, servos that jitter, feet that begin in the floor, and
+    more: each finding has its place, why it matters, and what to do.
+
+    \b
+    Examples:
+      pupper-analysis audit robot.urdf
+      pupper-analysis audit scene.xml --disable armature-zero --fail-on warning
+      pupper-analysis audit --list-rules
+
+    \b
+    Exit status: 0 nothing as bad as --fail-on was found, 1 something was, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis import audit_report, formats, report
+    from pupper_analysis.audit import audit_model
+
+    if list_rules:
+        audit_report.print_rules(report.console())
+        return
+    if file is None:
+        raise ConfigurationError("FILE", "give the URDF or MJCF to audit")
+    folders = {name: Path(value) for name, value in (assignment("package", p) for p in packages)}
+    check_outputs(json_path)
+    result = audit_model(file, packages=folders, disabled=disabled)
+    if style == "text":
+        audit_report.print_audit(report.console(), result)
+    elif style == "github":
+        click.echo(formats.github(audit_report.remarks(result)))
+    else:
+        click.echo(formats.junit(f"audit of {file.name}", audit_report.cases(result)))
+    write_json(json_path, result)
+    if audit_report.worst_rank(result) <= audit_report.rank(fail_on):
+        click.get_current_context().exit(FAILED)

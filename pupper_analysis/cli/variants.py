@@ -1,0 +1,193 @@
+"""``pupper-analysis analyze``: variants, from two model files to a verified stand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pupper_analysis.cli.shared import CONTEXT, FAILED, check_outputs, json_option, write_json
+
+if TYPE_CHECKING:
+    from pupper_analysis.analysis import Analysis
+    from pupper_analysis.robot import Robot
+    from pupper_analysis.variants import VariantSpec
+
+
+@click.command(
+    context_settings=CONTEXT, short_help="Take variants from two model files to a verified stand."
+)
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--list", "list_only", is_flag=True, help="List the variants, and stop.")
+@click.option("--base", metavar="BASE", help="Analyse a variant of this base: skeleton or v3.")
+@click.option("--leg-scale", type=float, metavar="S", help="Its legs' length and mass, times S.")
+@click.option("--torso-mass-scale", type=float, metavar="T", help="Its torso's mass, times T.")
+@click.option("--height", type=float, metavar="M", help="Height of the base above the ground (m).")
+@click.option("--roll", type=float, default=0.0, metavar="RAD", help="Roll of the base (rad).")
+@click.option("--pitch", type=float, default=0.0, metavar="RAD", help="Pitch of the base (rad).")
+@click.option("--yaw", type=float, default=0.0, metavar="RAD", help="Yaw against the feet (rad).")
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("output"),
+    show_default=True,
+    help="Folder for the figures; made if need be.",
+)
+@json_option
+@click.option("--no-figures", is_flag=True, help="Print only.")
+@click.option(
+    "--write",
+    "write_folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Write the variants' URDF, MJCF and meshes into this folder.",
+)
+def analyze(
+    names: tuple[str, ...],
+    list_only: bool,
+    base: str | None,
+    leg_scale: float | None,
+    torso_mass_scale: float | None,
+    height: float | None,
+    roll: float,
+    pitch: float,
+    yaw: float,
+    output: Path,
+    json_path: Path | None,
+    no_figures: bool,
+    write_folder: Path | None,
+) -> None:
+    """Take variants of Pupper from their two model files to a verified stand.
+
+    Each NAME is a variant (see --list); without any, all six are analysed. A variant of your own
+    is given by --base, --leg-scale and --torso-mass-scale.
+
+    \b
+    Printed per variant: joints and what their axes really do, masses and com, the stand (PlaCo),
+    foot Jacobians, motor torques and contact forces (Pinocchio), the simulated stand and the gain
+    sweep (MuJoCo), and the cross-check of URDF and MJCF; then a table that compares the variants.
+
+    \b
+    Examples:
+      pupper-analysis analyze
+      pupper-analysis analyze original long-leg --no-figures
+      pupper-analysis analyze --base v3 --leg-scale 1.2 --json v3-1.2.json
+      pupper-analysis analyze v3 --height 0.12 --pitch 0.1
+
+    \b
+    Exit status: 0 all verified, 1 something failed verification or the cross-check,
+    2 bad input (an unknown name, a scale that is no scale, a stance out of reach).
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.description import write_variant
+    from pupper_analysis.variants import VARIANTS, VariantSpec, variant_spec
+
+    specs = [variant_spec(name) for name in dict.fromkeys(names)]
+    if base is not None or leg_scale is not None or torso_mass_scale is not None:
+        specs.append(
+            VariantSpec(
+                base="skeleton" if base is None else base,
+                leg_scale=1.0 if leg_scale is None else leg_scale,
+                torso_mass_scale=1.0 if torso_mass_scale is None else torso_mass_scale,
+            )
+        )
+    if list_only:
+        _print_list(specs or list(VARIANTS.values()))
+        return
+    specs = specs or list(VARIANTS.values())
+    check_outputs(json_path, folders=(None if no_figures else output, write_folder))
+    analyses, robots = _analyze_all(specs, height, roll, pitch, yaw)
+    _finish(specs, robots, analyses, None if no_figures else output, json_path)
+    if write_folder is not None:
+        for spec in specs:
+            for path in write_variant(spec, write_folder):
+                click.echo(f"written: {path}")
+    if not all(analysis.verified for analysis in analyses):
+        click.get_current_context().exit(FAILED)
+
+
+def _analyze_all(
+    specs: list[VariantSpec], height: float | None, roll: float, pitch: float, yaw: float
+) -> tuple[list[Analysis], list[Robot]]:
+    """Analyses the variants and prints each as it is done."""
+    from pupper_analysis import report
+    from pupper_analysis.analysis import analyze_variant
+    from pupper_analysis.robot import load_variant
+    from pupper_analysis.stand import solve_stand
+    from pupper_analysis.task import StandTask
+
+    task = StandTask(height=height, roll=roll, pitch=pitch, yaw=yaw)
+    robots = [load_variant(spec) for spec in specs]
+    for robot in robots:  # a stance out of reach is found before anything is printed
+        solve_stand(robot, task)
+    out = report.console()
+    analyses = []
+    for robot in robots:
+        analyses.append(analyze_variant(robot, task, progress=out.is_terminal))
+        report.print_analysis(out, analyses[-1])
+    return analyses, robots
+
+
+def _finish(
+    specs: list[VariantSpec],
+    robots: list[Robot],
+    analyses: list[Analysis],
+    folder: Path | None,
+    json_path: Path | None,
+) -> None:
+    """Compares the variants, and writes figures and JSON."""
+    from pupper_analysis import report
+    from pupper_analysis.analysis import leg_lengths, thigh_shape_length
+    from pupper_analysis.robot import load_variant
+    from pupper_analysis.variants import VariantSpec
+
+    references = {}
+    for name in {spec.base for spec in specs}:
+        robot = load_variant(VariantSpec(base=name))
+        references[name] = report.Reference(
+            robot.total_mass, leg_lengths(robot)[0], thigh_shape_length(robot)
+        )
+    rows = [
+        report.compare(analysis, spec.base, references[spec.base])
+        for spec, analysis in zip(specs, analyses, strict=True)
+    ]
+    out = report.console()
+    report.print_comparison(out, rows)
+    if folder is not None:
+        for line in _draw(robots, analyses, folder):
+            out.print(line)
+    if json_path is not None:
+        content: dict[str, Any] = {
+            "variants": {analysis.name: analysis for analysis in analyses},
+            "comparison": rows,
+        }
+        write_json(json_path, content)
+        out.print(f"results: {json_path}")
+    good = sum(analysis.verified for analysis in analyses)
+    out.print(f"{good} of {len(analyses)} verified")
+
+
+def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> list[str]:
+    """Writes all figures; returns what to say of them."""
+    from pupper_analysis import figures, render
+
+    for robot, analysis in zip(robots, analyses, strict=True):
+        path = folder / f"pose_{analysis.name}.png"
+        figures.pose_figure(robot, analysis.stand, analysis.statics, path)
+    figures.torque_figure(analyses, folder / "torques.png")
+    figures.height_figure(analyses, folder / "heights.png")
+    figures.gain_figure(analyses, folder / "gains.png")
+    stands = [analysis.stand for analysis in analyses]
+    picture = render.render_variants(
+        list(zip(robots, stands, strict=True)), folder / "variants.png"
+    )
+    lines = [f"figures: {folder}/"]
+    if picture.note:
+        lines.append(f"note: {picture.note}")
+    return lines
+
+
+def _print_list(specs: list[VariantSpec]) -> None:
+    from pupper_analysis import report
+    from pupper_analysis.robot import load_variant
+
+    report.print_variants(report.console(), [(spec, load_variant(spec)) for spec in specs])
