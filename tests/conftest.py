@@ -1,7 +1,9 @@
 """Shared by the tests: robots loaded once, random states, and each engine's own view of a robot."""
 
+import contextlib
 import copy
 import importlib.util
+import io
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -358,3 +360,24 @@ def run_command(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int
         cli.run(cli.group, list(arguments))
     out, err = capfd.readouterr()
     return int(leaving.value.code or 0), out, err
+
+
+class Answer(NamedTuple):
+    """What a command came to; `run_command` is for what C++ prints too."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def answer(*arguments: str, folder: Path | None = None) -> Answer:
+    """Runs a command in this process, in a folder."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        contextlib.chdir(folder or "."),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        pytest.raises(SystemExit) as leaving,
+    ):
+        cli.run(cli.group, list(arguments))
+    return Answer(int(leaving.value.code or 0), out.getvalue(), err.getvalue())

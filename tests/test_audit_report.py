@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import io
 import json
-import subprocess
-import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from conftest import Answer, answer
 from rich.console import Console
 
 from pupper_analysis import audit_report, cli
@@ -29,15 +28,8 @@ def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    code = "from pupper_analysis.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, "audit", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+def run(*arguments: str) -> Answer:
+    return answer("audit", *arguments)
 
 
 def test_prints_place_rule_reason_and_remedy(broken: Path) -> None:

@@ -3,32 +3,19 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from conftest import Answer, answer
 from robots import all_changed, changed, mjcf_text, quadruped, urdf_text, write_parts
 
 from pupper_analysis import cli
 
-Result = subprocess.CompletedProcess[str]
-PROGRAM = (
-    "import sys; sys.argv[0] = 'pupper-analysis'; from pupper_analysis.cli import main; main()"
-)
 
-
-def run(folder: Path, *arguments: str) -> Result:
-    return subprocess.run(
-        [sys.executable, "-c", PROGRAM, "crosscheck", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        cwd=folder,
-        check=False,
-    )
+def run(folder: Path, *arguments: str) -> Answer:
+    return answer("crosscheck", *arguments, folder=folder)
 
 
 @pytest.fixture(scope="module")
