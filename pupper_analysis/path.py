@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from numbers import Real
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.configuration import Configuration
@@ -35,6 +36,7 @@ MAX_SAMPLES = 20_000
 MAX_JUMP = 0.5
 """A joint that moves by more than this from one sample to the next has jumped (rad)."""
 
+_ROLLED = 1e-9  # m: two iterations of how far a foot rolls that agree
 _TOUCHING = 1e-12  # m: the height of a foot that does not carry, but is on the ground
 
 
@@ -127,7 +129,12 @@ class _Leg:
 
 
 def stance_path(
-    robot: Robot, stances: Sequence[StandTask], seconds: float, *, rate: float = 50.0
+    robot: Robot,
+    stances: Sequence[StandTask],
+    seconds: float,
+    *,
+    rate: float = 50.0,
+    rolling: bool = True,
 ) -> StancePath:
     """Finds a smooth path through stances, solved on the whole body at every sample.
 
@@ -137,7 +144,12 @@ def stance_path(
 
     A foot that is lifted in a stance carries nothing from the stance before to the one after: the
     com must be over the other feet there already. On a leg before or after, its load fades out or
-    in, so that the torques are continuous. Feet that carry stay where they are.
+    in, so that the torques are continuous.
+
+    A foot that carries stays where it is, but a sphere that friction holds rolls as its leg turns:
+    its centre moves with omega x r n, in the path of v3's squat by 9 mm. So after the first one the
+    feet are beside their places in the stances by what they have rolled, while base and com are
+    where the stances have them.
 
     Args:
         robot: A robot with a floating base.
@@ -145,6 +157,7 @@ def stance_path(
             of the first counts, the others follow from it.
         seconds: Time for all (s).
         rate: Least number of samples per second (Hz).
+        rolling: Whether the feet roll; otherwise their centres stay, and their soles must slip.
 
     Raises:
         ConfigurationError: If an argument is out of its range; or the stances cannot follow each
@@ -162,6 +175,7 @@ def stance_path(
     loads, clearance = np.empty(carrying.shape), np.empty(carrying.shape)
     margins, peak = np.empty(count), 0.0
     posture = np.array(solved[0].joint_positions(robot))
+    roll = _Roll(robot, solved[0])
     for index in range(count):
         number = max(0, (index - 1) // per_leg)
         leg, share = legs[number], _law(index / per_leg - number)
@@ -169,7 +183,7 @@ def stance_path(
         if index == per_leg * (number + 1):  # in a stance only what carries on both sides
             feet = tuple(foot for foot in feet if foot in leg.after)
         try:
-            stand = solve_stand(robot, _task(robot, leg, feet, share, posture), explain=False)
+            stand = roll.solve(leg, feet, share, posture, rolling=rolling)
             torques[index], forces, margins[index] = _even(robot, leg, stand, share)
         except (StanceUnreachableError, StaticsInfeasibleError) as error:
             where = f"at {time[index]:.2f} s, between stances {number + 1} and {number + 2}"
@@ -207,6 +221,39 @@ def stance_path(
         com_margin=margins,
         peak_utilisation=peak,
     )
+
+
+class _Roll:
+    """Feet that roll without slipping, from sample to sample."""
+
+    def __init__(self, robot: Robot, start: Stand) -> None:
+        self.robot = robot
+        self.away = {foot: np.zeros(2) for foot in robot.feet}  # from their places (m)
+        self.turned = self._rotations(start)
+
+    def _rotations(self, stand: Stand) -> dict[str, Array]:
+        config = Configuration(self.robot, stand.qpos)
+        return {foot: config.frame_rotation(self.robot.foot_frames[foot]) for foot in self.away}
+
+    def solve(
+        self, leg: _Leg, carrying: Sequence[str], share: float, posture: Array, *, rolling: bool
+    ) -> Stand:
+        """Solves a sample; how far the feet roll and the legs' angles determine each other."""
+        robot, normal = self.robot, leg.start.task.ground.normal()
+        away = self.away
+        while True:
+            task = _task(robot, leg, carrying, share, posture, away)
+            stand = solve_stand(robot, task, explain=False)
+            if not rolling:
+                return stand
+            rotations = self._rotations(stand)
+            last, away = away, dict(self.away)
+            for foot in carrying:
+                turn = pin.log3(rotations[foot] @ self.turned[foot].T)
+                away[foot] = away[foot] + np.cross(turn, robot.foot_radius[foot] * normal)[:2]
+            if max(np.abs(away[foot] - last[foot]).max() for foot in away) < _ROLLED:
+                self.away, self.turned = away, rotations
+                return stand
 
 
 def _law(share: float) -> float:
@@ -274,9 +321,14 @@ def _legs(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[_Leg], tuple
 
 
 def _task(
-    robot: Robot, leg: _Leg, carrying: Sequence[str], share: float, posture: Array
+    robot: Robot,
+    leg: _Leg,
+    carrying: Sequence[str],
+    share: float,
+    posture: Array,
+    away: Mapping[str, Array],
 ) -> StandTask:
-    """Returns the task of a moment, in world coordinates."""
+    """Returns the task of a moment, in world coordinates; the feet are beside their places."""
     one, two = leg.start.task, leg.end.task
 
     def between(start: float, end: float) -> float:
@@ -285,7 +337,10 @@ def _task(
     ground, normal = one.ground, one.ground.normal()
     places = {foot: leg.start.feet[foot] for foot in robot.feet}
     places |= {foot: p + share * (leg.end.feet[foot] - p) for foot, p in places.items()}
-    feet = {foot: (float(place[0]), float(place[1])) for foot, place in places.items()}
+    feet = {
+        foot: (float(place[0] + away[foot][0]), float(place[1] + away[foot][1]))
+        for foot, place in places.items()
+    }
     contacts = {
         foot: ground.centre(foot, feet[foot], robot.foot_radius[foot])
         - robot.foot_radius[foot] * normal

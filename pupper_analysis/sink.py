@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pupper_analysis.configuration import Configuration
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.ground import GroundLaw
+from pupper_analysis.path import StancePath
 from pupper_analysis.robot import Robot
 from pupper_analysis.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.statics import LoadSharing
 from pupper_analysis.task import StandTask
 
+Array = NDArray[np.float64]
+
 DEPTH_TOLERANCE = 1e-9
 """Change of the feet's depths between iterations that counts as none (m)."""
 
 _MAX_ITERATIONS = 50
+_STEPS = 3  # of Newton's iteration, for legs that get longer by millimetres
 
 
 def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = True) -> Stand:
@@ -61,3 +68,32 @@ def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = T
         posture = tuple(stand.joint_positions(robot).tolist())
         stand = solve_stand(robot, replace(task, posture=posture), depths=depths, explain=explain)
     raise NoEquilibriumError(0.0, f"the feet's depths do not settle, by {1e3 * change:.3g} mm")
+
+
+def sunk_path(robot: Robot, path: StancePath) -> Array:
+    """Returns a path's qpos (n, nq) with each leg longer by what its foot sinks into soft ground.
+
+    The base stays. (The com moves with the legs, by a hundredth of the depths.)
+
+    Args:
+        robot: The robot.
+        path: Its path, which is for rigid ground.
+    """
+    ground = path.stances[0].task.ground
+    normal, laws = ground.normal(), {foot: GroundLaw.of(robot, foot) for foot in path.feet}
+    rows = []
+    for qpos, loads in zip(path.qpos, path.loads, strict=True):
+        feet = Configuration(robot, qpos).foot_positions()
+        targets = {
+            foot: feet[foot] - laws[foot].depth(max(0.0, load * normal[2])) * normal
+            for foot, load in zip(path.feet, loads, strict=True)
+        }
+        sunk = qpos.copy()
+        for _ in range(_STEPS):
+            config = Configuration(robot, sunk)
+            positions, jacobians = config.foot_positions(), config.foot_jacobians()
+            missing = np.concatenate([targets[foot] - positions[foot] for foot in path.feet])
+            jacobian = np.concatenate([jacobians[foot][:, 6:] for foot in path.feet])
+            sunk[7:] += np.linalg.lstsq(jacobian, missing, rcond=1e-6)[0]
+        rows.append(sunk)
+    return np.array(rows)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import mujoco.rollout
@@ -28,6 +28,7 @@ from pupper_analysis.simulation import (
     place_on_ground,
     servos,
 )
+from pupper_analysis.sink import sunk_path
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ TRACKING_TOLERANCE = 0.1
 """Joint error up to which a path counts as tracked (rad)."""
 
 LIFT_CLEARANCE = 2e-3
-"""A foot must not touch if it shall be higher than this and twice what the ground gives way (m)."""
+"""A foot must not touch if it shall be higher than this (m)."""
 
 LOADED = 0.05
 """A foot that shall carry more than this share of the weight must not lose the ground."""
@@ -56,7 +57,7 @@ class PathTracking(Result):
         kd: (nu,) N m s/rad.
         joint_error: The largest deviation of a joint from the path (rad).
         joint_error_rms: Root mean square over joints and time (rad).
-        height_error: The largest deviation of the base's height (m); the ground's softness is part.
+        height_error: The largest deviation of the base's height (m).
         orientation_error: The largest angle between the base's orientation and the path's (rad).
         torque_error: The largest deviation of a motor's torque / the largest of the path.
         foot_slip: {foot: the largest horizontal distance of its centre from the path's, while it
@@ -93,7 +94,7 @@ class PathCommands:
         drive: Its MuJoCo model, with servos.
         start: The full physics state at rest in the first stance.
         time: (n,) after each step (s).
-        qpos: (n, nq) of the path.
+        qpos: (n, nq) of the path, the legs longer by what their feet sink into the ground.
         torques: (n, nu) of the path (N m).
         ctrl: (n, nu) during each step: q* + (tau + kd dq*/dt) / kp, in the actuators' units.
     """
@@ -129,8 +130,10 @@ def path_commands(
     drive = servos(robot, kp, kd, integrator)
     timestep = float(drive.model.opt.timestep)
     times = timestep * np.arange(1, max(1, round(path.time[-1] / timestep)) + 1)
+    sunk = sunk_path(robot, path)
+    first = replace(first, qpos=sunk[0])
     spline, held = (
-        CubicSpline(path.time, path.qpos, bc_type="clamped"),
+        CubicSpline(path.time, sunk, bc_type="clamped"),
         np.minimum(times, path.time[-1]),
     )
     qpos, joints = spline(held), slice(robot.nq - robot.nu, None)
@@ -159,8 +162,9 @@ def track_path(
     """Simulates a path on the floating base: servos commanded ctrl = q* + (tau + kd dq*/dt) / kp.
 
     The velocity's part makes up for the servos' damping, which knows no wanted velocity: without it
-    they lag by kd / kp (20 ms for v3). The torques are those at rest; inertia and the friction that
-    the ground has for feet that roll are not in them.
+    they lag by kd / kp (20 ms for v3). The legs are longer by what the feet sink into MuJoCo's soft
+    ground (``sunk_path``). The torques are those at rest; inertia, and the ground's resistance to
+    feet that roll (v3's, of 0.01 m), are not in them.
 
     Args:
         robot: The robot.
@@ -215,8 +219,6 @@ def _watch(
     """Looks at states; returns failures, tilt (rad), torque error and the feet's slip (m)."""
     path, robot, model = plan.path, plan.robot, plan.drive.model
     data = mujoco.MjData(model)
-    sag = path.stances[0].qpos[2] - plan.start[1 + robot.mj_convention.qpos_index[2]]
-    clear = LIFT_CLEARANCE + 2 * float(sag)
     events: dict[str, float] = {}
     slip = dict.fromkeys(path.feet, 0.0)
     tilt = torque_error = 0.0
@@ -241,7 +243,7 @@ def _watch(
             load = path.loads[sample, column] / path.loads[sample].sum()
             if load > LOADED and (foot not in forces or forces[foot][2] <= 0):
                 seen.append(f"foot {foot} carries nothing")
-            if path.clearance[sample, column] > clear and foot in forces:
+            if path.clearance[sample, column] > LIFT_CLEARANCE and foot in forces:
                 seen.append(f"foot {foot} is lifted, and touches the ground")
             if path.carrying[sample, column]:
                 body, place = robot.foot_places[foot]

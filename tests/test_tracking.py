@@ -13,16 +13,16 @@ from pupper_analysis.path import stance_path
 from pupper_analysis.tracking import track_path
 
 # What MuJoCo makes of them, with a margin of about a half: joint (rad), height (m), base (rad).
-# v3's servos are soft (5 N m/rad), and so is its ground: it gives way by 4 mm.
+# v3's servos are soft (5 N m/rad), and its feet resist rolling, which the path does not know.
 BOUNDS = {
-    ("v3", "squat"): (0.05, 8e-3, 0.02),
-    ("v3", "sway"): (0.06, 7e-3, 0.015),
-    ("v3", "circle"): (0.05, 7e-3, 0.02),
-    ("v3", "lift"): (0.08, 9e-3, 0.05),
-    ("original", "squat"): (0.009, 1.6e-3, 1e-3),
-    ("original", "sway"): (0.009, 1.0e-3, 2e-3),
-    ("original", "circle"): (0.015, 1.0e-3, 8e-3),
-    ("original", "lift"): (0.010, 1.2e-3, 5e-3),
+    ("v3", "squat"): (0.045, 1.5e-3, 0.02),
+    ("v3", "sway"): (0.04, 1.0e-3, 0.015),
+    ("v3", "circle"): (0.025, 1.0e-3, 0.02),
+    ("v3", "lift"): (0.06, 2.5e-3, 0.035),
+    ("original", "squat"): (0.0025, 2e-4, 1e-4),
+    ("original", "sway"): (0.002, 5e-5, 5e-4),
+    ("original", "circle"): (0.0035, 5e-5, 1.5e-3),
+    ("original", "lift"): (0.0025, 1e-4, 1.2e-3),
 }
 
 
@@ -34,11 +34,21 @@ def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
     assert 0 < tracking.joint_error_rms < tracking.joint_error < joint
     assert tracking.height_error < height
     assert tracking.orientation_error < angle
-    assert max(tracking.foot_slip.values()) < 0.012
+    assert max(tracking.foot_slip.values()) < (6e-3 if name == "v3" else 1e-3)
     assert tracking.torque_error < 1.0
     assert tracking.time[-1] == pytest.approx(SECONDS[kind], abs=0.021)
     assert tracking.joints.shape == (len(tracking.time), load(name).nu)
     assert tracking.to_dict()["passed"] is True
+
+
+@pytest.mark.parametrize("kind", ["circle", "lift"])
+def test_feet_that_roll_are_where_the_path_has_them(kind: str) -> None:
+    """Centres that stay are a wish that friction does not grant."""
+    rolling, pinned = (
+        track_path(load("original"), path_of("original", kind, free)) for free in (True, False)
+    )
+    assert max(rolling.foot_slip.values()) < 0.4 * max(pinned.foot_slip.values())
+    assert rolling.orientation_error < 0.9 * pinned.orientation_error
 
 
 def test_slower_is_more_accurate() -> None:
