@@ -147,9 +147,9 @@ def stance_path(
     in, so that the torques are continuous.
 
     A foot that carries stays where it is, but a sphere that friction holds rolls as its leg turns:
-    its centre moves with omega x r n, in the path of v3's squat by 9 mm. So after the first one the
-    feet are beside their places in the stances by what they have rolled, while base and com are
-    where the stances have them.
+    its centre moves with omega x r n, by 2 mm as v3 squats by a fifth of its height. So after the
+    first one the feet are beside their places in the stances by what they have rolled, while base
+    and com are where the stances have them.
 
     Args:
         robot: A robot with a floating base.

@@ -79,6 +79,14 @@ class Stance(Result):
     push: PushRecovery | None
 
     @property
+    def overloaded(self) -> tuple[str, ...]:
+        """Motors above their limits by least torque, where no share of the load avoids that."""
+        if self.payload.mass > 0:
+            return ()
+        used = zip(self.statics.joint_names, self.statics.motor_utilisation, strict=True)
+        return tuple(name for name, share in used if share > 1)
+
+    @property
     def passed(self) -> bool:
         """Whether it holds, and the path to it is tracked."""
         return self.verification.passed and (self.tracking is None or self.tracking.passed)
@@ -172,6 +180,12 @@ def print_stance(out: Console, stance: Stance) -> None:
         _print_best(out, stance.best)
     more = {"position (rad)": stance.joint_positions}
     print_loads(out, stance.statics, verification, stance.limits.tolist(), more)
+    if stance.overloaded:
+        out.print(
+            "[bold red]OVERLOADED[/]: the motors cannot hold it, however the feet share the load: "
+            f"{', '.join(stance.overloaded)}",
+            soft_wrap=True,
+        )
     where = f" ({', '.join(stance.payload.where)})" if stance.payload.where else ""
     out.print(
         f"payload at ({', '.join(f'{1e3 * value:.0f}' for value in stance.point)}) mm of the base: "

@@ -192,6 +192,8 @@ def track_path(
         failures = [f"the simulation diverged ({plan.drive.integrator}, {1e3 * timestep:g} ms)"]
     else:
         failures, tilt, torque_error, slip = _watch(plan, states, looks)
+    if path.peak_utilisation > 1:
+        failures.append(f"a motor would have to give {path.peak_utilisation:.0%} of its limit")
     if not joint_error < TRACKING_TOLERANCE:
         failures.append(f"a joint is off by {joint_error:.2f} rad")
     return PathTracking(

@@ -14,6 +14,7 @@ from rich.console import Console
 from pupper_analysis import (
     Ground,
     StandTask,
+    VariantSpec,
     load_variant,
     solve_stand,
     stance_report,
@@ -183,6 +184,21 @@ def test_a_robot_of_ones_own(capfd: pytest.CaptureFixture[str], tmp_path: Path) 
     status, ours, _ = run_command(capfd, "stand", "heavy", "--height", "0.15")
     assert status == 0
     assert own.splitlines()[1:] == ours.splitlines()[1:]  # all but the name
+
+
+def test_motors_too_weak_are_said_so() -> None:
+    """Reached and in balance, but held by no motor of 3 N m."""
+    robot = load_variant(VariantSpec(base="v3", torso_mass_scale=12.0))
+    result = stance_report.study(robot, StandTask(), seconds=2.0)
+    assert not result.passed
+    assert set(result.overloaded) == {name for name in robot.joint_names if name.endswith("_3")}
+    assert result.tracking is not None
+    assert any("of its limit" in failure for failure in result.tracking.failures)
+    out = Console(width=120)
+    with out.capture() as capture:
+        stance_report.print_stance(out, result)
+    assert "OVERLOADED" in capture.get()
+    assert not stance_report.study(load_variant("v3"), StandTask()).overloaded
 
 
 BAD = {

@@ -8,7 +8,7 @@ from itertools import product
 import mujoco
 import numpy as np
 import pytest
-from conftest import NAMES, load
+from conftest import NAMES, SKELETON_NAMES, load
 
 import pupper_analysis as pa
 from pupper_analysis.robot import on_ground
@@ -86,27 +86,29 @@ def test_a_stance_is_what_was_asked(name: str, kind: str) -> None:
         assert statics.friction_utilisation[foot] <= 1 + 1e-6
 
 
-def lift(robot: pa.Robot, foot: str) -> tuple[pa.Stand, pa.StanceUnreachableError | None]:
-    """Lifts a foot by 20 mm, or else as high as the refusal says."""
-    try:
-        return pa.solve_stand(robot, pa.StandTask(lifted={foot: 0.02})), None
-    except pa.StanceUnreachableError as error:
-        return error.nearest, error
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_three_legs_hold_for_six_seconds(name: str) -> None:
-    """Each foot in turn; the skeleton's hind legs reach their HFE limit, and it says so."""
+    """Each foot in turn, 20 mm high, with the com 10 mm inside the triangle of the others."""
     robot = load(name)
     for foot in robot.feet:
-        stand, refusal = lift(robot, foot)
-        if refusal is not None:
-            assert "lifted" in refusal.possible
-            assert set(refusal.at_limit) == {f"{foot}_HFE"}
-            assert stand.task.lifted[foot] > 0.01
+        task = pa.StandTask(lifted={foot: 0.02}, com="inside", com_margin=0.01)
+        stand = pa.sunk_stand(robot, task)
         report = pa.verify_stand(robot, stand, duration=6.0)
         assert report.passed, (foot, report.failures)
+        assert report.torque_error < 1e-5
         assert report.foot_forces[foot] == pytest.approx(np.zeros(3))
+        height = pa.Configuration(robot, stand.qpos).foot_positions()[foot][2]
+        assert height == pytest.approx(robot.foot_radius[foot] + 0.02, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", SKELETON_NAMES)
+def test_over_the_centre_the_skeletons_hind_legs_reach_their_limit(name: str) -> None:
+    for foot in ("RL", "RR"):
+        with pytest.raises(pa.StanceUnreachableError) as caught:
+            pa.solve_stand(load(name), pa.StandTask(lifted={foot: 0.02}))
+        assert "lifted" in caught.value.possible
+        assert set(caught.value.at_limit) == {f"{foot}_HFE"}
+        assert caught.value.nearest.task.lifted[foot] > 0.01
 
 
 @pytest.mark.parametrize("name", ["long-leg", "v3"])
