@@ -84,9 +84,12 @@ def payload_limit(
         place = np.zeros(0)
     if place.shape != (3,) or not np.isfinite(place).all():
         raise ConfigurationError("point", f"{point!r} is not a point (3,)")
-    stand_statics(robot, stand)
+    held = stand_statics(robot, stand)
     problem = _problem(robot, stand, place)
     best = problem.solve(motors=True, friction=True)
+    if not best.held:  # the motors are too weak without any payload
+        forces = np.concatenate([held.contact_forces[foot] for foot in stand.carrying])
+        best = _Outcome(0.0, held.joint_torques, forces, held=False)
     by = {
         Failure.MOTOR: problem.solve(motors=True, friction=False, unilateral=False).mass,
         Failure.SLIDING: problem.solve(motors=False, friction=True).mass,
@@ -113,6 +116,7 @@ class _Outcome:
     mass: float
     torques: Array
     forces: Array
+    held: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +142,10 @@ class _Problem:
     ceiling: float
 
     def solve(self, *, motors: bool, friction: bool, unilateral: bool = True) -> _Outcome:
-        """Maximises the mass; friction=False means that no foot can slide."""
+        """Maximises the mass; friction=False means that no foot can slide.
+
+        Where not even no mass can be held, the outcome's torques and forces mean nothing.
+        """
         n, nu = len(self.normals), len(self.limits)
         base = len(self.gravity) - nu
         weight = float(np.abs(self.gravity).max())
@@ -188,9 +195,14 @@ class _Problem:
             settings,
         ).solve()
         values = np.array(solution.x)
-        mass, forces = max(0.0, float(values[-1])), values[:-1] * weight
+        infeasible = (
+            clarabel.SolverStatus.PrimalInfeasible,
+            clarabel.SolverStatus.AlmostPrimalInfeasible,
+        )
+        held = solution.status not in infeasible
+        mass, forces = max(0.0, float(values[-1])) if held else 0.0, values[:-1] * weight
         torques = self.gravity[base:] + mass * self.load[base:] - self.contacts[base:] @ forces
-        return _Outcome(mass, torques, forces)
+        return _Outcome(mass, torques, forces, held)
 
 
 def _problem(robot: Robot, stand: Stand, point: Array) -> _Problem:

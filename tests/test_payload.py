@@ -122,3 +122,15 @@ def test_an_unlimited_robot() -> None:
 def test_bad_points(point: object) -> None:
     with pytest.raises(pa.ConfigurationError, match="point"):
         payload_limit(load("v3"), stand_of("v3"), point)  # type: ignore[arg-type]
+
+
+def test_motors_too_weak_for_the_robot_itself() -> None:
+    """No payload; torques and forces are those of the stand, of least torque."""
+    robot = pa.load_variant(pa.VariantSpec(base="v3", torso_mass_scale=12.0))
+    stand = pa.solve_stand(robot)
+    limit, held = pa.payload_limit(robot, stand), pa.stand_statics(robot, stand)
+    assert limit.mass == 0.0
+    assert limit.failure is Failure.MOTOR
+    assert set(limit.where) == {name for name in robot.joint_names if name.endswith("_3")}
+    np.testing.assert_array_equal(limit.joint_torques, held.joint_torques)
+    assert limit.by["a motor saturates"] == 0.0
