@@ -36,7 +36,7 @@ MAX_SAMPLES = 20_000
 MAX_JUMP = 0.5
 """A joint that moves by more than this from one sample to the next has jumped (rad)."""
 
-_ROLLED = 1e-9  # m: two iterations of how far a foot rolls that agree
+_ROLLED = 1e-8  # m: two iterations of how far a foot rolls that agree
 _TOUCHING = 1e-12  # m: the height of a foot that does not carry, but is on the ground
 
 
@@ -229,6 +229,7 @@ class _Roll:
     def __init__(self, robot: Robot, start: Stand) -> None:
         self.robot = robot
         self.away = {foot: np.zeros(2) for foot in robot.feet}  # from their places (m)
+        self.step = dict(self.away)  # of the last sample
         self.turned = self._rotations(start)
 
     def _rotations(self, stand: Stand) -> dict[str, Array]:
@@ -240,7 +241,7 @@ class _Roll:
     ) -> Stand:
         """Solves a sample; how far the feet roll and the legs' angles determine each other."""
         robot, normal = self.robot, leg.start.task.ground.normal()
-        away = self.away
+        away = {foot: place + self.step[foot] for foot, place in self.away.items()}
         while True:
             task = _task(robot, leg, carrying, share, posture, away)
             stand = solve_stand(robot, task, explain=False)
@@ -252,6 +253,7 @@ class _Roll:
                 turn = pin.log3(rotations[foot] @ self.turned[foot].T)
                 away[foot] = away[foot] + np.cross(turn, robot.foot_radius[foot] * normal)[:2]
             if max(np.abs(away[foot] - last[foot]).max() for foot in away) < _ROLLED:
+                self.step = {foot: away[foot] - self.away[foot] for foot in away}
                 self.away, self.turned = away, rotations
                 return stand
 
