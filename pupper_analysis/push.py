@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -17,7 +18,7 @@ from pupper_analysis import contact
 from pupper_analysis.configuration import UP, Configuration
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
-from pupper_analysis.robot import Robot
+from pupper_analysis.robot import Robot, on_ground
 from pupper_analysis.simulation import (
     FALLEN_TILT,
     STATE,
@@ -28,8 +29,8 @@ from pupper_analysis.simulation import (
     place_on_ground,
     servos,
 )
-from pupper_analysis.stand import Stand
-from pupper_analysis.statics import LoadSharing, gravity_compensation
+from pupper_analysis.stand import Stand, stand_statics
+from pupper_analysis.statics import LoadSharing
 
 Array = NDArray[np.float64]
 
@@ -158,7 +159,8 @@ def push_recovery(
     if not (math.isfinite(resolution) and resolution > 0):
         raise ConfigurationError("resolution", f"{resolution} N s is not positive and finite")
     config = Configuration(robot, stand.qpos)
-    torques = gravity_compensation(config, sharing=LoadSharing.EVEN).joint_torques
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    torques = stand_statics(robot, stand, sharing=LoadSharing.EVEN).joint_torques
     drive = servos(robot, kp, kd, integrator)
     positions = stand.joint_positions(robot)
     angles = 2 * math.pi * np.arange(directions) / directions
@@ -174,7 +176,7 @@ def push_recovery(
         duration=duration,
     )
     point = _push_point(robot, stand)
-    estimate = tipping_impulses(config, point, bench.axes)
+    estimate = tipping_impulses(config, point, bench.axes, stand.carrying)
     impulses, bisected, failures = _limits(bench, estimate, resolution)
     weakest = int(np.argmin(impulses))
     return PushRecovery(
@@ -201,7 +203,9 @@ def push_recovery(
     )
 
 
-def tipping_impulses(config: Configuration, point: Array, axes: Array) -> Array:
+def tipping_impulses(
+    config: Configuration, point: Array, axes: Array, feet: Iterable[str] | None = None
+) -> Array:
     """Returns the impulses that would tip the robot over, were it one rigid body (N s).
 
     It rolls over an edge of its support polygon, on the two feet there: spheres of radius r. With
@@ -220,15 +224,16 @@ def tipping_impulses(config: Configuration, point: Array, axes: Array) -> Array:
     on one foot, keeps energy that an edge would have taken, and can go over a side.
 
     Args:
-        config: Where the robot stands, all feet on level ground.
+        config: Where the robot stands. The ground is taken to be level.
         point: (3,) where the push acts (m).
         axes: (n, 2) horizontal directions, unit vectors.
+        feet: Those that carry; all by default.
 
     Returns:
         (n,) impulses; infinite if the feet span no polygon.
     """
     robot, com, mass_matrix = config.robot, config.center_of_mass(), config.mass_matrix()
-    ground = np.array(list(config.contact_points().values()))
+    ground = np.array(list(config.contact_points(feet).values()))
     radius = float(np.mean(list(robot.foot_radius.values())))
     hull = shapely.MultiPoint(ground[:, :2]).convex_hull
     impulses = np.full(len(axes), np.inf)

@@ -139,7 +139,7 @@ def settled_pose(
         ]
     )
     qpos = stand.qpos.copy()
-    qpos[2] -= np.mean(system.depths(forces))
+    qpos[2] -= np.mean(system.depths(forces)) - np.mean(list(stand.depths.values()))
     share, step, goal, iterations = 0.0, 1.0, 0.0 if feedforward else 1.0, 0
     while True:
         wanted = min(share + step, goal)
@@ -249,7 +249,7 @@ class _Equilibrium:
         for foot, turned, local in zip(stand.carrying, self.turned, self.frames, strict=True):
             frame, radius = self.robot.foot_frames[foot], self.robot.foot_radius[foot]
             moved = config.frame_position(frame) - stand.foot_targets[foot]
-            depth = -float(stand.normals[foot] @ moved)
+            depth = stand.depths[foot] - float(stand.normals[foot] @ moved)
             # MuJoCo has the contact half way into the penetration.
             arm = (radius - depth / 2) * stand.normals[foot]
             jacobians.append(local @ config.frame_jacobian(frame, -arm)[:3])

@@ -164,7 +164,7 @@ def solve_stand(
     Raises:
         ConfigurationError: If the robot's base is fixed, or it has no feet; or if the margins leave
             nothing.
-        UnknownNameError: If the task names a foot that the robot does not have.
+        UnknownNameError: If the task, or depths, name a foot that the robot does not have.
         StanceUnreachableError: If it is out of reach; names the feet and how far they miss, and the
             demands of which one would have to give.
     """
@@ -216,6 +216,9 @@ def _goal(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> _Goal:
         raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
     for foot in (*task.feet, *task.foot_offsets, *task.lifted, *task.ground.heights, *depths):
         robot.check_foot(foot)
+    for foot, depth in depths.items():
+        if not 0 <= depth < math.inf:
+            raise ConfigurationError("depths", f"{foot}: {depth} m is not finite and >= 0")
     carrying = tuple(foot for foot in robot.feet if foot not in task.lifted)
     if len(carrying) < 3:
         raise ConfigurationError("lifted", f"only {len(carrying)} feet carry; at least 3 must")

@@ -272,3 +272,27 @@ def test_bad_figures_are_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(pa.OutputError):
         push_figure({"a": result}, tmp_path / "file" / "push.png")
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        pa.StandTask(lifted={"FL": 0.02}, com="inside", com_margin=0.02),
+        pa.StandTask(pitch=-0.1, ground=pa.Ground(0.1, 0.0, {"RR": 0.01})),
+    ],
+)
+def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
+    """On three legs it tips early where the fourth is missing, which then catches it."""
+    robot = load("original")
+    stand = pa.sunk_stand(robot, task)
+    result = push_recovery(robot, stand, directions=8, resolution=0.2)
+    assert result.weakest_impulse > 0.2
+    if task.lifted:
+        config = pa.Configuration(robot, stand.qpos)
+        axes = np.array([[1.0, 1.0]]) / math.sqrt(2)
+        point = np.asarray(result.point)
+        three, four = (
+            tipping_impulses(config, point, axes, feet) for feet in (stand.carrying, robot.feet)
+        )
+        assert three < 0.7 * four
+        assert result.impulses[1] > three

@@ -57,6 +57,25 @@ def test_feet_are_as_deep_as_their_load_takes_them(name: str) -> None:
         assert 1e-4 < depth < 8e-3
 
 
+@pytest.mark.parametrize("what", ["steps", "off the centre", "three legs"])
+@pytest.mark.parametrize("name", ["heavy", "v3"])
+def test_it_is_the_equilibrium_that_feedforward_holds(name: str, what: str) -> None:
+    """By Newton's iteration on the soft ground, from the stand's torques."""
+    robot = load(name)
+    stand = sunk_stand(robot, TASKS[what])
+    pose = pa.settled_pose(robot, stand, feedforward=True)
+    np.testing.assert_allclose(pose.qpos, stand.qpos, atol=1e-6)
+    forces = stand_statics(robot, stand, sharing=pa.LoadSharing.EVEN).contact_forces
+    for foot, force in forces.items():
+        np.testing.assert_allclose(pose.contact_forces[foot], force, atol=1e-4)
+
+
+def test_depths_are_checked() -> None:
+    for depths, named in (({"FL": -1e-3}, "depths"), ({"FL": np.nan}, "depths"), ({"XX": 0}, "XX")):
+        with pytest.raises(pa.PupperAnalysisError, match=named):
+            pa.solve_stand(load("v3"), depths=depths)
+
+
 def test_at_full_stretch_the_sunk_feet_are_out_of_reach() -> None:
     robot = load("v3")
     highest = pa.reachable_heights(robot).high
