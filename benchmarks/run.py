@@ -60,6 +60,8 @@ def main(variant: str, repeats: int) -> None:
     robot = pa.load_variant(variant)
     stand = pa.solve_stand(robot)
     config = pa.Configuration(robot, stand.qpos)
+    apart = pa.StandTask(self_clearance=0.001)
+    squat = [pa.StandTask(), pa.StandTask(height=0.9 * robot.stand_height)]
     jobs: list[tuple[str, Callable[[], object]]] = [
         ("load_variant (base model)", lambda: pa.load_variant(pa.VariantSpec(base="v3"))),
         ("load_variant (derived)", lambda: pa.load_variant("v3-long-leg")),
@@ -68,6 +70,11 @@ def main(variant: str, repeats: int) -> None:
         ("mass_matrix", config.mass_matrix),
         ("gravity_compensation", lambda: pa.gravity_compensation(config)),
         ("solve_stand", lambda: pa.solve_stand(robot)),
+        ("solve_stand (links apart)", lambda: pa.solve_stand(robot, apart)),
+        ("sunk_stand", lambda: pa.sunk_stand(robot)),
+        ("settled_pose", lambda: pa.settled_pose(robot, stand)),
+        ("stance_path (2 s, 101 samples)", lambda: pa.stance_path(robot, squat, 2.0)),
+        ("pose_envelope", lambda: pa.pose_envelope(robot)),
         ("verify_stand (5 s simulated)", lambda: pa.verify_stand(robot, stand)),
         ("sweep_gains (16 cells of 4 s)", lambda: pa.sweep_gains(robot, stand)),
         ("cross_check (20 configurations)", lambda: pa.cross_check(robot)),

@@ -362,6 +362,9 @@ def _task(
             margin=margin,
             feet=contacts,
         )
+    apart = None
+    if one.self_clearance is not None and two.self_clearance is not None:
+        apart = between(one.self_clearance, two.self_clearance)
     heights = {
         foot: between(one.lifted.get(foot, 0.0), two.lifted.get(foot, 0.0)) for foot in robot.feet
     }
@@ -376,6 +379,8 @@ def _task(
         ground=ground,
         com="centre" if by_base else (float(com[0]), float(com[1])),
         joint_margin=between(one.joint_margin, two.joint_margin),
+        ground_clearance=between(one.ground_clearance, two.ground_clearance),
+        self_clearance=apart,
         posture=tuple(posture),
     )
 

@@ -257,6 +257,22 @@ def test_refusals_name_the_moment() -> None:
         stance_path(robot, [Task(), Task(lifted={"XX": 0.01})], 1.0)
 
 
+def test_a_path_keeps_its_clearances() -> None:
+    """A knee that comes down to 30 mm, where 35 are asked for."""
+    robot = load("v3")
+    low = 0.08
+    stance_path(robot, [Task(), Task(height=low)], 1.0, rate=20.0)
+    near = pa.solve_stand(robot, Task(height=low)).ground_clearance
+    assert near is not None
+    least = near.distance + 1e-3
+    with pytest.raises(pa.StanceUnreachableError, match=r"stance 2: .* above the ground"):
+        stance_path(robot, [Task(), Task(height=low, ground_clearance=least)], 1.0, rate=20.0)
+    path = stance_path(
+        robot, [Task(ground_clearance=0.04), Task(height=0.1, ground_clearance=0.02)], 1.0
+    )
+    assert path.peak_utilisation < 1
+
+
 def test_a_sample_out_of_reach_names_the_moment(monkeypatch: pytest.MonkeyPatch) -> None:
     solve = pa.solve_stand
 
