@@ -28,6 +28,9 @@ Feet = Literal["pinned", "sliding"]
 RESIDUAL_TOLERANCE = 1e-10
 """What the equations of an equilibrium may leave over (N, N m, m)."""
 
+RELEASE_MARGIN = 0.06
+"""A ``release_margin`` that keeps the feet in place: what contacts add to the first order."""
+
 _MAX_ITERATIONS = 15
 _TRUST = 0.5  # rad, m: a longer Newton step has left the branch
 _LEAST_SHARE = 1 / 64  # of the feed-forward that is taken away in one step
@@ -60,6 +63,11 @@ class SettledPose(Result):
             hold, relative to the mass matrix (rad^2/s^2): the square of the lowest natural
             frequency without damping.
         stable: Whether it is positive.
+        release_margin: What friction has left, at the foot that has the least, in parts of the
+            weight, as the robot overshoots when its feed-forward is taken away at once: it is then
+            twice as far from the stand as the equilibrium, to first order. Below
+            ``RELEASE_MARGIN`` a foot may slip or lift in that fall, and the robot comes to rest
+            elsewhere, by up to millimetres; let down slowly it does not.
         failures: Why the robot will not stand so; empty if it will.
     """
 
@@ -79,6 +87,7 @@ class SettledPose(Result):
     residuals: tuple[float, ...]
     stiffness: float
     stable: bool
+    release_margin: float
     failures: tuple[str, ...]
 
 
@@ -138,7 +147,7 @@ def settled_pose(
             for foot, turn in zip(stand.carrying, system.frames, strict=True)
         ]
     )
-    qpos = stand.qpos.copy()
+    held, qpos = forces, stand.qpos.copy()
     qpos[2] -= np.mean(system.depths(forces)) - np.mean(list(stand.depths.values()))
     share, step, goal, iterations = 0.0, 1.0, 0.0 if feedforward else 1.0, 0
     while True:
@@ -159,6 +168,7 @@ def settled_pose(
                 f"with {feet} feet and kp = {system.kp.min():.3g} N m/rad it ends where "
                 f"{share:.0%} of the feed-forward is taken away",
             )
+    margin = system.friction_left(held + 2 * (forces - held))
     for number in range(_CREEP_STEPS if seconds else 0):
         system.creep(qpos, forces, seconds / _CREEP_STEPS)
         solution = system.solve(qpos, forces)
@@ -167,7 +177,7 @@ def settled_pose(
             raise NoEquilibriumError(1.0, f"after {after:.1f} s of creep it ends")
         qpos, forces, residuals = solution
         iterations += len(residuals) - 1
-    return system.result(qpos, forces, residuals, iterations)
+    return system.result(qpos, forces, residuals, iterations, margin)
 
 
 def least_kp(
@@ -323,6 +333,13 @@ class _Equilibrium:
             ]
         )
 
+    def friction_left(self, forces: Array) -> float:
+        """Returns the least of mu f_n - |f_t|, in parts of the weight."""
+        contacts = self.robot.contacts
+        friction = [contacts[foot].sliding_friction for foot in self.stand.carrying]
+        left = friction * forces[:, 2] - np.linalg.norm(forces[:, :2], axis=1)
+        return float(left.min() / (self.robot.total_mass * np.linalg.norm(self.robot.gravity)))
+
     def stiffness(self, qpos: Array, forces: Array, derivative: Array) -> float:
         """Returns the least eigenvalue of the Hessian where the feet allow it to move."""
         config, n = Configuration(self.robot, qpos), self.robot.nv
@@ -339,7 +356,12 @@ class _Equilibrium:
         return float(linalg.eigvals(*reduced).real.min())
 
     def result(
-        self, qpos: Array, forces: Array, residuals: tuple[float, ...], iterations: int
+        self,
+        qpos: Array,
+        forces: Array,
+        residuals: tuple[float, ...],
+        iterations: int,
+        margin: float,
     ) -> SettledPose:
         """Looks at a solution from all sides."""
         robot, stand = self.robot, self.stand
@@ -381,6 +403,7 @@ class _Equilibrium:
             residuals=residuals,
             stiffness=stiffness,
             stable=stiffness > 0,
+            release_margin=margin,
             failures=_failures(robot, qpos, per_foot, stiffness),
         )
 

@@ -22,7 +22,7 @@ from pupper_analysis.push_report import print_pushes
 from pupper_analysis.report import print_loads, titled_table
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
-from pupper_analysis.settle import SettledPose, least_kp, settled_pose
+from pupper_analysis.settle import RELEASE_MARGIN, SettledPose, least_kp, settled_pose
 from pupper_analysis.simulation import StandVerification, verify_stand
 from pupper_analysis.sink import sunk_stand
 from pupper_analysis.stand import Stand, solve_stand, stand_statics
@@ -296,6 +296,8 @@ def _print_settled(out: Console, stance: Stance) -> None:
         f"without feed-forward it settles at {settled.base_height:.5f} m: servos give "
         f"{1e3 * settled.servo_sag:.2f} mm, the ground {1e3 * settled.contact_sag:.2f} mm"
     )
+    if settled.release_margin < RELEASE_MARGIN and not settled.failures:
+        text += ", if it is let down slowly (let go at once, feet slip in the fall)"
     if settled.failures:
         text += f"; but {'; '.join(settled.failures)}"
     out.print(escape(text), soft_wrap=True)

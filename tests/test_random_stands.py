@@ -33,6 +33,8 @@ def test_no_verdict_is_wrong(name: str) -> None:
         sag = stances.sag(robot, outcome.stand)
         if sag.error is not None and sag.stiffness > stances.STIFF:
             assert sag.rest < stances.SAG_TOLERANCE
+        if sag.error is not None and sag.firm:
+            assert sag.error < stances.SAG_TOLERANCE
 
 
 FOUND_IN_REACH = {

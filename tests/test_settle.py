@@ -234,6 +234,29 @@ def test_creep_in_time(name: str) -> None:
     assert away[2] < 0.05 * away[0] + 1e-6
 
 
+@pytest.mark.parametrize("name", ["original", "heavy"])
+def test_feet_slip_as_it_is_let_go_where_that_is_said(name: str) -> None:
+    """Against simulations: with margin to spare the height is exact, and below zero it is not."""
+    robot = load(name)
+    seen = set()
+    for y in np.linspace(0.0, 0.055, 6):
+        stand = pa.solve_stand(robot, pa.StandTask(offset=(-0.6 * float(y), float(y))))
+        pose = settled_pose(robot, stand, seconds=4.5)
+        if pose.failures:
+            break
+        run = pa.verify_stand(robot, stand, feedforward=False)
+        error = abs(pose.base_height - run.base_height)
+        if pose.release_margin > settle.RELEASE_MARGIN:
+            assert error < 1e-5
+            seen.add("firm")
+        if pose.release_margin < -0.02:
+            assert error > 1e-5
+            seen.add("slips")
+    assert seen == {"firm", "slips"}
+    still = settled_pose(robot, stand_of(name), feedforward=True)
+    assert still.release_margin > 0.2
+
+
 # ------------------------------------------------------------------------------------- stability
 
 
