@@ -77,6 +77,7 @@ class StanceUnreachableError(PupperAnalysisError):
         shortfall: How far each foot that cannot be planted ends from its target, in metres.
         at_limit: Joints that are at a limit in the best configuration found, with the limit (rad).
         possible: {demand: how far it can go}, for each demand that alone is in the way, in words.
+        limits: {demand: the same as the task's value of it}, such as {"roll": 0.337}.
         nearest: A stand that is in reach, with all demands shrunk alike towards the nominal stand;
             None if there is none, or it was not asked for.
         blocked: What is in the way where the feet could be planted: a part in the ground, or parts
@@ -91,7 +92,9 @@ class StanceUnreachableError(PupperAnalysisError):
         possible: Mapping[str, str] | None = None,
         nearest: Any = None,
         blocked: Iterable[str] = (),
+        limits: Mapping[str, Any] | None = None,
     ) -> None:
+        self.limits = dict(limits or {})
         self.blocked = tuple(blocked)
         self.shortfall = dict(shortfall)
         self.at_limit = dict(at_limit)

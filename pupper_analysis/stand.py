@@ -169,7 +169,8 @@ def solve_stand(
             demands of which one would have to give.
     """
     goal = _goal(robot, task or StandTask(), depths or {})
-    shapes = shapes_of(robot)
+    # Distances between links remember where they were found last: they begin anew.
+    shapes = shapes_of(robot) if goal.task.self_clearance is None else Shapes(robot)
     outcome = _attempt(shapes, goal)
     if outcome.solved:
         return outcome
@@ -510,15 +511,19 @@ def _unreachable(
             at_limit[robot.joint_names[index]] = float(limits[index])
     missed = {foot: gap for foot, gap in gaps.items() if gap >= TASK_TOLERANCE}
     possible: dict[str, str] = {}
+    ends: dict[str, object] = {}
     feasible: Stand | None = None
     if explain:
         for demand in _DEMANDS:
             stand = _furthest(shapes, goal, [demand])
             if stand is not None:
                 possible[demand] = f"{demand} {_value(stand.task, demand)}"
+                ends[demand] = getattr(stand.task, demand)
         feasible = _furthest(shapes, goal, _DEMANDS)
     blocked = () if missed else nearest.blocked
-    return StanceUnreachableError(str(goal.task), missed, at_limit, possible, feasible, blocked)
+    return StanceUnreachableError(
+        str(goal.task), missed, at_limit, possible, feasible, blocked, ends
+    )
 
 
 def _furthest(shapes: Shapes, goal: _Goal, demands: Sequence[str]) -> Stand | None:

@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -235,3 +236,35 @@ def test_solving_is_deterministic() -> None:
     one, two = (pa.solve_stand(load("v3-long-leg"), task) for _ in range(2))
     np.testing.assert_array_equal(one.qpos, two.qpos)
     assert one.iterations == two.iterations
+
+
+def test_what_was_solved_before_does_not_matter() -> None:
+    """The solver's robot is kept; its state must not leak from one stand into the next."""
+    robot = load("v3")
+    tasks = [
+        pa.StandTask(),
+        pa.StandTask(joint_margin=0.1, roll=0.1),
+        pa.StandTask(self_clearance=0.005, lifted={"RL": 0.01}, com="inside"),
+        pa.StandTask(height=0.1, ground=pa.Ground(0.1)),
+    ]
+    first = [pa.solve_stand(robot, task).qpos for task in tasks]
+    again = [pa.solve_stand(robot, task).qpos for task in reversed(tasks)]
+    for one, two in zip(first, reversed(again), strict=True):
+        np.testing.assert_array_equal(one, two)
+    fresh = pa.load_variant("v3")
+    for one, task in zip(first, tasks, strict=True):
+        np.testing.assert_array_equal(one, pa.solve_stand(fresh, task).qpos)
+
+
+def test_refusals_carry_their_limits_as_numbers() -> None:
+    robot = load("v3")
+    task = pa.StandTask(height=0.16, roll=0.4)
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, task)
+    limits = caught.value.limits
+    assert set(limits) == set(caught.value.possible) == {"height", "roll"}
+    for demand, value in limits.items():
+        pa.solve_stand(robot, replace(task, **{demand: value}))
+        beyond = value + 2e-3 * (getattr(task, demand) - value) / abs(value)
+        with pytest.raises(pa.StanceUnreachableError):
+            pa.solve_stand(robot, replace(task, **{demand: beyond}), explain=False)
