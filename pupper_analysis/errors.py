@@ -76,8 +76,10 @@ class StanceUnreachableError(PupperAnalysisError):
     Attributes:
         shortfall: How far each foot that cannot be planted ends from its target, in metres.
         at_limit: Joints that are at a limit in the best configuration found, with the limit (rad).
-        possible: {demand: how far it can go}, for each demand that alone is in the way, in words.
-        limits: {demand: the same as the task's value of it}, such as {"roll": 0.337}.
+        possible: {demand: how far it can go}, for each demand that alone is in the way, in words;
+            if there is none, for each two that are together ("height and roll"), or each three ...
+        limits: The same as values of the task's fields, such as {"roll": {"roll": 0.337}}:
+            ``replace(task, **limits["roll"])`` is in reach.
         nearest: A stand that is in reach, with all demands shrunk alike towards the nominal stand;
             None if there is none, or it was not asked for.
         blocked: What is in the way where the feet could be planted: a part in the ground, or parts
@@ -92,7 +94,7 @@ class StanceUnreachableError(PupperAnalysisError):
         possible: Mapping[str, str] | None = None,
         nearest: Any = None,
         blocked: Iterable[str] = (),
-        limits: Mapping[str, Any] | None = None,
+        limits: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         self.limits = dict(limits or {})
         self.blocked = tuple(blocked)

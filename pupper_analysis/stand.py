@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -154,8 +154,9 @@ def solve_stand(
         task: How to stand; the nominal stand by default.
         depths: {foot that carries: how deep it sinks into the ground (m)}; 0 where not given. The
             base stays where the task has it. ``sunk_stand`` finds MuJoCo's.
-        explain: Where the stance is out of reach, find out how near the feet can come, which single
-            demand is in the way, and how far it would have to give (some tenths of a second).
+        explain: Where the stance is out of reach, find out how near the feet can come, which
+            demands are in the way, as few as possible, and how far they would have to give (some
+            tenths of a second).
             Otherwise the shortfall is PlaCo's, which may be a little too large.
 
     Returns:
@@ -511,14 +512,19 @@ def _unreachable(
             at_limit[robot.joint_names[index]] = float(limits[index])
     missed = {foot: gap for foot, gap in gaps.items() if gap >= TASK_TOLERANCE}
     possible: dict[str, str] = {}
-    ends: dict[str, object] = {}
+    ends: dict[str, dict[str, object]] = {}
     feasible: Stand | None = None
     if explain:
-        for demand in _DEMANDS:
-            stand = _furthest(shapes, goal, [demand])
-            if stand is not None:
-                possible[demand] = f"{demand} {_value(stand.task, demand)}"
-                ends[demand] = getattr(stand.task, demand)
+        differing = [d for d in _DEMANDS if _differ(robot, goal.task, [d])]
+        for size in range(1, len(differing) + 1):
+            for demands in combinations(differing, size):
+                stand = _furthest(shapes, goal, demands)
+                if stand is not None:
+                    name = " and ".join(demands)
+                    possible[name] = " and ".join(f"{d} {_value(stand.task, d)}" for d in demands)
+                    ends[name] = {demand: getattr(stand.task, demand) for demand in demands}
+            if possible:
+                break
         feasible = _furthest(shapes, goal, _DEMANDS)
     blocked = () if missed else nearest.blocked
     return StanceUnreachableError(
@@ -536,7 +542,7 @@ def _furthest(shapes: Shapes, goal: _Goal, demands: Sequence[str]) -> Stand | No
         up altogether does not help.
     """
     robot, task = shapes.robot, goal.task
-    if _shrunk(robot, task, demands, 0.0) == _shrunk(robot, task, demands, 1.0):
+    if not _differ(robot, task, demands):
         return None
     best: Stand | None = None
     low, high = 0.0, 1.0
@@ -555,6 +561,11 @@ def _furthest(shapes: Shapes, goal: _Goal, demands: Sequence[str]) -> Stand | No
             high = share
         share = (low + high) / 2
     return best
+
+
+def _differ(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
+    """Tells whether some demands are not the nominal stand's."""
+    return _shrunk(robot, task, demands, 0.0) != _shrunk(robot, task, demands, 1.0)
 
 
 def _shrunk(robot: Robot, task: StandTask, demands: Sequence[str], share: float) -> StandTask:

@@ -263,8 +263,25 @@ def test_refusals_carry_their_limits_as_numbers() -> None:
         pa.solve_stand(robot, task)
     limits = caught.value.limits
     assert set(limits) == set(caught.value.possible) == {"height", "roll"}
-    for demand, value in limits.items():
-        pa.solve_stand(robot, replace(task, **{demand: value}))
+    for demand, limit in limits.items():
+        pa.solve_stand(robot, replace(task, **limit))
+        value = limit[demand]
         beyond = value + 2e-3 * (getattr(task, demand) - value) / abs(value)
         with pytest.raises(pa.StanceUnreachableError):
             pa.solve_stand(robot, replace(task, **{demand: beyond}), explain=False)
+
+
+def test_two_demands_that_are_each_too_much() -> None:
+    """To give up one of them does not help; the smallest set that does is named."""
+    robot = load("v3")
+    task = pa.StandTask(roll=1.2, pitch=-1.2, height=0.14)
+    for one in (replace(task, roll=0.0), replace(task, pitch=0.0)):
+        with pytest.raises(pa.StanceUnreachableError):
+            pa.solve_stand(robot, one, explain=False)
+    with pytest.raises(
+        pa.StanceUnreachableError, match=r"Possible .*: roll .* and pitch"
+    ) as caught:
+        pa.solve_stand(robot, task)
+    assert list(caught.value.possible) == ["roll and pitch"]
+    assert set(caught.value.limits["roll and pitch"]) == {"roll", "pitch"}
+    assert pa.solve_stand(robot, replace(task, **caught.value.limits["roll and pitch"])).solved
