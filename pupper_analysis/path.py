@@ -37,6 +37,7 @@ MAX_JUMP = 0.5
 """A joint that moves by more than this from one sample to the next has jumped (rad)."""
 
 _ROLLED = 1e-8  # m: two iterations of how far a foot rolls that agree
+_MAX_ITERATIONS = 50
 _TOUCHING = 1e-12  # m: the height of a foot that does not carry, but is on the ground
 
 
@@ -161,7 +162,7 @@ def stance_path(
 
     Raises:
         ConfigurationError: If an argument is out of its range; or the stances cannot follow each
-            other: a foot that carries moves, fewer than three carry, a joint jumps.
+            other: a foot that carries moves, fewer than three carry, a joint jumps, feet roll away.
         UnknownNameError: If a task names a foot that the robot does not have.
         StanceUnreachableError: If a sample is out of reach; says when.
         StaticsInfeasibleError: If a sample cannot be held; says when.
@@ -242,7 +243,7 @@ class _Roll:
         """Solves a sample; how far the feet roll and the legs' angles determine each other."""
         robot, normal = self.robot, leg.start.task.ground.normal()
         away = {foot: place + self.step[foot] for foot, place in self.away.items()}
-        while True:
+        for _ in range(_MAX_ITERATIONS):
             task = _task(robot, leg, carrying, share, posture, away)
             stand = solve_stand(robot, task, explain=False)
             if not rolling:
@@ -256,6 +257,10 @@ class _Roll:
                 self.step = {foot: away[foot] - self.away[foot] for foot in away}
                 self.away, self.turned = away, rotations
                 return stand
+        raise ConfigurationError(
+            "rolling",
+            "how far the feet roll does not settle; bring the stances nearer, or set it off",
+        )
 
 
 def _law(share: float) -> float:

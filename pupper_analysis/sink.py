@@ -33,7 +33,7 @@ def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = T
     and, where its feet bear unequal loads, tilts, by which the loads change too. Here the legs are
     longer by what their feet sink in, so that base and com are where the task has them, and the
     forces are those of ``LoadSharing.EVEN``. The depths and forces determine each other; repeated
-    substitution finds them in 4 to 8 rounds.
+    substitution finds them in 1 to 3 rounds.
 
     Args:
         robot: A robot with a floating base and a ground.
