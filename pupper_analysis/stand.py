@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from pupper_analysis.collision import Clearance, Shapes, shapes_of
 from pupper_analysis.configuration import UP, Configuration
+from pupper_analysis.demands import DEMANDS, differ, in_words, shrunk
 from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
+from pupper_analysis.goal import Goal, goal_of
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
 from pupper_analysis.statics import (
     GravityCompensation,
     LoadSharing,
-    com_margin,
     gravity_compensation,
 )
 from pupper_analysis.task import StandTask
@@ -106,35 +107,6 @@ def _distance(near: Clearance, apart: str, inside: str) -> str:
     return f"{1e3 * abs(near.distance):.1f} mm {apart if near.distance >= 0 else inside}"
 
 
-@dataclass(frozen=True, eq=False)
-class _Goal:
-    """A task in numbers, for one robot.
-
-    Attributes:
-        task: The task, with its height filled in.
-        targets: {foot: (3,)} of the feet's centres.
-        depths: {foot that carries: m} how deep these are in the ground.
-        carrying: The feet that carry.
-        contacts: (n, 3) contact points of these.
-        height: z of the base frame.
-        place: (2,) of the com, or of the base frame.
-        by_base: Whether ``place`` is the base frame's.
-        lower: (nu,) joint limits, less the margin.
-        upper: (nu,) likewise.
-    """
-
-    task: StandTask
-    targets: dict[str, Array]
-    depths: dict[str, float]
-    carrying: tuple[str, ...]
-    contacts: Array
-    height: float
-    place: Array
-    by_base: bool
-    lower: Array
-    upper: Array
-
-
 def solve_stand(
     robot: Robot,
     task: StandTask | None = None,
@@ -169,7 +141,7 @@ def solve_stand(
         StanceUnreachableError: If it is out of reach; names the feet and how far they miss, and the
             demands of which one would have to give.
     """
-    goal = _goal(robot, task or StandTask(), depths or {})
+    goal = goal_of(robot, task or StandTask(), depths or {})
     # Distances between links remember where they were found last: they begin anew.
     shapes = shapes_of(robot) if goal.task.self_clearance is None else Shapes(robot)
     outcome = _attempt(shapes, goal)
@@ -211,66 +183,7 @@ def stand_statics(
     )
 
 
-def _goal(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> _Goal:
-    if not robot.floating:
-        raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
-    if not robot.feet:
-        raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
-    for foot in (*task.feet, *task.foot_offsets, *task.lifted, *task.ground.heights, *depths):
-        robot.check_foot(foot)
-    for foot, depth in depths.items():
-        if not 0 <= depth < math.inf:
-            raise ConfigurationError("depths", f"{foot}: {depth} m is not finite and >= 0")
-    carrying = tuple(foot for foot in robot.feet if foot not in task.lifted)
-    if len(carrying) < 3:
-        raise ConfigurationError("lifted", f"only {len(carrying)} feet carry; at least 3 must")
-    if task.posture is not None and len(task.posture) != robot.nu:
-        raise ConfigurationError("posture", f"it must have {robot.nu} values")
-    ground, normal = task.ground, task.ground.normal()
-    nominal = Configuration(robot, robot.neutral()).foot_positions()
-    targets = {}
-    for foot in robot.feet:
-        place = np.array(task.feet.get(foot, nominal[foot][:2])) + task.foot_offsets.get(foot, 0.0)
-        targets[foot] = ground.centre(foot, place, robot.foot_radius[foot])
-        targets[foot][2] += task.lifted.get(foot, 0.0)
-    contacts = np.array([targets[foot] - robot.foot_radius[foot] * normal for foot in carrying])
-    for foot in carrying:
-        targets[foot] = targets[foot] - depths.get(foot, 0.0) * normal
-    centre = contacts.mean(axis=0)
-    lower, upper = robot.lower_limits + task.joint_margin, robot.upper_limits - task.joint_margin
-    if (lower > upper).any():
-        name = robot.joint_names[int(np.argmax(lower - upper))]
-        raise ConfigurationError(
-            "joint_margin", f"{task.joint_margin} rad leaves nothing of the range of {name}"
-        )
-    place, by_base = centre[:2], False
-    if task.offset is not None:
-        place, by_base = centre[:2] + task.offset, True
-    elif not isinstance(task.com, str):
-        place = np.array(task.com)
-    points = dict(zip(carrying, contacts, strict=True))
-    if not by_base and com_margin(np.append(place, 0.0), points) < task.com_margin:
-        raise ConfigurationError(
-            "com_margin", f"{task.com_margin} m is more than the support polygon has at the com"
-        )
-    if task.height is None:
-        task = replace(task, height=robot.stand_height)
-    assert task.height is not None
-    return _Goal(
-        task=task,
-        targets=targets,
-        depths={foot: float(depths.get(foot, 0.0)) for foot in carrying},
-        carrying=carrying,
-        contacts=contacts,
-        height=float(centre[2]) + task.height,
-        place=place,
-        by_base=by_base,
-        lower=lower,
-        upper=upper,
-    )
-
-
-def _elsewhere(shapes: Shapes, goal: _Goal, outcome: Stand) -> Iterator[tuple[Stand, Stand]]:
+def _elsewhere(shapes: Shapes, goal: Goal, outcome: Stand) -> Iterator[tuple[Stand, Stand]]:
     """Tries other places of a com that may lie anywhere inside; yields stands and what led to them.
 
     The com goes to where it comes to lie as the feet get as near to their places as they can: there
@@ -292,7 +205,7 @@ def _elsewhere(shapes: Shapes, goal: _Goal, outcome: Stand) -> Iterator[tuple[St
             return
 
 
-def _attempt(shapes: Shapes, goal: _Goal) -> Stand:
+def _attempt(shapes: Shapes, goal: Goal) -> Stand:
     """Tries all starts; returns the first success, or else the best failure."""
     best: Stand | None = None
     for start in _starts(shapes.robot, goal):
@@ -305,7 +218,7 @@ def _attempt(shapes: Shapes, goal: _Goal) -> Stand:
     return best
 
 
-def _solve_from(shapes: Shapes, goal: _Goal, joints: Array) -> Stand:
+def _solve_from(shapes: Shapes, goal: Goal, joints: Array) -> Stand:
     robot, wrapper = shapes.robot, shapes.wrapper
     convention = robot.pin_convention
     qpos = robot.neutral()
@@ -369,7 +282,7 @@ def _solve_from(shapes: Shapes, goal: _Goal, joints: Array) -> Stand:
     return _measure(shapes, goal, convention.qpos(np.array(wrapper.state.q)), iterations)
 
 
-def _measure(shapes: Shapes, goal: _Goal, qpos: Array, iterations: int) -> Stand:
+def _measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
     config = Configuration(shapes.robot, qpos)
     feet = config.foot_positions()
     turn = goal.task.rotation().T @ config.base_rotation()
@@ -398,7 +311,7 @@ def _measure(shapes: Shapes, goal: _Goal, qpos: Array, iterations: int) -> Stand
     )
 
 
-def _nearest(shapes: Shapes, goal: _Goal, start: Array, *, clear: bool = False) -> Stand:
+def _nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) -> Stand:
     """Finds how near the feet can come to targets that are out of reach.
 
     The sum of the squared distances is minimised over the base's place and the joints, inside their
@@ -482,7 +395,7 @@ def _sides(contacts: Array) -> Array:
     return np.array(rows)
 
 
-def _starts(robot: Robot, goal: _Goal) -> Iterator[Array]:
+def _starts(robot: Robot, goal: Goal) -> Iterator[Array]:
     """Yields joint positions to start from: the posture, then the middle of the limits."""
     yield robot.home[7:] if goal.task.posture is None else np.array(goal.task.posture)
     bounded = np.isfinite(goal.lower) & np.isfinite(goal.upper)
@@ -492,15 +405,9 @@ def _starts(robot: Robot, goal: _Goal) -> Iterator[Array]:
 
 # ------------------------------------------------------------------------------------- refusals
 
-_LENGTHS = ("ground_clearance", "self_clearance")
-_DEMANDS = (
-    *("height", "roll", "pitch", "yaw", "offset", "feet", "foot_offsets", "lifted", "ground"),
-    *_LENGTHS,
-)
-
 
 def _unreachable(
-    shapes: Shapes, goal: _Goal, nearest: Stand, explain: bool
+    shapes: Shapes, goal: Goal, nearest: Stand, explain: bool
 ) -> StanceUnreachableError:
     robot = shapes.robot
     feet = Configuration(robot, nearest.qpos).foot_positions()
@@ -515,24 +422,24 @@ def _unreachable(
     ends: dict[str, dict[str, object]] = {}
     feasible: Stand | None = None
     if explain:
-        differing = [d for d in _DEMANDS if _differ(robot, goal.task, [d])]
+        differing = [d for d in DEMANDS if differ(robot, goal.task, [d])]
         for size in range(1, len(differing) + 1):
             for demands in combinations(differing, size):
                 stand = _furthest(shapes, goal, demands)
                 if stand is not None:
                     name = " and ".join(demands)
-                    possible[name] = " and ".join(f"{d} {_value(stand.task, d)}" for d in demands)
+                    possible[name] = " and ".join(f"{d} {in_words(stand.task, d)}" for d in demands)
                     ends[name] = {demand: getattr(stand.task, demand) for demand in demands}
             if possible:
                 break
-        feasible = _furthest(shapes, goal, _DEMANDS)
+        feasible = _furthest(shapes, goal, DEMANDS)
     blocked = () if missed else nearest.blocked
     return StanceUnreachableError(
         str(goal.task), missed, at_limit, possible, feasible, blocked, ends
     )
 
 
-def _furthest(shapes: Shapes, goal: _Goal, demands: Sequence[str]) -> Stand | None:
+def _furthest(shapes: Shapes, goal: Goal, demands: Sequence[str]) -> Stand | None:
     """Finds how far demands can go from the nominal stand's towards the task's.
 
     Bisection: between a share that is in reach and one that is not; to 1 part in 1000.
@@ -542,15 +449,15 @@ def _furthest(shapes: Shapes, goal: _Goal, demands: Sequence[str]) -> Stand | No
         up altogether does not help.
     """
     robot, task = shapes.robot, goal.task
-    if not _differ(robot, task, demands):
+    if not differ(robot, task, demands):
         return None
     best: Stand | None = None
     low, high = 0.0, 1.0
     share = 0.0
     while high - low > 1e-3 or share == 0.0:
         try:
-            shrunk = _goal(robot, _shrunk(robot, task, demands, share), goal.depths)
-            stand = _attempt(shapes, shrunk)
+            smaller = goal_of(robot, shrunk(robot, task, demands, share), goal.depths)
+            stand = _attempt(shapes, smaller)
         except ConfigurationError:
             return None
         if stand.solved:
@@ -561,54 +468,3 @@ def _furthest(shapes: Shapes, goal: _Goal, demands: Sequence[str]) -> Stand | No
             high = share
         share = (low + high) / 2
     return best
-
-
-def _differ(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
-    """Tells whether some demands are not the nominal stand's."""
-    return _shrunk(robot, task, demands, 0.0) != _shrunk(robot, task, demands, 1.0)
-
-
-def _shrunk(robot: Robot, task: StandTask, demands: Sequence[str], share: float) -> StandTask:
-    """Returns a task with some demands between the nominal stand's (0) and its own (1)."""
-    changes: dict[str, object] = {}
-    nominal = Configuration(robot, robot.neutral()).foot_positions()
-    for demand in demands:
-        value = getattr(task, demand)
-        if demand == "height":
-            height = robot.stand_height if value is None else value
-            changes[demand] = robot.stand_height + share * (height - robot.stand_height)
-        elif demand in ("roll", "pitch", "yaw") or (demand in _LENGTHS and value is not None):
-            changes[demand] = share * value
-        elif demand == "offset" and value is not None:
-            changes[demand] = (share * value[0], share * value[1])
-        elif demand == "feet":
-            moved = {
-                f: nominal[f][:2] + share * (np.array(p) - nominal[f][:2]) for f, p in value.items()
-            }
-            changes[demand] = {f: (float(p[0]), float(p[1])) for f, p in moved.items()}
-        elif demand == "foot_offsets":
-            changes[demand] = {foot: (share * x, share * y) for foot, (x, y) in value.items()}
-        elif demand == "lifted":
-            changes[demand] = {foot: max(share, 1e-9) * height for foot, height in value.items()}
-        elif demand == "ground":
-            heights = {foot: share * height for foot, height in value.heights.items()}
-            changes[demand] = replace(value, slope=share * value.slope, heights=heights)
-    return replace(task, **changes)  # type: ignore[arg-type]
-
-
-def _value(task: StandTask, demand: str) -> str:
-    value = getattr(task, demand)
-    if demand == "height":
-        return f"{value:.3f} m"
-    if demand in ("roll", "pitch", "yaw"):
-        return f"{math.degrees(value):.1f} deg"
-    if demand == "ground":
-        steps = ", ".join(f"{foot} {1e3 * h:.0f} mm" for foot, h in value.heights.items())
-        return f"slope {math.degrees(value.slope):.1f} deg" + (f", steps {steps}" if steps else "")
-    if demand == "lifted":
-        return ", ".join(f"{foot} {1e3 * h:.0f} mm" for foot, h in value.items())
-    if demand in _LENGTHS:
-        return f"{1e3 * value:.1f} mm"
-    if demand == "offset":
-        return f"({1e3 * value[0]:.0f}, {1e3 * value[1]:.0f}) mm"
-    return ", ".join(f"{foot} ({1e3 * x:.0f}, {1e3 * y:.0f}) mm" for foot, (x, y) in value.items())
