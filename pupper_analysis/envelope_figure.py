@@ -19,7 +19,11 @@ from pupper_analysis.figures import (
     FONT,
     GREY,
     RED,
+    WIDTH,
     Skeleton,
+    put_legend,
+    put_style,
+    put_title,
     save,
     skeleton,
     support_polygon,
@@ -29,7 +33,6 @@ from pupper_analysis.task import Ground
 
 Array = NDArray[np.float64]
 
-_WIDTH = 178 / 25.4  # inch: a page's text
 _VIEWS = {
     "height": ("from the right", 0, 2),
     "roll": ("from behind", 1, 2),
@@ -55,14 +58,9 @@ def envelope_figure(robot: Robot, envelope: PoseEnvelope, path: str | Path) -> N
     Raises:
         OutputError: If the file cannot be written.
     """
-    figure = Figure(figsize=(_WIDTH, 0.68 * _WIDTH), dpi=DPI, layout="constrained")
-    figure.suptitle(
-        f"{robot.name}: how far the base can go with its feet planted, each way alone",
-        x=0.012,
-        ha="left",
-        size=FONT + 2,
-        weight="bold",
-        parse_math=False,
+    figure = Figure(figsize=(WIDTH, 0.68 * WIDTH), dpi=DPI, layout="constrained")
+    put_title(
+        figure, f"{robot.name}: how far the base can go with its feet planted, each way alone"
     )
     start = envelope.start
     panels = figure.subplots(2, 3).flat
@@ -75,7 +73,7 @@ def envelope_figure(robot: Robot, envelope: PoseEnvelope, path: str | Path) -> N
             title = f"{1e3 * low:.1f} to {1e3 * high:.1f} mm"
         else:
             title = f"{1e3 * low:+.1f} to {1e3 * high:+.1f} mm"
-        axes.set_title(f"{direction}: {title}", size=FONT, weight="bold", loc="left")
+        put_style(axes, f"{direction}: {title}")
         drawn = [skeleton(robot, start.qpos)]
         _draw(axes, drawn[0], GREY, across, up)
         for end, value in (("low", low), ("high", high)):
@@ -89,18 +87,11 @@ def envelope_figure(robot: Robot, envelope: PoseEnvelope, path: str | Path) -> N
             axes.invert_xaxis()
         axes.set_xlabel(f"{_AXES[across]}; {view}", size=FONT)
         axes.set_ylabel(_AXES[up], size=FONT)
-        axes.tick_params(labelsize=FONT)
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_locator(MaxNLocator(4))
-        for spine in ("top", "right"):
-            axes.spines[spine].set_visible(False)
     names = {"start": GREY, "least value": BLUE, "greatest value": RED}
-    figure.legend(
-        handles=[Line2D([], [], color=color, lw=2, label=name) for name, color in names.items()],
-        loc="outside lower center",
-        ncols=len(names),
-        fontsize=FONT,
-        frameon=False,
+    put_legend(
+        figure, [Line2D([], [], color=color, lw=2, label=name) for name, color in names.items()]
     )
     save(figure, path)
 

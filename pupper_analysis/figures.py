@@ -49,7 +49,8 @@ BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
 )
 
 _plain = FuncFormatter(lambda value, _: f"{value:g}")
-_WIDTH = 178 / 25.4  # inch: a page's text
+WIDTH = 178 / 25.4
+"""A page's text (inch)."""
 _COLUMNS = 3
 _LEAST_UTILISATION = 0.1  # %, where the axis of the torques begins
 
@@ -167,8 +168,8 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
         OutputError: If the file cannot be written.
     """
     lines = skeleton(robot, stand.qpos)
-    figure = Figure(figsize=(_WIDTH, 0.6 * _WIDTH), dpi=DPI)
-    _title(figure, f"{robot.name}: how it stands")
+    figure = Figure(figsize=(WIDTH, 0.6 * WIDTH), dpi=DPI)
+    put_title(figure, f"{robot.name}: how it stands")
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; contact forces of least motor torque"
     figure.text(0.012, 0.925, textwrap.fill(text, 120), size=FONT, va="top")
     _draw_in_space(figure, lines, statics)
@@ -182,7 +183,7 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
         Line2D([], [], **_PROJECTION, label="com's projection"),
         Patch(facecolor=_SUPPORT, edgecolor=BLUE, hatch="//", label="support polygon"),
     ]
-    _legend(figure, handles)
+    put_legend(figure, handles)
     save(figure, path)
 
 
@@ -286,7 +287,7 @@ def _fit(axes: Any, shown: Array) -> None:
 
 def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensation) -> None:
     axes = figure.add_axes((0.735, 0.17, 0.255, 0.66))
-    _style(axes, "from above")
+    put_style(axes, "from above")
     points = {foot: 1e3 * point[:2] for foot, point in statics.contact_points.items()}
     polygon = 1e3 * support_polygon(statics.contact_points.values())
     # Forward is up and left is left: y is drawn to the left, x upwards.
@@ -399,7 +400,7 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             bbox={"fc": "white", "ec": "none", "pad": 0.5},
         )
         low, high = limits.min(), limits.max()
-        _style(
+        put_style(
             axes,
             f"{analysis.name}: limit {low:g}" + (f" to {high:g}" if high > low else "") + " N m",
         )
@@ -415,7 +416,7 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.set_yticks(places, names if names != before else [""] * len(names), parse_math=False)
         if index + _COLUMNS >= len(analyses):
             axes.set_xlabel("torque / limit (%)", size=FONT)
-    _legend(
+    put_legend(
         figure,
         [
             Line2D([], [], **_LEAST, label="least torque that balances (Pinocchio)"),
@@ -467,14 +468,14 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             frameon=False,
             borderpad=0.1,
         )
-        _style(axes, f"{analysis.name}: task {task:.1f} mm")
+        put_style(axes, f"{analysis.name}: task {task:.1f} mm")
         axes.set_xlim(0, max(analysis.verification.time[-1], analysis.sagging.time[-1]))
         axes.grid(color="#E3E6EB", lw=0.6)
         if index + _COLUMNS >= len(analyses):
             axes.set_xlabel("time (s)", size=FONT)
         if index % _COLUMNS == 0:
             axes.set_ylabel("base height (mm)", size=FONT)
-    _legend(
+    put_legend(
         figure,
         [
             Line2D([], [], color=BLACK, lw=1.2, ls=":", label="task"),
@@ -553,7 +554,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
                 axes.add_patch(
                     Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, fill=False, ec=RED, lw=2.2)
                 )
-        _style(axes, analysis.name)
+        put_style(axes, analysis.name)
         axes.set_xticks(range(len(sweep.kd)), [f"{value:g}" for value in sweep.kd])
         axes.set_yticks(range(len(sweep.kp)), [f"{value:g}" for value in sweep.kp])
         axes.tick_params(length=0)
@@ -569,7 +570,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     colours.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     colours.ax.yaxis.set_minor_locator(NullLocator())
     colours.ax.yaxis.set_major_formatter(_plain)
-    _legend(
+    put_legend(
         figure,
         [
             Patch(fill=False, edgecolor=RED, lw=2, label="steadiest"),
@@ -596,25 +597,28 @@ def _panels(
         raise ConfigurationError("analyses", "there is no robot to draw")
     columns = min(_COLUMNS, len(analyses))
     rows = -(-len(analyses) // columns)
-    figure = Figure(figsize=(_WIDTH, rows * row_height + 0.75), dpi=DPI, layout="constrained")
-    _title(figure, title)
+    figure = Figure(figsize=(WIDTH, rows * row_height + 0.75), dpi=DPI, layout="constrained")
+    put_title(figure, title)
     grid = figure.add_gridspec(rows, columns)
     panels = [figure.add_subplot(grid[divmod(index, columns)]) for index in range(len(analyses))]
     return figure, panels
 
 
-def _title(figure: Figure, title: str) -> None:
+def put_title(figure: Figure, title: str) -> None:
+    """Puts a title over a figure."""
     figure.suptitle(title, x=0.012, ha="left", size=FONT + 2, weight="bold", parse_math=False)
 
 
-def _style(axes: Axes, title: str) -> None:
+def put_style(axes: Axes, title: str) -> None:
+    """Gives a panel its title, and the look of all panels."""
     axes.set_title(title, size=FONT, weight="bold", loc="left", pad=4, parse_math=False)
     axes.tick_params(labelsize=FONT)
     for spine in ("top", "right"):
         axes.spines[spine].set_visible(False)
 
 
-def _legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
+def put_legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
+    """Puts a legend in one line under a figure."""
     figure.legend(
         handles=handles,
         loc="outside lower center" if figure.get_layout_engine() else "lower center",

@@ -24,13 +24,14 @@ from pupper_analysis.figures import (
     ORANGE,
     RED,
     SKY,
+    WIDTH,
+    put_title,
     save,
 )
 from pupper_analysis.push import PushRecovery
 
 Array = NDArray[np.float64]
 
-_SIDE = 178 / 25.4  # inch: a page's text
 _NAMES = {0: "0°\nforward", 90: "90°\nleft", 180: "180°\nback", 270: "270°\nright"}
 
 # Told apart by marker and line as well, in black and white too.
@@ -65,14 +66,8 @@ def push_figure(
     estimated = next(iter(results)) if tipping is None else tipping
     if estimated not in results:
         raise ConfigurationError("tipping", f"{estimated!r} is not one of: {', '.join(results)}")
-    figure = Figure(figsize=(_SIDE, 0.72 * _SIDE), dpi=DPI)
-    figure.suptitle(
-        "Largest horizontal push that the stand survives",
-        x=0.012,
-        ha="left",
-        size=FONT + 2,
-        weight="bold",
-    )
+    figure = Figure(figsize=(WIDTH, 0.72 * WIDTH), dpi=DPI)
+    put_title(figure, "Largest horizontal push that the stand survives")
     axes = figure.add_axes((0.06, 0.09, 0.58, 0.77), projection="polar")
     assert isinstance(axes, PolarAxes)
     axes.set_theta_zero_location("N")  # forward is up; angles grow to the left, as about z

@@ -327,8 +327,9 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
 
 
 def _floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
-    planes = (geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE)
-    return next(planes, None)
+    """Returns the plane that is fixed to the world."""
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    return next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
 
 
 def _add_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom:

@@ -53,7 +53,8 @@ class Stance(Result):
         settled: Where it settles without feed-forward; None where that is not predicted.
         unsettled: Why ``settled`` is None.
         best: How it was found, if the best stance was asked for.
-        least_kp: The softest servos that carry it without feed-forward (N m/rad), if asked for.
+        least_kp: The softest servos that carry it without feed-forward (N m/rad), if asked for;
+            None also if none do.
         envelope: How far the base can go, if asked for.
         path: From the nominal stand to it, if asked for.
         tracking: The simulation of ``path``.
@@ -131,9 +132,10 @@ def study(
     settled, unsettled, sunk, softness = None, "", None, None
     try:
         settled = settled_pose(robot, stand, kp=kp)
-        softness = least_kp(robot, stand) if softest else None
     except NoEquilibriumError as error:
         unsettled = str(error)
+    with contextlib.suppress(NoEquilibriumError):
+        softness = least_kp(robot, stand) if softest else None
     with contextlib.suppress(StanceUnreachableError):
         sunk = sunk_stand(robot, stand.task, explain=False)
     path = None if seconds is None else stance_path(robot, way_to(robot, stand), seconds)
@@ -194,6 +196,8 @@ def print_stance(out: Console, stance: Stance) -> None:
     )
     _print_clearance(out, stand)
     _print_settled(out, stance)
+    if stance.least_kp is not None:
+        out.print(f"softest servos that carry it: {stance.least_kp:.2f} N m/rad", soft_wrap=True)
     if stance.envelope is not None:
         _print_envelope(out, stance.envelope)
     if stance.push is not None:
@@ -301,8 +305,6 @@ def _print_settled(out: Console, stance: Stance) -> None:
     if settled.failures:
         text += f"; but {'; '.join(settled.failures)}"
     out.print(escape(text), soft_wrap=True)
-    if stance.least_kp is not None:
-        out.print(f"softest servos that carry it: {stance.least_kp:.2f} N m/rad", soft_wrap=True)
 
 
 def _print_envelope(out: Console, envelope: PoseEnvelope) -> None:

@@ -5,7 +5,7 @@ import copy
 import importlib.util
 import io
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -360,6 +360,19 @@ def run_command(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int
         cli.run(cli.group, list(arguments))
     out, err = capfd.readouterr()
     return int(leaving.value.code or 0), out, err
+
+
+def check_refusal(
+    capfd: pytest.CaptureFixture[str], folder: Path, arguments: Sequence[str], message: str
+) -> None:
+    """Checks that bad input is one line, exit status 2, and no file in the current folder."""
+    status, out, err = run_command(capfd, *arguments)
+    assert status == 2
+    assert message in err
+    assert err.startswith("error: ")
+    assert len(err.strip().splitlines()) == 1
+    assert out == ""
+    assert list(folder.iterdir()) == []
 
 
 class Answer(NamedTuple):

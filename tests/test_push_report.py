@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from conftest import run_command
+from conftest import check_refusal, run_command
 from matplotlib.image import imread
 
 COARSE = ("--directions", "4", "--resolution", "0.3")
@@ -54,9 +54,4 @@ def test_bad_input_is_one_line_and_exit_status_2(
 ) -> None:
     arguments, message = BAD[case]
     monkeypatch.chdir(tmp_path)
-    status, out, err = run_command(capfd, "push", *arguments, "--json", "all.json")
-    assert status == 2
-    assert message in err
-    assert len(err.strip().splitlines()) == 1
-    assert out == ""
-    assert list(tmp_path.iterdir()) == []
+    check_refusal(capfd, tmp_path, ["push", *arguments, "--json", "all.json"], message)

@@ -18,6 +18,15 @@ from pupper_analysis.cli.shared import (
 )
 from pupper_analysis.errors import ConfigurationError
 
+_package_option = click.option(
+    "--package",
+    "packages",
+    multiple=True,
+    metavar="NAME=DIR",
+    help="Where package://NAME/ is; else ROS_PACKAGE_PATH, then the folders above the URDF. "
+    "May be repeated.",
+)
+
 
 @click.command(context_settings=CONTEXT, short_help="Find what makes a URDF and an MJCF disagree.")
 @click.argument("urdf", type=click.Path(path_type=Path))
@@ -34,13 +43,7 @@ from pupper_analysis.errors import ConfigurationError
     type=click.Path(path_type=Path),
     help='TOML file of such names: a line "name in the URDF" = "name in the MJCF" each.',
 )
-@click.option(
-    "--package",
-    "packages",
-    multiple=True,
-    metavar="NAME=DIR",
-    help="Where package://NAME/ is; else ROS_PACKAGE_PATH, then the folders above the URDF.",
-)
+@_package_option
 @click.option(
     "--foot", "feet", multiple=True, metavar="FRAME", help="Compare this frame (all common ones)."
 )
@@ -119,13 +122,7 @@ def crosscheck(
     "audit", context_settings=CONTEXT, short_help="Find what is wrong in one URDF or MJCF."
 )
 @click.argument("file", required=False, type=click.Path(path_type=Path))
-@click.option(
-    "--package",
-    "packages",
-    multiple=True,
-    metavar="NAME=DIR",
-    help="Where package://NAME/ is. May be repeated.",
-)
+@_package_option
 @click.option(
     "--disable", "disabled", multiple=True, metavar="RULE", help="Do not run this rule. Repeatable."
 )
