@@ -16,7 +16,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
 from pupper_analysis.simulation import GainSweep, StandVerification, sweep_gains, verify_stand
 from pupper_analysis.stand import Stand, solve_stand, stand_statics
-from pupper_analysis.statics import GravityCompensation, gravity_compensation
+from pupper_analysis.statics import GravityCompensation, LoadSharing, gravity_compensation
 from pupper_analysis.task import StandTask
 
 Array = NDArray[np.float64]
@@ -92,7 +92,8 @@ class Analysis(Result):
         joints: Per joint, in actuator order.
         notes: What was assumed on loading.
         stand: The solved stand.
-        statics: Torques and contact forces of the stand, of least torque.
+        statics: Torques and contact forces of the stand: those that last.
+        least_peak: The same of least peak motor utilisation.
         hanging_torques: (nu,) what the motors hold in the same pose with the base held (N m).
         foot_jacobians: Per foot.
         verification: The simulated stand, with feed-forward.
@@ -117,6 +118,7 @@ class Analysis(Result):
     notes: tuple[str, ...]
     stand: Stand
     statics: GravityCompensation
+    least_peak: GravityCompensation
     hanging_torques: Array
     foot_jacobians: dict[str, FootJacobian]
     verification: StandVerification
@@ -174,6 +176,7 @@ def analyze_variant(
         notes=robot.notes,
         stand=stand,
         statics=stand_statics(robot, stand),
+        least_peak=stand_statics(robot, stand, sharing=LoadSharing.LEAST_PEAK),
         hanging_torques=gravity_compensation(config, contacts=[]).joint_torques,
         foot_jacobians=leg_jacobians(config),
         verification=verification,

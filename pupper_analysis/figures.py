@@ -60,7 +60,7 @@ BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4
 _NEAR, _FAR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT = "#CFE8F7"
-_LEAST: dict[str, Any] = {
+_PREDICTED: dict[str, Any] = {
     "color": BLUE,
     "marker": "o",
     "ls": "",
@@ -170,7 +170,7 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     lines = skeleton(robot, stand.qpos)
     figure = Figure(figsize=(WIDTH, 0.6 * WIDTH), dpi=DPI)
     put_title(figure, f"{robot.name}: how it stands")
-    text = f"{stand.task}; mass {robot.total_mass:.2f} kg; contact forces of least motor torque"
+    text = f"{stand.task}; mass {robot.total_mass:.2f} kg; the contact forces that last"
     figure.text(0.012, 0.925, textwrap.fill(text, 120), size=FONT, va="top")
     _draw_in_space(figure, lines, statics)
     _draw_from_above(figure, lines, statics)
@@ -375,12 +375,12 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         limits = np.array([joint.effort for joint in analysis.joints])
         names = [joint.name for joint in analysis.joints]
         places = np.arange(len(names))
-        least = utilisation(analysis.statics.joint_torques, limits)
+        predicted = utilisation(analysis.statics.joint_torques, limits)
         simulated = utilisation(analysis.verification.joint_torques, limits)
-        greatest = np.fmax(least, simulated)
+        greatest = np.fmax(predicted, simulated)
         floor = _LEAST_UTILISATION
         axes.hlines(places, floor, greatest.clip(floor), color="#C9CED6", lw=1)
-        axes.plot(least.clip(floor), places, **_LEAST, clip_on=False, zorder=3)
+        axes.plot(predicted.clip(floor), places, **_PREDICTED, clip_on=False, zorder=3)
         axes.plot(simulated.clip(floor), places, **_SIMULATED, clip_on=False, zorder=4)
         axes.axvline(100, color=RED, lw=2)
         most = int(np.argmax(greatest > 0.999 * greatest.max()))
@@ -419,7 +419,7 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     put_legend(
         figure,
         [
-            Line2D([], [], **_LEAST, label="least torque that balances (Pinocchio)"),
+            Line2D([], [], **_PREDICTED, label="predicted (Pinocchio)"),
             Line2D([], [], **_SIMULATED, label="simulated (MuJoCo, with feed-forward)"),
             Line2D([], [], color=RED, lw=2, label="limit"),
         ],

@@ -174,6 +174,7 @@ def _print_statics(out: Console, analysis: Analysis) -> None:
     print_loads(
         out,
         analysis.statics,
+        analysis.least_peak,
         analysis.verification,
         [joint.effort for joint in analysis.joints],
         {"hanging": analysis.hanging_torques},
@@ -184,6 +185,7 @@ def _print_statics(out: Console, analysis: Analysis) -> None:
 def print_loads(
     out: Console,
     statics: GravityCompensation,
+    least_peak: GravityCompensation,
     verification: StandVerification,
     limits: Sequence[float],
     more: Mapping[str, Array],
@@ -193,7 +195,8 @@ def print_loads(
 
     Args:
         out: Where to.
-        statics: Of least torque.
+        statics: Of the forces that last.
+        least_peak: Of least peak utilisation.
         verification: The simulation.
         limits: (nu,) of the motors (N m).
         more: Further columns, {title: (nu,)}.
@@ -203,12 +206,12 @@ def print_loads(
         out,
         "Motor torques (N m)",
         "joint",
-        "least torque",
+        "torque",
         "limit",
         "utilisation",
         "",
-        "even load",
         "simulated",
+        "least peak",
         *more,
     )
     for index, name in enumerate(statics.joint_names):
@@ -220,33 +223,33 @@ def print_loads(
             f"{limits[index]:g}",
             f"{utilisation:.1%}",
             Bar(1.0, 0.0, min(utilisation, 1.0), width=16, color=colour),
-            _number(verification.predicted_torques[index]),
             _number(verification.joint_torques[index]),
+            _number(least_peak.joint_torques[index]),
             *(_number(values[index]) for values in more.values()),
         )
     out.print(table)
     out.print(
-        "least torque: the best share that friction allows; even load: the least tangential "
-        "forces, which last\nin a simulator, whose friction creeps: what the simulation is "
-        "compared with" + explanation,
+        "torque: with the least tangential forces at the feet, which last; least peak: with the "
+        "contact forces of least\npeak utilisation, "
+        f"{least_peak.motor_utilisation.max():.1%}" + explanation,
         style="dim",
     )
     table = titled_table(
         out,
         "Contact forces on the feet (N, world axes)",
         "foot",
-        "least torque",
+        "force",
         "friction used",
-        "even load",
         "simulated",
+        "least peak",
     )
     for foot, force in statics.contact_forces.items():
         table.add_row(
             foot,
             _vector(force, 3),
             f"{statics.friction_utilisation[foot]:.1%}",
-            _vector(verification.predicted_forces[foot], 3),
             _vector(verification.foot_forces[foot], 3),
+            _vector(least_peak.contact_forces[foot], 3),
         )
     out.print(table)
     margin = "-" if statics.com_margin is None else f"{1e3 * statics.com_margin:.1f} mm"
@@ -366,7 +369,7 @@ class ComparisonRow(Result):
         thigh_ratio: Of the hip-to-knee distances.
         thigh_shape_ratio: Of the lengths of the shapes that span the thighs; None without any.
         height: Of the base, in the task (m).
-        peak_torque: The greatest of least torque (N m).
+        peak_torque: The greatest torque (N m).
         peak_utilisation: The greatest motor utilisation.
         servo_sag: Without feed-forward (m).
         stands_without: Whether it stands without feed-forward.

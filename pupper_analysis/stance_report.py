@@ -26,7 +26,7 @@ from pupper_analysis.settle import RELEASE_MARGIN, SettledPose, least_kp, settle
 from pupper_analysis.simulation import StandVerification, verify_stand
 from pupper_analysis.sink import sunk_stand
 from pupper_analysis.stand import Stand, solve_stand, stand_statics
-from pupper_analysis.statics import GravityCompensation
+from pupper_analysis.statics import GravityCompensation, LoadSharing
 from pupper_analysis.task import StandTask
 from pupper_analysis.tracking import PathTracking, track_path
 
@@ -42,10 +42,11 @@ class Stance(Result):
 
     Attributes:
         name: The robot's name.
-        joint_positions: (nu,) in actuator order (rad).
+        joint_positions: (nu,) of ``sunk``, or else of ``stand``, in actuator order (rad).
         limits: (nu,) of the motors' torques (N m).
         stand: The solved stand.
-        statics: Torques and contact forces, of least torque.
+        statics: Torques and contact forces of ``sunk``, or else of ``stand``: those that last.
+        least_peak: The same of least peak motor utilisation.
         point: Where the payload is, in the base's frame (m).
         payload: The greatest mass there.
         sunk: The stance with its feet sunk into MuJoCo's ground; None where that is out of reach.
@@ -66,6 +67,7 @@ class Stance(Result):
     limits: Array
     stand: Stand
     statics: GravityCompensation
+    least_peak: GravityCompensation
     point: tuple[float, float, float]
     payload: PayloadLimit
     sunk: Stand | None
@@ -81,8 +83,8 @@ class Stance(Result):
 
     @property
     def overloaded(self) -> tuple[str, ...]:
-        """Motors above their limits by least torque, where no share of the load avoids that."""
-        if self.payload.mass > 0:
+        """Motors above their limits, however the feet share the load."""
+        if not (self.least_peak.motor_utilisation > 1).any():
             return ()
         used = zip(self.statics.joint_names, self.statics.motor_utilisation, strict=True)
         return tuple(name for name, share in used if share > 1)
@@ -128,7 +130,6 @@ def study(
     """
     best = None if objective is None else best_stance(robot, objective, task=task, point=point)
     stand = solve_stand(robot, task) if best is None else best.stand
-    statics = stand_statics(robot, stand)
     settled, unsettled, sunk, softness = None, "", None, None
     try:
         settled = settled_pose(robot, stand, kp=kp)
@@ -138,17 +139,19 @@ def study(
         softness = least_kp(robot, stand) if softest else None
     with contextlib.suppress(StanceUnreachableError):
         sunk = sunk_stand(robot, stand.task, explain=False)
+    held = sunk or stand
     path = None if seconds is None else stance_path(robot, way_to(robot, stand), seconds)
     return Stance(
         name=robot.name,
-        joint_positions=stand.joint_positions(robot),
+        joint_positions=held.joint_positions(robot),
         limits=robot.effort_limits,
         stand=stand,
-        statics=statics,
+        statics=stand_statics(robot, held),
+        least_peak=stand_statics(robot, held, sharing=LoadSharing.LEAST_PEAK),
         point=point,
         payload=payload_limit(robot, stand, point),
         sunk=sunk,
-        verification=verify_stand(robot, sunk or stand, kp=kp, kd=kd),
+        verification=verify_stand(robot, held, kp=kp, kd=kd),
         settled=settled,
         unsettled=unsettled,
         best=best,
@@ -156,7 +159,7 @@ def study(
         envelope=pose_envelope(robot, stand.task) if envelope else None,
         path=path,
         tracking=None if path is None else track_path(robot, path, kp=kp, kd=kd),
-        push=push_recovery(robot, sunk or stand, kp=kp, kd=kd) if push else None,
+        push=push_recovery(robot, held, kp=kp, kd=kd) if push else None,
     )
 
 
@@ -181,7 +184,9 @@ def print_stance(out: Console, stance: Stance) -> None:
     if stance.best is not None:
         _print_best(out, stance.best)
     more = {"position (rad)": stance.joint_positions}
-    print_loads(out, stance.statics, verification, stance.limits.tolist(), more)
+    print_loads(
+        out, stance.statics, stance.least_peak, verification, stance.limits.tolist(), more
+    )
     if stance.overloaded:
         out.print(
             "[bold red]OVERLOADED[/]: the motors cannot hold it, however the feet share the load: "

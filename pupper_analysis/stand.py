@@ -162,14 +162,14 @@ def solve_stand(
 
 
 def stand_statics(
-    robot: Robot, stand: Stand, *, sharing: LoadSharing = LoadSharing.LEAST_TORQUE
+    robot: Robot, stand: Stand, *, sharing: LoadSharing | str = LoadSharing.EVEN
 ) -> GravityCompensation:
     """Computes what the motors hold in a stand, on the feet that carry and on its ground.
 
     Args:
         robot: The robot.
         stand: The stand.
-        sharing: Which of the feasible contact forces: by default those of least torque.
+        sharing: Which of the feasible contact forces: by default ``EVEN``, those that last.
 
     Raises:
         StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from numbers import Real
 
@@ -35,6 +35,9 @@ _LIGHTEST = 1e-3
 
 _MAX_ITERATIONS = 50
 
+_PEAK_SLACK = 1e-7
+"""How much above the least peak the second search may be: ten times the first one's rounding."""
+
 _NO_SLIDING = 1e4
 """A friction coefficient that stands for a foot that cannot slide."""
 
@@ -42,17 +45,23 @@ _NO_SLIDING = 1e4
 class LoadSharing(StrEnum):
     """Which of the feasible contact forces is meant, where balance leaves a choice.
 
-    LEAST_TORQUE has the least sum of squared motor torques: the best that the motors can do.
     EVEN has the least tangential forces, and of those that remain the least sum of squared normal
     forces: how the feet share the load on ground that is equally soft under each. These are what
     MuJoCo holds for good, because its regularised friction lets feet creep against each other until
     no tangential force is left that they can get rid of: none on level ground and steps, and on a
     slope those with which all feet creep down it together. (The least sum of f_t^2 / c, with c the
-    viscosity of ``GroundLaw``: its optimality condition is f_t = c (v + omega x r).)
+    viscosity of ``GroundLaw``: its optimality condition is f_t = c (v + omega x r).) It is what to
+    send to a robot or a simulator.
+    LEAST_TORQUE has the least sum of squared motor torques, and so the least heat. It needs feet
+    that press against each other for good, which a simulator's creeping friction does not bear.
+    LEAST_PEAK has the least peak motor utilisation (peak torque, where no motor has an effort
+    limit), and of those the least sum of squared utilisations: whether the motors can hold it at
+    all.
     """
 
-    LEAST_TORQUE = "least torque"
     EVEN = "even"
+    LEAST_TORQUE = "least torque"
+    LEAST_PEAK = "least peak"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +104,7 @@ def gravity_compensation(
     friction: float | Mapping[str, float] | None = None,
     normals: Mapping[str, ArrayLike] | None = None,
     depths: Mapping[str, float] | None = None,
-    sharing: LoadSharing = LoadSharing.LEAST_TORQUE,
+    sharing: LoadSharing | str = LoadSharing.EVEN,
 ) -> GravityCompensation:
     """Computes motor torques and contact forces that hold a robot still.
 
@@ -114,18 +123,18 @@ def gravity_compensation(
         normals: Per foot, the direction (3,) in the world out of the ground; up where not given.
         depths: Per foot, how deep it has sunk into the ground (m), 0 where not given. The force
             acts half way, as MuJoCo has it.
-        sharing: Which of the feasible forces: by default those of least torque.
+        sharing: Which of the feasible forces: by default ``EVEN``, those that last.
 
     Returns:
         The equilibrium.
 
     Raises:
         UnknownNameError: If a foot is unknown.
-        ConfigurationError: If a friction coefficient or a normal is no such thing, or a robot with
-            a fixed base is given contacts.
+        ConfigurationError: If a friction coefficient, a normal or ``sharing`` is no such thing, or
+            a robot with a fixed base is given contacts.
         StaticsInfeasibleError: If no forces do; it says why.
     """
-    robot = config.robot
+    robot, wanted = config.robot, _sharing(sharing)
     feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
     for foot in feet:
         robot.check_foot(foot)
@@ -157,45 +166,83 @@ def gravity_compensation(
         joints=stacked[base_rows:],
         torques=gravity[base_rows:],
         normals=np.array(list(directions.values())),
-        grip=np.ones(len(feet)) if sharing is LoadSharing.EVEN else None,
     )
     limits = np.array(list(coefficients.values()))
-    forces = problem.solve(limits)
-    if forces is not None and sharing is LoadSharing.EVEN and robot.contacts:
-        forces = _creeping(problem, forces, limits, [GroundLaw.of(robot, foot) for foot in feet])
+    if wanted is LoadSharing.LEAST_PEAK:
+        forces = problem.least_peak(limits, robot.effort_limits)
+    elif wanted is LoadSharing.LEAST_TORQUE:
+        forces = problem.solve(limits, problem.joints, problem.torques)
+    else:
+        forces = problem.even(limits, np.ones(len(feet)))
+        if forces is not None and robot.contacts:
+            laws = [GroundLaw.of(robot, foot) for foot in feet]
+            forces = _creeping(problem, forces, limits, laws)
     if forces is None:
         raise _explain(config, problem, points, coefficients)
     per_foot = dict(zip(feet, forces.reshape(-1, 3), strict=True))
     return _result(config, per_foot, points, directions, coefficients, np.zeros(base_rows))
 
 
+def _sharing(value: str) -> LoadSharing:
+    try:
+        return LoadSharing(value)
+    except ValueError as error:
+        known = ", ".join(repr(kind.value) for kind in LoadSharing)
+        raise ConfigurationError("sharing", f"{value!r} is none of {known}") from error
+
+
 @dataclass(frozen=True, eq=False)
 class _Balance:
-    """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,).
-
-    ``grip`` (n,) are the feet's viscosities, relative to each other, for even load; without it the
-    forces of least torque are meant.
-    """
+    """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,)."""
 
     base: Array
     weight: Array
     joints: Array
     torques: Array
     normals: Array
-    grip: Array | None
 
-    def solve(self, friction: Array) -> Array | None:
-        """Returns the best f (3 n,), or None if there is none."""
+    def even(self, friction: Array, grip: Array) -> Array | None:
+        """Returns the least tangential f (3 n,), or None if there is none.
+
+        Args:
+            friction: (n,) coefficients.
+            grip: (n,) the feet's viscosities, relative to each other.
+        """
+        metric = self._metric(grip)
+        return self.solve(friction, metric, np.zeros(len(metric)))
+
+    def least_peak(self, friction: Array, limits: Array) -> Array | None:
+        """Returns the f (3 n,) of least peak |tau| / limit, or None if there is none.
+
+        A motor without a limit, or with none of its own strength (0), does not count, but where no
+        motor has a limit all count alike.
+        """
+        rated = np.isfinite(limits) & (limits > 0)
+        share = np.where(rated, 1 / np.where(rated, limits, 1.0), 0.0) if rated.any() else None
+        share = np.ones(len(limits)) if share is None else share
+        cost, target = share[:, None] * self.joints, share * self.torques
+        return self.solve(friction, cost, target, peak=True)
+
+    def solve(
+        self, friction: Array, cost: Array, target: Array, *, peak: bool = False
+    ) -> Array | None:
+        """Returns the f (3 n,) with the least |cost f - target|, or None if there is none.
+
+        Args:
+            friction: (n,) coefficients.
+            cost: (m, 3 n).
+            target: (m,).
+            peak: The least greatest element comes first.
+        """
         particular = np.asarray(np.linalg.lstsq(self.base, self.weight, rcond=1e-12)[0], float)
         if not self._balances(particular):
             return None
+        # Over f = particular + free z.
         free = linalg.null_space(self.base, rcond=1e-12)
-        # The objective is |cost f - target|^2, over f = particular + free z.
-        if self.grip is None:
-            cost, target = self.joints @ free, self.torques - self.joints @ particular
-        else:
-            metric = self._metric(self.grip)
-            cost, target = metric @ free, -metric @ particular
+        cost, target = cost @ free, target - cost @ particular
+        if peak:
+            coordinates = self._solve_peak(particular, free, cost, target, friction)
+            return None if coordinates is None else particular + free @ coordinates
         forces: Array = particular + free @ np.linalg.lstsq(cost, target)[0]
         if self._violation(forces, friction) > 0:
             coordinates = self._solve_cones(particular, free, cost, target, friction)
@@ -227,30 +274,83 @@ class _Balance:
         sliding = np.linalg.norm(per_foot - normal[:, None] * self.normals, axis=1)
         return float(np.max(sliding - friction * normal))
 
-    def _solve_cones(
-        self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
-    ) -> Array | None:
-        """Minimises |cost z - target|^2 over the z with particular + free z in the cones."""
-        scale = np.linalg.norm(self.weight[:3])
-        n_feet = len(self.normals)
-        rows = np.zeros((4 * n_feet, 3 * n_feet))  # (mu f_n, f_t) per foot, to be in the cone
+    def _cones(self, friction: Array) -> Array:
+        """Returns rows (4 n, 3 n) that take f to (mu f_n, f_t) per foot, to be in the cone."""
+        rows = np.zeros((4 * len(self.normals), 3 * len(self.normals)))
         for index, (normal, coefficient) in enumerate(zip(self.normals, friction, strict=True)):
             block = slice(3 * index, 3 * index + 3)
             rows[4 * index, block] = coefficient * (1 - _INSIDE) * normal
             rows[4 * index + 1 : 4 * index + 4, block] = np.eye(3) - np.outer(normal, normal)
+        return rows
+
+    def _solve_peak(
+        self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
+    ) -> Array | None:
+        """Minimises the greatest |cost z - target|, then their squares, in the cones."""
+        size = len(target)
+        scale = float(np.abs(cost @ np.linalg.lstsq(cost, target)[0] - target).max(initial=0.0))
+        scale = max(scale, float(np.abs(target).max(initial=0.0)), 1e-300)
+        # Variables: z and the peak, which bounds every element from both sides.
+        above = np.column_stack([cost, -np.full(size, scale)])
+        below = np.column_stack([-cost, -np.full(size, scale)])
+        bounds = (np.concatenate([above, below]), np.concatenate([target, -target]))
+        wide = np.column_stack([free, np.zeros(len(free))])
+        peak = np.zeros(free.shape[1] + 1)
+        peak[-1] = 1.0
+        found = self._conic(particular, wide, np.zeros((len(peak),) * 2), peak, friction, bounds)
+        if found is None:
+            return None
+        least = float(np.abs(cost @ found[:-1] - target).max(initial=0.0))
+        room = np.full(2 * size, least * (1 + _PEAK_SLACK))
+        bounds = (np.concatenate([cost, -cost]), np.concatenate([target, -target]) + room)
+        again = self._solve_cones(particular, free, cost, target, friction, bounds)
+        return found[:-1] if again is None else again
+
+    def _solve_cones(
+        self,
+        particular: Array,
+        free: Array,
+        cost: Array,
+        target: Array,
+        friction: Array,
+        bounds: tuple[Array, Array] | None = None,
+    ) -> Array | None:
+        """Minimises |cost z - target|^2 over the z with particular + free z in the cones."""
         quadratic = cost.T @ cost
         # Where legs are singular some forces cost no torque: the smallest of those.
         quadratic += 1e-10 * np.trace(quadratic) * np.eye(len(quadratic))
-        linear = -cost.T @ target / scale
+        return self._conic(particular, free, quadratic, -cost.T @ target, friction, bounds)
+
+    def _conic(
+        self,
+        particular: Array,
+        free: Array,
+        quadratic: Array,
+        linear: Array,
+        friction: Array,
+        bounds: tuple[Array, Array] | None,
+    ) -> Array | None:
+        """Minimises z^T quadratic z / 2 + linear z, particular + free z in the cones.
+
+        ``bounds`` are rows A and b of A z <= b.
+        """
+        scale = np.linalg.norm(self.weight[:3])
+        rows = self._cones(friction)
+        matrix, right = [-rows @ free], [rows @ particular / scale]
+        cones: list[object] = [clarabel.SecondOrderConeT(4)] * len(self.normals)
+        if bounds is not None:
+            matrix.insert(0, bounds[0])
+            right.insert(0, bounds[1] / scale)
+            cones.insert(0, clarabel.NonnegativeConeT(len(bounds[1])))
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
         solver = clarabel.DefaultSolver(
             sparse.csc_matrix(np.triu(quadratic)),
-            linear,
-            sparse.csc_matrix(-rows @ free),
-            rows @ particular / scale,
-            [clarabel.SecondOrderConeT(4)] * n_feet,
+            linear / scale,
+            sparse.csc_matrix(np.concatenate(matrix)),
+            np.concatenate(right),
+            cones,
             settings,
         )
         coordinates = np.array(solver.solve().x) * scale
@@ -275,7 +375,7 @@ def _creeping(
         )
         if not grip.all():
             return forces  # without friction there is no creep
-        found = replace(problem, grip=grip / grip.mean()).solve(friction)
+        found = problem.even(friction, grip / grip.mean())
         if found is None or np.abs(found - forces).max() < BALANCE_TOLERANCE * scale:
             return found
         forces = found
@@ -291,11 +391,12 @@ def _explain(
     """Finds out why no forces do."""
     feet = tuple(points)
     margin = com_margin(config.center_of_mass(), points)
-    if problem.solve(np.full(len(feet), _NO_SLIDING)) is not None:
+    even = np.ones(len(feet))
+    if problem.even(np.full(len(feet), _NO_SLIDING), even) is not None:
         low, high = 0.0, _NO_SLIDING
         while high - low > 1e-6 * high:
             middle = (low * high) ** 0.5 if low > 0 else high / 2
-            if problem.solve(np.full(len(feet), middle)) is None:
+            if problem.even(np.full(len(feet), middle), even) is None:
                 low = middle
             else:
                 high = middle

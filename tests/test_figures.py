@@ -173,9 +173,9 @@ def test_a_figure_without_robots_is_refused(
 def test_torque_figure_draws_both_torques(monkeypatch: pytest.MonkeyPatch) -> None:
     analysis = analysis_of("v3")
     figure = drawn(monkeypatch, figures.torque_figure, [analysis])
-    least, simulated, limit = (np.asarray(line.get_xdata()) for line in figure.axes[0].lines)
+    predicted, simulated, limit = (np.asarray(line.get_xdata()) for line in figure.axes[0].lines)
     for shown, torques in (
-        (least, analysis.statics.joint_torques),
+        (predicted, analysis.statics.joint_torques),
         (simulated, analysis.verification.joint_torques),
     ):
         share = 100 * np.abs(torques) / load("v3").effort_limits

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -174,9 +175,11 @@ def test_nothing_feasible_nearby_is_better(
             best: pa.GravityCompensation = best,
             sharing: pa.LoadSharing = sharing,
         ) -> float:
-            if sharing is pa.LoadSharing.LEAST_TORQUE:
-                forces = joint_torques(config, best, forces)
-                return float(forces @ forces)
+            if sharing is not pa.LoadSharing.EVEN:
+                torques = joint_torques(config, best, forces)
+                if sharing is pa.LoadSharing.LEAST_TORQUE:
+                    return float(torques @ torques)
+                return float(np.abs(torques / config.robot.effort_limits).max())
             return float(np.sum(forces.reshape(-1, 3)[:, :2] ** 2))
 
         free = null_space(best)
@@ -191,6 +194,8 @@ def test_nothing_feasible_nearby_is_better(
                 slide = np.hypot(other[0::3], other[1::3])
                 if (slide <= friction * push * (1 - 1e-5)).all():
                     least = 1e-9 * float(forces @ forces)
+                    if sharing is pa.LoadSharing.LEAST_PEAK:  # its peak is within 1e-7 of the least
+                        least = 0.0
                     assert cost(other) >= cost(forces) * (1 - 1e-6) - least
 
 
@@ -206,13 +211,105 @@ def test_least_torque_is_less_than_even(variant: str) -> None:
 
 
 def test_more_friction_never_costs_torque() -> None:
-    config = at_stand("v3")
+    config, least = at_stand("v3"), pa.LoadSharing.LEAST_TORQUE
     costs = [
-        np.linalg.norm(pa.gravity_compensation(config, friction=mu).joint_torques)
+        np.linalg.norm(pa.gravity_compensation(config, friction=mu, sharing=least).joint_torques)
         for mu in (0.0, 0.05, 0.1, 0.2, 0.5, 1.0)
     ]
     assert all(after <= before + 1e-6 for before, after in itertools.pairwise(costs))
     assert costs[0] > 1.02 * costs[-1]
+
+
+def linear_programme(
+    config: pa.Configuration, result: pa.GravityCompensation, share: np.ndarray, friction: float
+) -> float:
+    """The least peak of share * |torque|, with cones of 64 sides, by scipy's simplex."""
+    sides = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    count = len(result.contact_forces)
+    jacobian = np.concatenate(list(config.contact_jacobians(result.contact_forces).values()))
+    faces = np.column_stack([np.cos(sides), np.sin(sides), np.full(64, -friction)])
+    cones = np.column_stack([np.kron(np.eye(count), faces), np.zeros(64 * count)])
+    torque = -share[:, None] * jacobian.T[6:]
+    column = -np.ones((len(share), 1))
+    hanging = share * config.gravity()[6:]
+    outcome = optimize.linprog(
+        [*np.zeros(3 * count), 1.0],
+        A_ub=np.vstack([cones, np.hstack([torque, column]), np.hstack([-torque, column])]),
+        b_ub=np.concatenate([np.zeros(64 * count), -hanging, hanging]),
+        A_eq=np.column_stack([jacobian.T[:6], np.zeros(6)]),
+        b_eq=config.gravity()[:6],
+        bounds=(None, None),
+    )
+    assert outcome.status == 0
+    return float(outcome.fun)
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.8])
+def test_least_peak_is_a_linear_programmes(variant: str, friction: float) -> None:
+    """The polyhedral cones inside and around the true one differ by cos(pi / 64)."""
+    robot = load(variant)
+    stand = pa.solve_stand(robot, pa.StandTask(pitch=0.05, com=(0.01, 0.01)))
+    config = pa.Configuration(robot, stand.qpos)
+    strength = robot.effort_limits * np.linspace(1.0, 2.0, robot.nu)  # unequal motors
+    weaker = pa.Configuration(with_efforts(robot, strength), stand.qpos)
+    result = pa.gravity_compensation(weaker, friction=friction, sharing="least peak")
+    peak = result.motor_utilisation.max()
+    around, inside = (
+        linear_programme(config, result, 1 / strength, friction * factor)
+        for factor in (1.0, np.cos(np.pi / 64))
+    )
+    assert around * (1 - 1e-6) <= peak <= inside * (1 + 1e-6)
+    even = pa.gravity_compensation(weaker, friction=friction)
+    assert peak < 0.95 * even.motor_utilisation.max()
+
+
+def with_efforts(robot: pa.Robot, efforts: np.ndarray) -> pa.Robot:
+    model = robot.pin_model.copy()
+    limits = np.array(model.effortLimit)
+    limits[robot.pin_convention.v_index] = efforts
+    model.effortLimit = limits
+    return replace(robot, pin_model=model)
+
+
+def test_least_peak_without_limits_is_of_the_torque() -> None:
+    config = at_stand("v3")
+    free = pa.Configuration(with_efforts(config.robot, np.full(12, np.inf)), config.qpos)
+    one, two = (pa.gravity_compensation(c, sharing="least peak") for c in (config, free))
+    np.testing.assert_allclose(one.joint_torques, two.joint_torques, atol=1e-6)
+
+
+def test_a_motor_without_strength_does_not_count_for_the_peak() -> None:
+    config = at_stand("v3")
+    efforts = np.full(12, 3.0)
+    efforts[0] = 0.0
+    result = pa.gravity_compensation(
+        pa.Configuration(with_efforts(config.robot, efforts), config.qpos), sharing="least peak"
+    )
+    assert np.isinf(result.motor_utilisation[0])
+    least = pa.gravity_compensation(config, sharing="least peak").motor_utilisation.max()
+    assert result.motor_utilisation[1:].max() <= least * (1 + 1e-6)
+
+
+def test_the_forces_that_last_are_the_default(variant: str) -> None:
+    config = at_stand(variant)
+    default, even = (
+        pa.gravity_compensation(config, **arguments)
+        for arguments in ({}, {"sharing": pa.LoadSharing.EVEN})
+    )
+    np.testing.assert_array_equal(default.joint_torques, even.joint_torques)
+
+
+@pytest.mark.parametrize("sharing", SHARINGS)
+def test_a_sharing_by_its_value(sharing: pa.LoadSharing) -> None:
+    config = at_stand("v3")
+    one, two = (pa.gravity_compensation(config, sharing=s) for s in (sharing, sharing.value))
+    np.testing.assert_array_equal(one.joint_torques, two.joint_torques)
+
+
+@pytest.mark.parametrize("sharing", ["x", None, 3, "EVEN"])
+def test_an_unknown_sharing_is_refused(sharing: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match="sharing.*'even', 'least torque'"):
+        pa.gravity_compensation(at_stand("v3"), sharing=sharing)  # type: ignore[arg-type]
 
 
 def test_without_friction_forces_are_vertical() -> None:
@@ -251,7 +348,7 @@ def test_even_forces_are_vertical_on_level_steps(name: str) -> None:
     scale = float(np.linalg.norm(weight(at_stand(name))))
     for force in result.contact_forces.values():
         np.testing.assert_allclose(force[:2], 0, atol=1e-6 * scale)
-    best = pa.stand_statics(robot, stand).contact_forces
+    best = pa.stand_statics(robot, stand, sharing=pa.LoadSharing.LEAST_TORQUE).contact_forces
     assert max(np.linalg.norm(force[:2]) for force in best.values()) > 5e-3 * scale
 
 
