@@ -169,7 +169,7 @@ def test_the_simulation_confirms_it() -> None:
 def test_least_torque() -> None:
     robot = load("v3")
     found = best_stance(robot, sharing=pa.LoadSharing.LEAST_TORQUE)
-    statics = stand_statics(robot, found.stand)
+    statics = stand_statics(robot, found.stand, sharing=pa.LoadSharing.LEAST_TORQUE)
     assert found.value == pytest.approx(statics.motor_utilisation.max(), rel=1e-6)
     assert found.value < 0.6 * found.nominal_value
 
