@@ -110,7 +110,9 @@ def main(count: int, seed: int) -> None:
     out.print(table)
     out.print(worst)
     even, least, _ = np.array(peaks).T
-    out.print(f"least torque has the greater peak in {(least > even * 1.001).sum()} of {len(peaks)}")
+    out.print(
+        f"least torque has the greater peak in {(least > even * 1.001).sum()} of {len(peaks)}"
+    )
     mean = np.mean(peaks, axis=0)
     out.print(
         "mean peak utilisation: "

@@ -42,7 +42,8 @@ SAG_TOLERANCE = 5e-4
 STIFF = 36.0
 """What holds softer equilibria up for seconds is friction, which is not predicted (rad^2/s^2)."""
 
-STARTS = 8
+STARTS = 200
+STEPS = 60
 FACETS = 64
 
 
@@ -208,41 +209,92 @@ class Demand:
         )
 
     def nearest(self, random: np.random.Generator) -> float:
-        """How near feet, base and com come to their places in the best of some searches (m).
+        """How near feet, base and com come to their places in the best of many searches (m).
 
         With parts in the ground a search counts as a metre off.
         """
         robot = self.robot
-        lower, upper = robot.lower_limits, robot.upper_limits
-        w, x, y, z = self.rotation.as_quat(scalar_first=True)
-
-        def qpos(values: np.ndarray) -> np.ndarray:
-            return np.concatenate([values[:2], (self.height, w, x, y, z), values[2:]])
-
-        def residual(values: np.ndarray) -> np.ndarray:
-            return np.concatenate(self.misses(qpos(values)))
-
-        low, high = np.maximum(lower, -math.pi), np.minimum(upper, math.pi)
+        low = np.maximum(robot.lower_limits + self.task.joint_margin, -math.pi)
+        high = np.minimum(robot.upper_limits - self.task.joint_margin, math.pi)
+        joints = random.uniform(low, high, (STARTS, robot.nu))
+        joints[0] = np.clip(robot.home[7:], low, high)
+        begin = np.column_stack([self.spread(random), joints])
+        values, off = self.descend(begin, low, high)
         best = math.inf
-        for start in range(STARTS):
-            joints = random.uniform(low, high) if start else np.clip(robot.home[7:], low, high)
-            begin = np.concatenate([self.centre[:2], joints + 1e-3 * (low - joints)])
-            begin[2:] += 1e-3 * (high - joints)
-            outcome = optimize.least_squares(
-                residual,
-                begin,
-                bounds=([-1, -1, *low], [1, 1, *high]),
-                x_scale=np.array([0.1, 0.1, *np.ones(robot.nu)]),
-                ftol=1e-10,
-                xtol=1e-10,
-                gtol=1e-12,
-                max_nfev=60,
-            )
-            off = float(np.abs(outcome.fun).max())
-            best = min(best, 1.0 if off < REACHED and self.in_the_way(qpos(outcome.x)) else off)
-            if best < REACHED:
-                break
+        for index in np.argsort(off):
+            if off[index] >= REACHED:
+                return min(best, float(off[index]))
+            if not self.in_the_way(self.qpos(values[index])):
+                return float(off[index])
+            best = 1.0
         return best
+
+    def spread(self, random: np.random.Generator) -> np.ndarray:
+        """Places (n, 2) of the base to start from: where it shall be, or inside the polygon."""
+        contacts = np.array(list(self.contacts.values()))[:, :2]
+        if self.task.offset is not None:
+            return np.tile(self.centre[:2] + self.task.offset, (STARTS, 1))
+        if self.task.com == "inside":
+            return random.dirichlet(np.ones(len(contacts)), STARTS) @ contacts
+        place = self.centre[:2] if isinstance(self.task.com, str) else np.array(self.task.com)
+        return np.tile(place, (STARTS, 1))
+
+    def qpos(self, values: np.ndarray) -> np.ndarray:
+        w, x, y, z = self.rotation.as_quat(scalar_first=True)
+        return np.concatenate([values[:2], (self.height, w, x, y, z), values[2:]])
+
+    def residual(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is missed (m,), and its derivative (m, 2 + nu), by MuJoCo's Jacobians."""
+        robot, model, data = self.robot, self.robot.mj_model, self.data
+        missed, place = self.misses(self.qpos(values))
+        columns = np.r_[0, 1, robot.mj_convention.qvel_index[6:]]
+        jacobian, rows = np.zeros((3, model.nv)), []
+        for body, local in robot.foot_places.values():
+            point = data.xpos[body] + data.xmat[body].reshape(3, 3) @ local
+            mujoco.mj_jac(model, data, jacobian, None, point, body)
+            rows.append(jacobian[:, columns])
+        if self.task.offset is not None:
+            rows.append(np.eye(2, len(columns)))
+        else:
+            mujoco.mj_jacSubtreeCom(model, data, jacobian, 0)
+            com = jacobian[:2, columns]
+            if self.task.com == "inside":
+                com = np.zeros((len(place), len(columns)))
+                sides = self.sides[:, :2] @ jacobian[:2, columns]
+                com[: len(sides)] = sides * (place[: len(sides), None] < 0)
+            rows.append(com)
+        return np.concatenate([missed, place]), np.concatenate(rows)
+
+    def descend(
+        self, values: np.ndarray, low: np.ndarray, high: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Bounded Levenberg-Marquardt steps from all starts at once; the largest residuals (n,)."""
+        low, high = np.r_[-np.inf, -np.inf, low], np.r_[np.inf, np.inf, high]
+        errors, rates = (np.array(part) for part in zip(*map(self.residual, values), strict=True))
+        damping, active = np.full(len(values), 1e-3), np.arange(len(values))
+        for _ in range(STEPS):
+            error, rate, at = errors[active], rates[active], values[active]
+            gradient = np.einsum("kij,ki->kj", rate, error)
+            held = ((at <= low) & (gradient > 0)) | ((at >= high) & (gradient < 0))
+            rate = rate * ~held[:, None]
+            normal = np.einsum("kij,kil->kjl", rate, rate)
+            normal += damping[active, None, None] * np.eye(values.shape[1])
+            step = np.linalg.solve(normal, (gradient * ~held)[..., None])[..., 0]
+            tried = np.clip(at - step, low, high)
+            moved = np.abs(tried - at).max(axis=1) > 1e-12
+            active, tried = active[moved], tried[moved]
+            if not len(active):
+                break
+            new = [self.residual(row) for row in tried]
+            new_errors, new_rates = (np.array(part) for part in zip(*new, strict=True))
+            better = (new_errors**2).sum(axis=1) < (errors[active] ** 2).sum(axis=1)
+            taken = active[better]
+            values[taken], errors[taken] = tried[better], new_errors[better]
+            rates[taken] = new_rates[better]
+            damping[active] = np.clip(damping[active] * np.where(better, 0.1, 8.0), 1e-14, 1e3)
+            if np.abs(errors).max(axis=1).min() < EXACT:
+                break
+        return values, np.abs(errors).max(axis=1)
 
     def holdable(self, com: np.ndarray, inner: bool) -> bool:
         """Whether forces in polyhedral cones, inside or around the true ones, balance the robot."""

@@ -80,11 +80,16 @@ class PinocchioConvention:
             q[:3] = qpos[:3]
             q[3:7] = x, y, z, w
             joints = qpos[7:]
+        return self.with_joints(q, joints)
+
+    def with_joints(self, q: Array, joints: Array) -> Array:
+        """Returns Pinocchio's q (model.nq,) with other joint positions (n,), and the same base."""
+        other = q.copy()
         turning = self.unbounded
-        q[self.q_index[~turning]] = joints[~turning]
-        q[self.q_index[turning]] = np.cos(joints[turning])
-        q[self.q_index[turning] + 1] = np.sin(joints[turning])
-        return q
+        other[self.q_index[~turning]] = joints[~turning]
+        other[self.q_index[turning]] = np.cos(joints[turning])
+        other[self.q_index[turning] + 1] = np.sin(joints[turning])
+        return other
 
     def qpos(self, q: Array) -> Array:
         """Returns the public qpos of Pinocchio's q; a continuous joint's is in (-pi, pi]."""

@@ -184,9 +184,7 @@ def print_stance(out: Console, stance: Stance) -> None:
     if stance.best is not None:
         _print_best(out, stance.best)
     more = {"position (rad)": stance.joint_positions}
-    print_loads(
-        out, stance.statics, stance.least_peak, verification, stance.limits.tolist(), more
-    )
+    print_loads(out, stance.statics, stance.least_peak, verification, stance.limits.tolist(), more)
     if stance.overloaded:
         out.print(
             "[bold red]OVERLOADED[/]: the motors cannot hold it, however the feet share the load: "

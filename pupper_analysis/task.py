@@ -208,6 +208,8 @@ class StandTask:
             parts.append(f"com inside by {1e3 * self.com_margin:.0f} mm")
         elif not isinstance(self.com, str):
             parts.append(f"com at {_millimetres(self.com)}")
+        if self.joint_margin:
+            parts.append(f"{math.degrees(self.joint_margin):.1f} deg off the joint limits")
         if self.ground_clearance:
             parts.append(f"{1e3 * self.ground_clearance:.0f} mm off the ground")
         if self.self_clearance is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -206,7 +207,22 @@ def test_self_clearance(name: str) -> None:
         pa.solve_stand(robot, replace(task, self_clearance=near.distance + 1e-3))
     assert near.links[0] in caught.value.blocked[0]
     assert list(caught.value.possible) == ["self_clearance"]
-    assert f"{1e3 * near.distance:.1f} mm" in caught.value.possible["self_clearance"]
+    least = caught.value.limits["self_clearance"]["self_clearance"]
+    assert 0.99 * near.distance < least <= near.distance + 1e-9
+    assert caught.value.possible["self_clearance"] == f"self_clearance {1e3 * least:g} mm"
+
+
+def test_a_posture_with_its_links_apart_is_found() -> None:
+    """v3, turned by 30 degrees, has its links 15.1 mm apart in the branch that reaches that."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(yaw=math.radians(30), self_clearance=0.014))
+    assert stand.self_clearance is not None
+    assert stand.self_clearance.distance >= 0.014 - 1e-6
+    nearer = pa.solve_stand(robot, pa.StandTask(yaw=math.radians(30), self_clearance=0.0))
+    again = pa.solve_stand(
+        robot, replace(nearer.task, posture=tuple(nearer.joint_positions(robot).tolist()))
+    )
+    np.testing.assert_allclose(again.qpos, nearer.qpos, atol=1e-6)
 
 
 def test_links_that_would_touch_are_kept_apart() -> None:

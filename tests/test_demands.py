@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import load
 
 import pupper_analysis as pa
-from pupper_analysis.demands import DEMANDS, differ, in_words, shrunk
+from pupper_analysis.demands import DEMANDS, differ, in_words, rounded, shrunk
 
 TASK = pa.StandTask(
     height=0.15,
@@ -67,9 +70,40 @@ def test_placed_feet_go_towards_their_nominal_places() -> None:
 
 def test_in_words() -> None:
     assert in_words(TASK, "height") == "0.150 m"
-    assert in_words(TASK, "roll") == "11.5 deg"
-    assert in_words(TASK, "offset") == "(20, -40) mm"
-    assert in_words(TASK, "ground") == "slope 5.7 deg, steps FR 20 mm"
-    assert in_words(TASK, "lifted") == "RR 20 mm"
+    turned = pa.StandTask(roll=math.radians(11.5), pitch=math.radians(-4.25), joint_margin=0.02)
+    assert in_words(turned, "roll") == "11.5 deg (0.2007 rad)"  # 0.20071: cut, not rounded
+    assert in_words(turned, "pitch") == "-4.25 deg (-0.0741 rad)"
+    assert in_words(TASK, "offset") == "(20.0, -40.0) mm"
+    slope = pa.StandTask(ground=pa.Ground(math.radians(5.7), 0.5, {"FR": 0.02}))
+    assert in_words(slope, "ground") == "slope 5.7 deg (0.0994 rad), steps FR 20.0 mm"
+    assert in_words(TASK, "lifted") == "RR 20.0 mm"
     assert in_words(TASK, "ground_clearance") == "10.0 mm"
-    assert in_words(TASK, "foot_offsets") == "FL (20, 10) mm"
+    assert in_words(TASK, "foot_offsets") == "FL (20.0, 10.0) mm"
+    assert in_words(pa.StandTask(com=(0.0123, -0.004)), "com") == "(12.3, -4.0) mm"
+
+
+def test_rounding_is_towards_the_nominal_stand_and_by_little() -> None:
+    robot = load("v3")  # which stands at 0.1315 m
+    task = pa.StandTask(
+        height=0.19247, roll=0.33651, pitch=-0.12345, lifted={"FL": 0.00123456}, joint_margin=0.4003
+    )
+    near = rounded(robot, task, DEMANDS)
+    assert near.height == 0.1924
+    assert rounded(robot, replace(task, height=0.10013), ["height"]).height == 0.1002
+    assert math.degrees(near.roll) == pytest.approx(19.28)  # 19.2806
+    assert math.degrees(near.pitch) == pytest.approx(-7.07)  # -7.0732
+    assert near.lifted["FL"] == pytest.approx(0.001234)
+    assert near.joint_margin <= task.joint_margin
+    assert rounded(robot, near, DEMANDS) == near
+    for demand in ("height", "roll", "pitch", "lifted", "joint_margin"):
+        assert in_words(near, demand) != in_words(task, demand)
+
+
+def test_a_com_gives_way_towards_the_middle_of_the_feet_that_carry() -> None:
+    robot = load("v3")
+    feet = pa.Configuration(robot, robot.neutral()).foot_positions()
+    middle = np.mean([feet[foot][:2] for foot in ("FR", "FL", "RR")], axis=0)
+    task = pa.StandTask(com=(0.03, 0.01), lifted={"RL": 0.01})
+    np.testing.assert_allclose(
+        shrunk(robot, task, ["com"], 0.25).com, middle + 0.25 * ((0.03, 0.01) - middle)
+    )

@@ -34,8 +34,9 @@ def test_simulation_holds_what_is_predicted(name: str, what: str) -> None:
         assert abs(run.height_loss) < 5e-6
 
 
-@pytest.mark.parametrize("what", ["off the centre", "slope"])
-@pytest.mark.parametrize("name", ["long-leg", "v3"])
+@pytest.mark.parametrize(
+    ("name", "what"), [("long-leg", "off the centre"), ("v3", "off the centre"), ("v3", "slope")]
+)
 def test_rigid_stand_is_another(name: str, what: str) -> None:
     """Without its feet sunk, the same stance does not hold its loads on soft ground."""
     run = pa.verify_stand(load(name), pa.solve_stand(load(name), TASKS[what]))

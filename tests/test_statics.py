@@ -308,7 +308,7 @@ def test_a_sharing_by_its_value(sharing: pa.LoadSharing) -> None:
 
 @pytest.mark.parametrize("sharing", ["x", None, 3, "EVEN"])
 def test_an_unknown_sharing_is_refused(sharing: object) -> None:
-    with pytest.raises(pa.ConfigurationError, match="sharing.*'even', 'least torque'"):
+    with pytest.raises(pa.ConfigurationError, match=r"sharing.*'even', 'least torque'"):
         pa.gravity_compensation(at_stand("v3"), sharing=sharing)  # type: ignore[arg-type]
 
 
