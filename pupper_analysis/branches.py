@@ -22,7 +22,7 @@ IntArray = NDArray[np.int64]
 
 _SAMPLES = 32
 """Starts per limb, a power of two as Sobol's sequence likes it. For 800 random goals of v3's and
-original's legs, 32 find as many branches as 256 do; 16 miss 3 of them."""
+original's legs, 32 find all branches but one that 256 do."""
 
 _ITERATIONS = 24
 """Of Levenberg and Marquardt's method: it converges in 6 to 10 where a foot is in reach."""
@@ -35,7 +35,7 @@ _MOST = 6
 
 _DAMPING = 1e-3  # m^2 per rad^2: where it begins; a leg's Jacobian squared is 1e-2 to 1e-1
 _LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e3
-_ARRIVED = 1e-6  # rad: a start whose limbs all step by less has converged: PlaCo does the rest
+_ARRIVED = 1e-4  # rad: a start whose limbs all step by less has converged: PlaCo does the rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,16 +118,33 @@ def branches(
     solver = _Solver(robot, qpos, targets, lower, upper)
     positions, misses = solver.run(starts)
     found = {}
-    for number, limb in enumerate(solver.limbs):
+    for limb, missed in misses.items():
         kept: list[Branch] = []
-        for index in np.argsort(misses[:, number], kind="stable"):
+        for index in np.argsort(missed, kind="stable"):
             place = positions[index, limb.joints]
             if all(np.abs(place - branch.positions).max() > _SAME for branch in kept):
-                kept.append(Branch(place, float(misses[index, number])))
+                kept.append(Branch(place, float(missed[index])))
             if len(kept) == _MOST:
                 break
         found[limb] = tuple(kept)
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Alike:
+    """Limbs with as many feet and joints as each other, whose steps are taken together.
+
+    Attributes:
+        limbs: The l limbs.
+        joints: (l, n) numbers of their joints.
+        frames: (l, f) Pinocchio's numbers of their feet's frames.
+        targets: (l, f, 3) where these shall be (m).
+    """
+
+    limbs: tuple[Limb, ...]
+    joints: IntArray
+    frames: IntArray
+    targets: Array
 
 
 class _Solver:
@@ -138,75 +155,92 @@ class _Solver:
     ) -> None:
         self.robot, self.model = robot, robot.pin_model
         self.data = self.model.createData()
-        self.limbs = limbs(robot)
         self.q = robot.pin_convention.q(qpos)
         self.rest = qpos[robot.nq - robot.nu :]
-        self.lower, self.upper, self.targets = lower, upper, targets
-        self.frames = {
-            foot: self.model.getFrameId(frame, pin.FrameType.BODY)
-            for foot, frame in robot.foot_frames.items()
-        }
+        self.lower, self.upper = lower, upper
+        shapes: dict[tuple[int, int], list[Limb]] = {}
+        for limb in limbs(robot):
+            shapes.setdefault((len(limb.feet), len(limb.joints)), []).append(limb)
+        self.groups = []
+        for alike in shapes.values():
+            frames = [
+                [self.model.getFrameId(robot.foot_frames[f], pin.FrameType.BODY) for f in limb.feet]
+                for limb in alike
+            ]
+            self.groups.append(
+                _Alike(
+                    limbs=tuple(alike),
+                    joints=np.array([limb.joints for limb in alike]),
+                    frames=np.array(frames),
+                    targets=np.array([[targets[foot] for foot in limb.feet] for limb in alike]),
+                )
+            )
 
-    def run(self, starts: Array) -> tuple[Array, Array]:
-        """Returns joint positions (k, nu), and how far each limb's feet miss (k, limbs)."""
+    def run(self, starts: Array) -> tuple[Array, dict[Limb, Array]]:
+        """Returns joint positions (k, nu), and how far each limb's feet miss (k,) (m)."""
         joints = np.clip(starts, self.lower, self.upper)
-        moved = np.concatenate([limb.joints for limb in self.limbs])
+        moved = np.concatenate([group.joints.ravel() for group in self.groups])
         resting = np.setdiff1d(np.arange(self.robot.nu), moved)
         joints[:, resting] = self.rest[resting]
-        damping = np.full((len(joints), len(self.limbs)), _DAMPING)
         errors, jacobians = self._evaluate(joints)
+        damping = [np.full((len(joints), len(group.limbs)), _DAMPING) for group in self.groups]
         active = np.arange(len(joints))
         for _ in range(_ITERATIONS):
-            tried = joints[active]
-            for number, limb in enumerate(self.limbs):
-                tried[:, limb.joints] += self._step(
+            now = joints[active]
+            tried = now.copy()
+            for number, group in enumerate(self.groups):
+                step = self._step(
                     errors[number][active],
                     jacobians[number][active],
-                    tried[:, limb.joints],
-                    limb,
-                    damping[active, number],
+                    now[:, group.joints],
+                    group,
+                    damping[number][active],
                 )
+                tried[:, group.joints] += step
             tried = np.clip(tried, self.lower, self.upper)
-            moved = np.abs(tried - joints[active]).max(axis=1) > _ARRIVED
-            active, tried = active[moved], tried[moved]
+            moving = np.abs(tried - now).max(axis=1) > _ARRIVED
+            active, tried = active[moving], tried[moving]
             if not len(active):
                 break
             new_errors, new_jacobians = self._evaluate(tried)
-            for number, limb in enumerate(self.limbs):
+            for number, group in enumerate(self.groups):
                 old, new = errors[number][active], new_errors[number]
-                better = (new**2).sum(axis=1) < (old**2).sum(axis=1)
-                taken = active[better]
-                joints[np.ix_(taken, limb.joints)] = tried[np.ix_(better, limb.joints)]
-                errors[number][taken] = new[better]
-                jacobians[number][taken] = new_jacobians[number][better]
+                better = (new**2).sum(axis=2) < (old**2).sum(axis=2)  # (k, l)
+                rows, ways = np.nonzero(better)
+                joints[active[rows][:, None], group.joints[ways]] = tried[
+                    rows[:, None], group.joints[ways]
+                ]
+                errors[number][active[rows], ways] = new[better]
+                jacobians[number][active[rows], ways] = new_jacobians[number][better]
                 factor = np.where(better, 0.1, 8.0)
-                damping[active, number] = np.clip(
-                    damping[active, number] * factor, _LEAST_DAMPING, _MOST_DAMPING
+                damping[number][active] = np.clip(
+                    damping[number][active] * factor, _LEAST_DAMPING, _MOST_DAMPING
                 )
-        misses = np.column_stack(
-            [np.linalg.norm(error.reshape(len(error), -1, 3), axis=2).max(1) for error in errors]
-        )
+        misses: dict[Limb, Array] = {}
+        for group, error in zip(self.groups, errors, strict=True):
+            away = np.linalg.norm(error.reshape(*error.shape[:2], -1, 3), axis=3).max(axis=2)
+            misses |= {limb: away[:, way] for way, limb in enumerate(group.limbs)}
         return joints, misses
 
     def _step(
-        self, error: Array, jacobian: Array, joints: Array, limb: Limb, damping: Array
+        self, error: Array, jacobian: Array, joints: Array, group: _Alike, damping: Array
     ) -> Array:
-        """Returns the damped step (k, n); joints that would leave their range stay at its end."""
-        gradient = np.einsum("kij,ki->kj", jacobian, error)
-        at_low = (joints <= self.lower[limb.joints]) & (gradient > 0)
-        at_high = (joints >= self.upper[limb.joints]) & (gradient < 0)
+        """Returns damped steps (k, l, n); joints that would leave their range stay at its end."""
+        gradient = np.einsum("klij,kli->klj", jacobian, error)
+        at_low = (joints <= self.lower[group.joints]) & (gradient > 0)
+        at_high = (joints >= self.upper[group.joints]) & (gradient < 0)
         free = ~(at_low | at_high)
-        jacobian = jacobian * free[:, None, :]
-        normal = np.einsum("kij,kil->kjl", jacobian, jacobian)
-        diagonal = np.arange(normal.shape[1])
-        normal[:, diagonal, diagonal] += damping[:, None]
-        step: Array = -np.linalg.solve(normal, (gradient * free)[:, :, None])[:, :, 0]
+        jacobian = jacobian * free[:, :, None, :]
+        normal = np.einsum("klij,klim->kljm", jacobian, jacobian)
+        diagonal = np.arange(normal.shape[2])
+        normal[:, :, diagonal, diagonal] += damping[:, :, None]
+        step: Array = -np.linalg.solve(normal, (gradient * free)[..., None])[..., 0]
         return step
 
     def _evaluate(self, joints: Array) -> tuple[list[Array], list[Array]]:
-        """Returns per limb the errors (k, 3 feet) and their Jacobians (k, 3 feet, n)."""
+        """Returns per group the errors (k, l, 3 f) and their Jacobians (k, l, 3 f, n)."""
         convention, model, data = self.robot.pin_convention, self.model, self.data
-        frames = [self.frames[foot] for limb in self.limbs for foot in limb.feet]
+        frames = [int(frame) for group in self.groups for frame in group.frames.ravel()]
         places = np.empty((len(joints), len(frames), 3))
         columns = np.empty((len(joints), 6, len(convention.v_index)))
         for index, row in enumerate(joints):
@@ -216,18 +250,21 @@ class _Solver:
             for number, frame in enumerate(frames):
                 places[index, number] = data.oMf[frame].translation
         errors, jacobians, first = [], [], 0
-        for limb in self.limbs:
-            at = places[:, first : first + len(limb.feet)]
-            first += len(limb.feet)
-            targets = np.array([self.targets[foot] for foot in limb.feet])
-            errors.append((at - targets).reshape(len(joints), -1))
+        for group in self.groups:
+            at = places[:, first : first + group.frames.size]
+            at = at.reshape(len(joints), *group.frames.shape, 3)
+            first += group.frames.size
+            errors.append((at - group.targets).reshape(*at.shape[:2], -1))
             # Pinocchio's columns are of the point at the world's origin: v = v_0 + omega x p.
-            own = columns[:, :, limb.joints].transpose(0, 2, 1)[:, None]  # (k, 1, n, 6)
-            x, y, z = (at[:, :, None, axis] for axis in range(3))
-            a, b, c = (own[..., axis] for axis in (3, 4, 5))
-            turning = np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=2)
-            velocity = own[..., :3].transpose(0, 1, 3, 2) + turning  # (k, feet, 3, n)
-            jacobians.append(velocity.reshape(len(joints), -1, len(limb.joints)))
+            own = columns[:, :, group.joints][:, :, :, None]  # (k, 6, l, 1, n)
+            x, y, z = (at[..., axis, None] for axis in range(3))  # (k, l, f, 1)
+            turning = (
+                own[:, 4] * z - own[:, 5] * y,
+                own[:, 5] * x - own[:, 3] * z,
+                own[:, 3] * y - own[:, 4] * x,
+            )
+            velocity = np.stack([own[:, axis] + turning[axis] for axis in range(3)], axis=3)
+            jacobians.append(velocity.reshape(*at.shape[:2], -1, group.joints.shape[1]))
         return errors, jacobians
 
 

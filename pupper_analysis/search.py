@@ -228,7 +228,7 @@ def choices(
     """
     near = robot.home[7:] if goal.task.posture is None else np.array(goal.task.posture)
     likely = {
-        limb: tuple(branch for branch in ways if branch.miss <= reach + TOUCHING)
+        limb: tuple(branch for branch in ways if branch.miss <= reach + _NEAR_MISS)
         for limb, ways in found.items()
     }
     yield from islice(combinations(likely, near), most)
