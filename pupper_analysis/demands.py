@@ -23,6 +23,9 @@ _ANGLES = ("roll", "pitch", "yaw", "slope", "joint_margin")
 _FINE = 0.005
 """A value is rounded by no more than this part of its distance from the nominal stand's."""
 
+_DOUBTFUL = 50.0
+"""Degrees are 57 radians, a centimetre is a hundredth of a metre: more is no slip of a finger."""
+
 _MOST_DIGITS = 12
 _LEAST_SHARE = 1e-9  # of a lifted foot's height: a foot that is not lifted would carry
 
@@ -108,6 +111,17 @@ def differ(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
         number.value != number.nominal
         for demand in demands
         for number in _numbers(robot, task, demand)
+    )
+
+
+def far_off(robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]) -> bool:
+    """Tells whether a task asks for so much more than is possible that its unit is in doubt."""
+    return any(
+        abs(asked.value - asked.nominal) > _DOUBTFUL * abs(found.value - found.nominal)
+        for demand in demands
+        for asked, found in zip(
+            _numbers(robot, task, demand), _numbers(robot, possible, demand), strict=True
+        )
     )
 
 

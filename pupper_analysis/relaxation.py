@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.collision import Shapes
 from pupper_analysis.configuration import Configuration
-from pupper_analysis.demands import DEMANDS, differ, in_words, rounded, shrunk
+from pupper_analysis.demands import DEMANDS, differ, far_off, in_words, rounded, shrunk
 from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.goal import Goal, goal_of
 from pupper_analysis.search import search
@@ -59,6 +59,8 @@ def unreachable(
                 if stand is not None:
                     name = " and ".join(demands)
                     possible[name] = " and ".join(f"{d} {in_words(stand.task, d)}" for d in demands)
+                    if far_off(robot, goal.task, stand.task, demands):
+                        possible[name] += " (is what was asked in metres and radians?)"
                     ends[name] = {demand: getattr(stand.task, demand) for demand in demands}
             if possible:
                 break

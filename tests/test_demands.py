@@ -10,7 +10,7 @@ import pytest
 from conftest import load
 
 import pupper_analysis as pa
-from pupper_analysis.demands import DEMANDS, differ, in_words, rounded, shrunk
+from pupper_analysis.demands import DEMANDS, differ, far_off, in_words, rounded, shrunk
 
 TASK = pa.StandTask(
     height=0.15,
@@ -107,3 +107,12 @@ def test_a_com_gives_way_towards_the_middle_of_the_feet_that_carry() -> None:
     np.testing.assert_allclose(
         shrunk(robot, task, ["com"], 0.25).com, middle + 0.25 * ((0.03, 0.01) - middle)
     )
+
+
+def test_a_unit_is_doubted_where_fifty_times_too_much_is_asked() -> None:
+    robot = load("v3")
+    possible = pa.StandTask(height=0.19, roll=0.3)
+    assert far_off(robot, pa.StandTask(height=190.0), possible, ["height"])
+    assert far_off(robot, pa.StandTask(roll=20.0 / 57), possible, ["roll"]) is False
+    assert far_off(robot, pa.StandTask(height=0.4), possible, ["height"]) is False
+    assert far_off(robot, pa.StandTask(height=19.0, roll=0.4), possible, ["height", "roll"])

@@ -231,7 +231,7 @@ BAD = {
     "no such foot": (["v3", "--lift", "XX=0.02"], "no foot 'XX'; there are: FR, FL, RR, RL"),
     "two lifted": (["v3", "--lift", "FL=0.02", "--lift", "FR=0.02"], "only 2 feet carry"),
     "no height": (["v3", "--lift", "FL"], "'FL' is not of the form NAME=VALUE"),
-    "no number": (["v3", "--step", "FL=high"], "'high' in 'FL=high' is not a number"),
+    "no number": (["v3", "--step", "FL=high"], "'high' in 'FL=high' is no length"),
     "no place": (["v3", "--com", "middle"], "'middle'"),
     "one coordinate": (["v3", "--move", "FL=0.01"], "not of the form X,Y"),
     "slides": (["v3", "--slope", "0.8", "--pitch", "-0.8"], "1.030 is needed"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import click
@@ -40,6 +41,47 @@ def check_outputs(*files: Path | None, folders: tuple[Path | None, ...] = ()) ->
             raise OutputError(file, "it is a folder; give the name of a file")
 
 
+UNITS = {
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "angle": {"rad": 1.0, "deg": math.pi / 180},
+}
+"""Units that a value may end in, per kind of quantity; the first is meant without one."""
+
+
+class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """A number with or without a unit: ``5deg``, ``10cm``, ``0.1``."""
+
+    def __init__(self, kind: str) -> None:
+        self.name = kind
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Returns the number in SI units."""
+        if isinstance(value, float | int):
+            return float(value)
+        try:
+            return quantity(self.name, str(value))
+        except ValueError:
+            units = ", ".join(UNITS[self.name])
+            self.fail(f"{value!r} is no {self.name}: a number, with or without {units}", param, ctx)
+
+
+LENGTH, ANGLE = Quantity("length"), Quantity("angle")
+
+
+def quantity(kind: str, text: str) -> float:
+    """Returns a number in SI units; its unit may follow it.
+
+    Raises:
+        ValueError: If it is no number, or has another unit.
+    """
+    for unit, size in sorted(UNITS[kind].items(), key=lambda item: -len(item[0])):
+        if text.endswith(unit):
+            return float(text.removesuffix(unit)) * size
+    return float(text)
+
+
 def assignment(option: str, text: str) -> tuple[str, str]:
     """Returns name and value of NAME=VALUE, or raises ConfigurationError for the option."""
     name, separator, value = text.partition("=")
@@ -57,6 +99,16 @@ def number(option: str, text: str) -> tuple[str, float]:
         raise ConfigurationError(option, f"{value!r} in {text!r} is not a number") from error
 
 
+def length(option: str, text: str) -> tuple[str, float]:
+    """Returns name and length (m) of NAME=LENGTH, or raises ConfigurationError for the option."""
+    name, value = assignment(option, text)
+    try:
+        return name, quantity("length", value)
+    except ValueError as error:
+        problem = f"{value!r} in {text!r} is no length: a number, with or without m, cm, mm"
+        raise ConfigurationError(option, problem) from error
+
+
 def write_json(path: Path | None, content: object) -> None:
     """Writes results as JSON, if there is a file to write to."""
     from pupper_analysis.files import whole_file
@@ -70,7 +122,7 @@ def write_json(path: Path | None, content: object) -> None:
 def point(option: str, text: str, size: int = 2) -> tuple[float, ...]:
     """Returns the numbers of X,Y (or X,Y,Z), or raises ConfigurationError for the option."""
     try:
-        numbers = tuple(float(part) for part in text.split(","))
+        numbers = tuple(quantity("length", part.strip()) for part in text.split(","))
     except ValueError:
         numbers = ()
     if len(numbers) != size:

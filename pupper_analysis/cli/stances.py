@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli.shared import (
+    ANGLE,
     CONTEXT,
     FAILED,
+    LENGTH,
     assignment,
     check_outputs,
     figure_option,
     json_option,
-    number,
+    length,
     point,
     write_json,
 )
@@ -35,25 +37,21 @@ if TYPE_CHECKING:
     metavar="NAME=FRAME",
     help="... and a foot's frame. Repeatable.",
 )
-@click.option("--height", type=float, metavar="M", help="Base above the contact points (m).")
-@click.option("--roll", type=float, default=0.0, metavar="RAD", help="Roll of the base (rad).")
-@click.option("--pitch", type=float, default=0.0, metavar="RAD", help="Pitch of the base (rad).")
-@click.option("--yaw", type=float, default=0.0, metavar="RAD", help="Yaw against the feet (rad).")
+@click.option("--height", type=LENGTH, help="Base above the contact points (m).")
+@click.option("--roll", type=ANGLE, default=0.0, help="Roll of the base (rad).")
+@click.option("--pitch", type=ANGLE, default=0.0, help="Pitch of the base (rad).")
+@click.option("--yaw", type=ANGLE, default=0.0, help="Yaw against the feet (rad).")
 @click.option("--offset", metavar="X,Y", help="Base from the centre of the feet (m).")
 @click.option("--com", default="centre", metavar="X,Y", help="Com at (m), or: centre, inside.")
-@click.option("--com-margin", type=float, default=0.0, metavar="M", help="Inside the polygon (m).")
-@click.option(
-    "--joint-margin", type=float, default=0.0, metavar="RAD", help="Off the limits (rad)."
-)
-@click.option(
-    "--ground-clearance", type=float, default=0.0, metavar="M", help="All but the feet (m)."
-)
-@click.option("--self-clearance", type=float, metavar="M", help="Between links (m).")
+@click.option("--com-margin", type=LENGTH, default=0.0, help="Inside the polygon (m).")
+@click.option("--joint-margin", type=ANGLE, default=0.0, help="Off the limits (rad).")
+@click.option("--ground-clearance", type=LENGTH, default=0.0, help="All but the feet (m).")
+@click.option("--self-clearance", type=LENGTH, help="Between links (m).")
 @click.option("--move", "moves", multiple=True, metavar="FOOT=X,Y", help="Foot off its place (m).")
-@click.option("--lift", "lifts", multiple=True, metavar="FOOT=M", help="Foot lifted by (m).")
-@click.option("--step", "steps", multiple=True, metavar="FOOT=M", help="Step under a foot (m).")
-@click.option("--slope", type=float, default=0.0, metavar="RAD", help="Slope of the ground (rad).")
-@click.option("--uphill", type=float, default=0.0, metavar="RAD", help="Where it rises (rad).")
+@click.option("--lift", "lifts", multiple=True, metavar="FOOT=LENGTH", help="Foot lifted by (m).")
+@click.option("--step", "steps", multiple=True, metavar="FOOT=LENGTH", help="Step under it (m).")
+@click.option("--slope", type=ANGLE, default=0.0, help="Slope of the ground (rad).")
+@click.option("--uphill", type=ANGLE, default=0.0, help="Where it rises (rad).")
 @click.option("--kp", type=float, metavar="NM", help="Servo stiffness (N m/rad), not the model's.")
 @click.option("--kd", type=float, metavar="NMS", help="Servo damping (N m s/rad), likewise.")
 @click.option(
@@ -112,6 +110,8 @@ def stand(
     NAME is a variant (v3 by default). A robot of your own is a URDF, an MJCF, and the frames at the
     centres of its feet, which both files name; if it has no position servos, give --kp and --kd.
 
+    Lengths are in m and angles in rad, or have a unit: 20mm, 2cm, 5deg.
+
     A stance that is out of reach is refused with what would be possible. One that is reached but
     cannot be held (it slides or tips) is told apart. What is simulated is the stance with its legs
     longer by what the feet sink into MuJoCo's soft ground.
@@ -119,7 +119,7 @@ def stand(
     \b
     Examples:
       pupper-analysis stand v3 --lift FL=0.02 --com inside --com-margin 0.01 --path 4 --csv lift.csv
-      pupper-analysis stand long-leg --slope 0.1 --uphill 1.57 --pitch 0.05
+      pupper-analysis stand long-leg --slope 5deg --uphill 90deg --pitch 0.05
       pupper-analysis stand v3 --step FR=0.02 --move RL=-0.01,0.02 --envelope --figure s.png
       pupper-analysis stand v3-heavy --best payload --payload-at 0,0,0.08
       pupper-analysis stand --urdf go1.urdf --mjcf go1.xml --foot FR=FR_foot --foot FL=FL_foot \\
@@ -145,8 +145,8 @@ def stand(
         ground_clearance=ground_clearance,
         self_clearance=self_clearance,
         foot_offsets={f: _place("move", p) for f, p in (assignment("move", m) for m in moves)},
-        lifted=dict(number("lift", text) for text in lifts),
-        ground=Ground(slope, uphill, dict(number("step", text) for text in steps)),
+        lifted=dict(length("lift", text) for text in lifts),
+        ground=Ground(slope, uphill, dict(length("step", text) for text in steps)),
     )
     if seconds is None and not (csv is None and npz is None):
         raise ConfigurationError("--csv, --npz", "there is no path to write; give --path too")
@@ -209,7 +209,7 @@ def _robot(name: str | None, urdf: Path | None, mjcf: Path | None, feet: tuple[s
 @click.option(
     "--resolution", default=0.02, show_default=True, metavar="NS", help="Of the impulses (N s)."
 )
-@click.option("--height", type=float, metavar="M", help="Base above the ground (m).")
+@click.option("--height", type=LENGTH, help="Base above the ground (m).")
 @figure_option
 @json_option
 def push(

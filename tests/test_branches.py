@@ -1,0 +1,93 @@
+"""The ways to bend the legs, against random starts of another method."""
+
+from __future__ import annotations
+
+import itertools
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import load, mujoco_at
+from scipy import optimize
+
+import pupper_analysis as pa
+from pupper_analysis.branches import Branch, branches, combinations, limbs
+
+QPOS = {
+    name: np.array([0.0, 0.0, height, 1.0, 0.05, -0.1, 0.1, *np.zeros(12)])
+    for name, height in (("v3", 0.13), ("original", 0.16))
+}
+
+
+def goals(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndarray]]:
+    """Feet at places that random joint positions take them to, so that all are in reach."""
+    robot = load(name)
+    qpos = QPOS[name].copy()
+    qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    bent = qpos.copy()
+    random = np.random.default_rng(seed)
+    bent[7:] = random.uniform(robot.lower_limits, robot.upper_limits)
+    return robot, qpos, pa.Configuration(robot, bent).foot_positions()
+
+
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_a_limb_is_a_leg(name: str) -> None:
+    robot = load(name)
+    found = limbs(robot)
+    assert [limb.feet for limb in found] == [(foot,) for foot in robot.feet]
+    assert sorted(np.concatenate([limb.joints for limb in found])) == list(range(12))
+
+
+def places_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
+    data = mujoco_at(robot, qpos)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    return {
+        foot: data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+        for foot, (body, place) in robot.foot_places.items()
+    }
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_branches_reach_by_mujocos_kinematics_and_are_as_many_as_others_find(
+    name: str, seed: int
+) -> None:
+    robot, qpos, targets = goals(name, seed)
+    found = branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
+    for limb, ways in found.items():
+        (foot,) = limb.feet
+        reached = [way for way in ways if way.miss < 1e-5]
+        assert reached, "it is in reach"
+        for way in ways:
+            bent = qpos.copy()
+            bent[7 + limb.joints] = way.positions
+            miss = np.linalg.norm(places_by_mujoco(robot, bent)[foot] - targets[foot])
+            assert miss == pytest.approx(way.miss, abs=1e-9)
+        low, high = robot.lower_limits[limb.joints], robot.upper_limits[limb.joints]
+        random = np.random.default_rng(100 + seed)
+        for _ in range(12):
+
+            def off(joints: np.ndarray, limb: object = limb, foot: str = foot) -> np.ndarray:
+                bent = qpos.copy()
+                bent[7 + limb.joints] = joints  # type: ignore[attr-defined]
+                return np.asarray(places_by_mujoco(robot, bent)[foot] - targets[foot])
+
+            other = optimize.least_squares(off, random.uniform(low, high), bounds=(low, high))
+            if np.abs(other.fun).max() < 1e-8:
+                assert min(np.abs(way.positions - other.x).max() for way in reached) < 0.05
+
+
+def test_combinations_begin_with_what_is_in_reach_and_near() -> None:
+    robot = load("v3")
+    first, second, *rest = limbs(robot)
+    near = np.zeros(12)
+    found = {
+        first: (Branch(np.full(3, 1.0), 0.0), Branch(np.full(3, 0.1), 0.0)),
+        second: (Branch(np.full(3, 0.2), 0.0), Branch(np.full(3, 0.0), 0.01)),
+        **{limb: (Branch(np.zeros(3), 0.0),) for limb in rest},
+    }
+    chosen = list(combinations(found, near))
+    assert len(chosen) == 4
+    pairs = [(row[first.joints[0]], row[second.joints[0]]) for row in chosen]
+    assert pairs == [(0.1, 0.2), (1.0, 0.2), (0.1, 0.0), (1.0, 0.0)]
+    assert len({row.tobytes() for row in chosen}) == len(list(itertools.chain(chosen)))
