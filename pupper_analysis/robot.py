@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -51,6 +52,8 @@ class Robot:
         home: (nq,) the MJCF's keyframe ``home`` (or its first, or its zero configuration).
         stand_height: Height of the base above the ground in the nominal stand (m).
         imu: The frame that carries gyro and accelerometer, if there is one.
+        fingerprint: The name, and a hash of all that a stand depends on: joints, limits, masses and
+            feet. Robots with the same hash have the same stands.
         notes: What was assumed or added on loading, in plain words.
     """
 
@@ -73,6 +76,7 @@ class Robot:
     imu: str | None
     pin_convention: PinocchioConvention
     mj_convention: MujocoConvention
+    fingerprint: str
     notes: tuple[str, ...] = field(default=())
 
     @property
@@ -278,8 +282,31 @@ def build_robot(
         imu=_imu(mj_model, pin_model),
         pin_convention=pin_convention,
         mj_convention=mj_convention,
+        fingerprint=f"{description.name} {_hash(pin_model, joint_names, foot_frames, radius)}",
         notes=tuple(notes),
     )
+
+
+def _hash(
+    model: pin.Model,
+    joint_names: Sequence[str],
+    foot_frames: Mapping[str, str],
+    foot_radius: Mapping[str, float],
+) -> str:
+    """Returns a hash of what a stand depends on."""
+    parts = [repr((joint_names, sorted(foot_frames.items()), sorted(foot_radius.items()))).encode()]
+    data = model.createData()
+    for angle in (0.0, 0.3):  # rad: where the joints are, and how they turn
+        pin.framesForwardKinematics(
+            model, data, pin.integrate(model, pin.neutral(model), np.full(model.nv, angle))
+        )
+        frames = [model.getFrameId(frame, pin.FrameType.BODY) for frame in foot_frames.values()]
+        for placement in (*data.oMi, *(data.oMf[frame] for frame in frames)):
+            # To a nanometre: processors differ in the last digit. 0.0: -0.0 is the same number.
+            parts.append((np.round(placement.homogeneous, 9) + 0.0).tobytes())
+    parts += [inertia.toDynamicParameters().tobytes() for inertia in model.inertias]
+    parts += [model.lowerPositionLimit.tobytes(), model.upperPositionLimit.tobytes()]
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
 
 
 def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:

@@ -455,8 +455,7 @@ def check_stand(robot: Robot, stand: Stand, duration: float) -> None:
     """
     if not robot.floating:
         raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
-    if stand.qpos.shape != (robot.nq,):
-        raise ConfigurationError("stand", f"it is not a stand of {robot.name}")
+    stand.check(robot)
     if not math.isfinite(duration) or not 2.0 <= duration <= 600.0:
         raise ConfigurationError("duration", f"{duration} s is not between 2 and 600 s")
 

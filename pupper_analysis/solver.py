@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.collision import Clearance, Shapes
 from pupper_analysis.configuration import UP, Configuration
+from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.goal import Goal
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
@@ -56,6 +57,7 @@ class Stand(Result):
         self_clearance: The least distance between links that are not neighbours; None if it was
             not asked for.
         iterations: Quadratic programmes solved.
+        robot: Whose stand it is: the ``fingerprint`` of the robot.
     """
 
     task: StandTask
@@ -72,6 +74,7 @@ class Stand(Result):
     ground_clearance: Clearance | None
     self_clearance: Clearance | None
     iterations: int
+    robot: str
 
     @property
     def blocked(self) -> tuple[str, ...]:
@@ -89,6 +92,18 @@ class Stand(Result):
     def solved(self) -> bool:
         """Whether the feet are where they shall be, and nothing is in the way."""
         return self.foot_error < TASK_TOLERANCE and not self.blocked
+
+    def check(self, robot: Robot) -> None:
+        """Checks that it is a robot's stand.
+
+        Raises:
+            ConfigurationError: If it is another robot's.
+        """
+        if self.robot.rpartition(" ")[2] != robot.fingerprint.rpartition(" ")[2]:
+            whose = self.robot.rpartition(" ")[0]
+            raise ConfigurationError(
+                "stand", f"it is a stand of {whose}, as that was loaded; solve it for {robot.name}"
+            )
 
     def joint_positions(self, robot: Robot) -> Array:
         """Returns the joints' part (nu,) of ``qpos`` (rad)."""
@@ -262,4 +277,5 @@ def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
             None if goal.task.self_clearance is None else shapes.between_links(config.qpos)
         ),
         iterations=iterations,
+        robot=shapes.robot.fingerprint,
     )

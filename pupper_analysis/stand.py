@@ -77,8 +77,10 @@ def stand_statics(
         sharing: Which of the feasible contact forces: by default ``EVEN``, those that last.
 
     Raises:
+        ConfigurationError: If the stand is another robot's, or ``sharing`` is unknown.
         StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.
     """
+    stand.check(robot)
     return gravity_compensation(
         Configuration(robot, stand.qpos),
         stand.carrying,

@@ -285,3 +285,26 @@ def test_two_demands_that_are_each_too_much() -> None:
     assert list(caught.value.possible) == ["roll and pitch"]
     assert set(caught.value.limits["roll and pitch"]) == {"roll", "pitch"}
     assert pa.solve_stand(robot, replace(task, **caught.value.limits["roll and pitch"])).solved
+
+
+@pytest.mark.parametrize("other", ["original", "v3-heavy"])
+def test_a_stand_knows_whose_it_is(other: str) -> None:
+    """Also where the other robot has as many joints, or even the same legs."""
+    stand, robot = stand_of("v3"), load(other)
+    for use in (
+        pa.stand_statics,
+        pa.payload_limit,
+        pa.verify_stand,
+        pa.sweep_gains,
+        pa.settled_pose,
+        pa.least_kp,
+        pa.push_recovery,
+    ):
+        with pytest.raises(pa.ConfigurationError, match=f"a stand of v3.*solve it for {other}"):
+            use(robot, stand)
+
+
+def test_the_same_robot_loaded_again_takes_its_stands() -> None:
+    robot = pa.load_variant("v3")
+    assert robot.fingerprint == load("v3").fingerprint
+    assert pa.stand_statics(robot, stand_of("v3")).joint_torques.shape == (12,)
