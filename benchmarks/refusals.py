@@ -27,7 +27,8 @@ NEAR = 5e-3
 """A refused stance whose feet miss by less is within reach's edge (m)."""
 
 BEYOND = 1.02
-REACHED = 1e-6
+REACHED = 1e-8
+"""A stance to which a search comes as near is in reach (m); it ends at 1e-9 where it can."""
 
 
 @dataclass

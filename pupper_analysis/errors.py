@@ -102,7 +102,8 @@ class StanceUnreachableError(PupperAnalysisError):
         self.at_limit = dict(at_limit)
         self.possible = dict(possible or {})
         self.nearest = nearest
-        feet = ", ".join(f"{foot} by {1e3 * gap:.1f} mm" for foot, gap in self.shortfall.items())
+        missing = {foot: gap for foot, gap in self.shortfall.items() if gap > 0}
+        feet = ", ".join(f"{foot} by {_short(1e3 * gap)} mm" for foot, gap in missing.items())
         missed = [f"the feet miss their targets: {feet}"] if feet else []
         text = f"stance out of reach ({task}): {'; '.join((*missed, *self.blocked))}"
         if self.at_limit:
@@ -115,6 +116,11 @@ class StanceUnreachableError(PupperAnalysisError):
         else:
             text += ". Try another height, or less roll, pitch or yaw"
         super().__init__(f"{text}.")
+
+
+def _short(value: float) -> str:
+    """Returns a number with one decimal; a smaller one with one digit, as it is not zero."""
+    return f"{value:.1f}" if value >= 0.05 else f"{value:.0e}"
 
 
 class Infeasibility(StrEnum):
