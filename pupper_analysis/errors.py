@@ -175,3 +175,20 @@ class NoEquilibriumError(PupperAnalysisError):
     def __init__(self, share: float, problem: str) -> None:
         self.share = share
         super().__init__(f"no equilibrium: {problem}")
+
+
+class NoStiffnessError(PupperAnalysisError):
+    """Servos of no stiffness carry a robot in its stand without feed-forward.
+
+    Attributes:
+        kp: The stiffest servos that were tried (N m/rad).
+        problem: Why it does not stand so with these.
+    """
+
+    def __init__(self, robot: str, kp: float, problem: str) -> None:
+        self.kp = kp
+        self.problem = problem
+        super().__init__(
+            f"{robot} does not stand so without feed-forward with any kp: with {kp:.3g} N m/rad "
+            f"{problem}"
+        )
