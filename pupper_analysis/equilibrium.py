@@ -27,11 +27,12 @@ RESIDUAL_TOLERANCE = 1e-10
 TOUCHING = 1e-9
 """A foot this deep in the ground, or less, does not touch it yet (m): 1e-6 N on soft ground."""
 
-_MAX_ITERATIONS = 15
+_MAX_ITERATIONS = 25
 _TRUST = 0.5  # rad, m: a longer Newton step has left the branch
 _STEP = 1e-6  # rad, m: of the numeric derivatives
 _WEAK = 1e-3  # N/m: holds a sliding robot in its place as creep does, with 1e-5 N
 _HEIGHT_TOLERANCE = 1e-8  # m: by less than this the base is at the end of friction's range
+_RHO = 1e3  # N/m: weighs slip against force in telling which way a foot slips; any would do
 _MAX_ROUNDS = 40  # of friction and pose, each by the other; 4 to 8 do
 
 
@@ -73,8 +74,10 @@ class Equilibrium:
         g(q) - S^T (tau + t) - sum (J_i^T f_i + W_i^T m_i) = 0,  depth_i(q) = depth of f_i
 
     for the feet in ``anchors``, J_i and W_i being the Jacobians of the material point at the
-    contact and of the foot's rotation; and per foot either no slip of that point, but for what
-    creeps, or no tangential force.
+    contact and of the foot's rotation. Pinned, that point has not slipped, but for what it crept,
+    as long as |f_t| <= mu f_n; else it has slipped by s, and f_t = -mu f_n s / |s|. Both in one:
+    f_t is f_t - rho s, for any rho > 0, cut to the length mu f_n (Alart and Curnier 1991).
+    Sliding, f_t = 0.
 
     t and m are dry friction. With ``lift`` 0 there is none. With +-1 it is the one with which the
     base comes to rest highest or lowest: with D the derivative of the equations and
@@ -162,8 +165,10 @@ class Equilibrium:
         if self.feet == "sliding":
             places[:, :2] = forces[:, :2] + _WEAK * places[:, :2]
         else:
-            places[:, :2] += self._yields()[:, None] * forces[:, :2]
-            places[:, :2] -= [self.crept.get(foot, np.zeros(2)) for foot in self.anchors]
+            places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
+            for row, mu, tried in self._slipping(forces, places):
+                along = tried / np.linalg.norm(tried)
+                places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
         places[:, 2] -= self.sunk(forces)
         return np.concatenate([balance, places.ravel()])
 
@@ -179,18 +184,51 @@ class Equilibrium:
             by_qpos[n:, column] = (ahead[1] - behind[1]).ravel() / (2 * _STEP)
         if self.feet == "sliding":
             by_qpos[n:].reshape(-1, 3, n)[:, :2] *= _WEAK
-        *_, jacobian = self.terms(qpos, forces)
-        by_force = np.zeros((len(forces), 3))
-        by_force[:, :2] = 1.0 if self.feet == "sliding" else self._yields()[:, None]
+        _, places, jacobian = self.terms(qpos, forces)
+        diagonal = np.zeros((len(forces), 3))
+        diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._yields()[:, None]
         laws = self.laws
-        by_force[:, 2] = [
+        diagonal[:, 2] = [
             -1 / laws[foot].rate(depth)
             for foot, depth in zip(self.anchors, self.sunk(forces), strict=True)
         ]
-        return np.hstack([by_qpos, np.vstack([-jacobian.T, np.diag(by_force.ravel())])])
+        by_force = np.diag(diagonal.ravel())
+        if self.feet == "pinned":
+            places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
+        for row, mu, tried in self._slipping(forces, places):
+            length = float(np.linalg.norm(tried))
+            along, tangents = tried / length, slice(3 * row, 3 * row + 2)
+            turn = mu * forces[row, 2] / length * (np.eye(2) - np.outer(along, along))
+            by_qpos[n:][tangents] = _RHO * turn @ by_qpos[n:][tangents]
+            kept = 1 - _RHO * diagonal[row, 0]
+            by_force[tangents, tangents] = np.eye(2) - kept * turn
+            by_force[tangents, 3 * row + 2] = -mu * along
+        return np.hstack([by_qpos, np.vstack([-jacobian.T, by_force])])
 
     def _yields(self) -> Array:
         return np.array([self.yielding.get(foot, 0.0) for foot in self.anchors])
+
+    def _begun(self) -> Array:
+        """Returns the slips (n, 2) from which the feet that touch stick, or slip on (m)."""
+        begun = [self.crept.get(foot, np.zeros(2)) for foot in self.anchors]
+        return np.array(begun).reshape(-1, 2)
+
+    def _slipping(self, forces: Array, places: Array) -> list[tuple[int, float, Array]]:
+        """Returns number, mu and f_t - rho s (2,) of the pinned feet that slip.
+
+        Args:
+            forces: (n, 3).
+            places: (n, 3) with s in its first two columns.
+        """
+        if self.feet == "sliding":
+            return []
+        found = []
+        for row, (foot, force, place) in enumerate(zip(self.anchors, forces, places, strict=True)):
+            mu, tried = self.friction.sliding[foot], force[:2] - _RHO * place[:2]
+            # A foot that pulls is let go of, and does not slip before.
+            if 0 < mu * force[2] < np.linalg.norm(tried):
+                found.append((row, mu, tried))
+        return found
 
     # ---------------------------------------------------------------------------------- solving
 
@@ -211,8 +249,7 @@ class Equilibrium:
 
     def _rub(self, solution: Solution) -> bool:
         """Sets friction to what lifts the base most, or least; returns False where that fails."""
-        forces = np.array([solution.forces[foot] for foot in self.anchors]).reshape(-1, 3)
-        derivative = self.derivative(solution.qpos, forces)
+        derivative = self.derivative(solution.qpos, self._stacked(solution))
         height = np.zeros(len(derivative))
         height[2] = self.lift
         try:
@@ -226,9 +263,13 @@ class Equilibrium:
             self.moments[foot] = self.friction.moment(foot, force, turns @ effect)
         return True
 
+    def _stacked(self, solution: Solution) -> Array:
+        """Returns the forces (n, 3) on the feet that touch."""
+        return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
+
     def _newton(self, guess: Solution) -> Solution | None:
         qpos, n = guess.qpos, self.robot.nv
-        forces = np.array([guess.force(foot) for foot in self.anchors]).reshape(-1, 3)
+        forces = self._stacked(guess)
         residuals: list[float] = []
         for _ in range(_MAX_ITERATIONS):
             residual = self.residual(qpos, forces)
@@ -288,10 +329,17 @@ class Equilibrium:
             kept.pop(foot, None)
         return Solution(solution.qpos, forces, solution.residuals)
 
+    def slipping(self, solution: Solution) -> tuple[str, ...]:
+        """Returns the pinned feet that slip."""
+        forces = self._stacked(solution)
+        _, places, _ = self.terms(solution.qpos, forces)
+        places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
+        names = tuple(self.anchors)
+        return tuple(names[row] for row, *_ in self._slipping(forces, places))
+
     def begin_creep(self, solution: Solution, seconds: float) -> None:
         """Begins a step of creep, with the viscosities of where it begins."""
-        forces = np.array(list(solution.forces.values()))
-        _, places, _ = self.terms(solution.qpos, forces)
+        _, places, _ = self.terms(solution.qpos, self._stacked(solution))
         self.crept = dict(zip(self.anchors, places[:, :2], strict=True))
         self.yielding = {
             foot: seconds / self.viscosity(foot, depth)
@@ -315,14 +363,20 @@ class Equilibrium:
     def stiffness(self, solution: Solution, derivative: Array) -> float:
         """Returns the least eigenvalue of the Hessian where the feet allow it to move."""
         config, n = Configuration(self.robot, solution.qpos), self.robot.nv
-        forces = np.array(list(solution.forces.values())).reshape(-1, 3)
-        _, places, jacobian = self.terms(solution.qpos, forces)
+        _, places, jacobian = self.terms(solution.qpos, self._stacked(solution))
         normal = jacobian[2::3]
         rates = np.array(
             [self.laws[f].rate(d) for f, d in zip(self.anchors, places[:, 2], strict=True)]
         )
-        hessian = derivative[:n, :n] + normal.T @ (rates[:, None] * normal)
-        held = np.delete(jacobian, np.s_[2::3], axis=0)
+        pushed = normal.copy()  # where a foot's normal force acts, with the friction it brings
+        slipping = self.slipping(solution)
+        for row, foot in enumerate(self.anchors):
+            if foot in slipping:
+                force = solution.forces[foot]
+                pushed[row] += force[:2] / force[2] @ jacobian[3 * row : 3 * row + 2]
+        hessian = derivative[:n, :n] + pushed.T @ (rates[:, None] * normal)
+        sticks = [row for row, foot in enumerate(self.anchors) if foot not in slipping]
+        held = jacobian.reshape(-1, 3, n)[sticks, :2].reshape(-1, n)
         if self.feet == "sliding":  # as a whole it may be anywhere, turned anyhow about z
             held = np.eye(3, n)
             held[2] = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])

@@ -396,18 +396,17 @@ def _result(
         stiffness=stiffness,
         stable=stiffness > 0,
         release_margin=margin,
-        failures=_failures(robot, stand, solution, stiffness),
+        failures=_failures(system, solution, stiffness),
     )
 
 
-def _failures(
-    robot: Robot, stand: Stand, solution: Solution, stiffness: float
-) -> tuple[str, ...]:
+def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tuple[str, ...]:
+    robot, stand, slipping = system.robot, system.stand, system.slipping(solution)
     failures = [] if stiffness > 0 else [f"the equilibrium is not stable ({stiffness:.3g} 1/s^2)"]
     for foot, force in solution.forces.items():
         if foot not in stand.carrying:
             failures.append(f"foot {foot}, lifted, touches the ground, with {force[2]:.2f} N")
-        if np.linalg.norm(force[:2]) > robot.contacts[foot].sliding_friction * force[2]:
+        elif foot in slipping:
             failures.append(f"foot {foot} slides")
     idle = [foot for foot in stand.carrying if foot not in solution.forces]
     failures += [f"foot {foot} carries nothing" for foot in idle]
