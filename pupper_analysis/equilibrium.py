@@ -80,7 +80,7 @@ class Equilibrium:
     Sliding, f_t = 0.
 
     t and m are dry friction. With ``lift`` 0 there is none. With +-1 it is the one with which the
-    base comes to rest highest or lowest: with D the derivative of the equations and
+    base comes to rest highest or lowest (with a share of it, of that share of friction): with D the derivative of the equations and
     lambda = D^-T dz/dx, a joint's torque changes the height z by lambda at that joint, a foot's
     moment by W lambda, and each is at the end of its range in that direction (the conditions of
     Karush, Kuhn and Tucker for the extremum of z over all friction).
@@ -92,7 +92,7 @@ class Equilibrium:
         stand: Stand,
         kp: ArrayLike | None,
         feet: Feet,
-        lift: int = 0,
+        lift: float = 0.0,
     ) -> None:
         drive = servos(robot, kp, None if kp is None else 0.0)
         actuators = robot.mj_convention.actuator_index
@@ -237,30 +237,39 @@ class Equilibrium:
         found = self._newton(guess)
         if not self.lift:
             return found
-        height = math.inf
+        height, change, share = math.inf, math.inf, 1.0
         for _ in range(_MAX_ROUNDS):
-            if found is None or abs(found.qpos[2] - height) < _HEIGHT_TOLERANCE:
+            if found is None:
+                return None
+            last, change = change, abs(float(found.qpos[2]) - height)
+            if change < _HEIGHT_TOLERANCE:
                 return found
+            if change > last / 2:  # to and fro between two ways to rub: half way is between them
+                share /= 2
             height = float(found.qpos[2])
-            if not self._rub(found):
+            if not self._rub(found, share):
                 return None
             found = self._newton(found)
         return None
 
-    def _rub(self, solution: Solution) -> bool:
-        """Sets friction to what lifts the base most, or least; returns False where that fails."""
+    def _rub(self, solution: Solution, share: float) -> bool:
+        """Moves friction, by a share, to what lifts the base most, or least; tells if it can."""
         derivative = self.derivative(solution.qpos, self._stacked(solution))
         height = np.zeros(len(derivative))
-        height[2] = self.lift
+        height[2] = np.sign(self.lift)
         try:
             effect = np.linalg.solve(derivative.T, height)[: self.robot.nv]
         except np.linalg.LinAlgError:
             return False
         config = Configuration(self.robot, solution.qpos)
-        self.joint_friction = self.friction.torques(effect[6:])
+        size = abs(self.lift)
+        joints = size * self.friction.torques(effect[6:])
+        self.joint_friction = (1 - share) * self.joint_friction + share * joints
         for foot, force in solution.forces.items():
             turns = self.frame @ config.frame_jacobian(self.robot.foot_frames[foot])[3:]
-            self.moments[foot] = self.friction.moment(foot, force, turns @ effect)
+            moment = size * self.friction.moment(foot, force, turns @ effect)
+            before = self.moments.get(foot, np.zeros(3))
+            self.moments[foot] = (1 - share) * before + share * moment
         return True
 
     def _stacked(self, solution: Solution) -> Array:
@@ -360,10 +369,12 @@ class Equilibrium:
         ]
         return float(min(left) / (self.robot.total_mass * np.linalg.norm(self.robot.gravity)))
 
-    def stiffness(self, solution: Solution, derivative: Array) -> float:
+    def stiffness(self, solution: Solution) -> float:
         """Returns the least eigenvalue of the Hessian where the feet allow it to move."""
         config, n = Configuration(self.robot, solution.qpos), self.robot.nv
-        _, places, jacobian = self.terms(solution.qpos, self._stacked(solution))
+        forces = self._stacked(solution)
+        derivative = self.derivative(solution.qpos, forces)
+        _, places, jacobian = self.terms(solution.qpos, forces)
         normal = jacobian[2::3]
         rates = np.array(
             [self.laws[f].rate(d) for f, d in zip(self.anchors, places[:, 2], strict=True)]

@@ -169,10 +169,11 @@ class NoEquilibriumError(PupperAnalysisError):
     """A servo-driven robot has no equilibrium near its stand.
 
     Attributes:
-        share: Of the feed-forward, how much could be taken away before the equilibrium ended.
+        share: Of the feed-forward, how much could be taken away before the equilibrium ended; None
+            where that is not how it was looked for.
     """
 
-    def __init__(self, share: float, problem: str) -> None:
+    def __init__(self, share: float | None, problem: str) -> None:
         self.share = share
         super().__init__(f"no equilibrium: {problem}")
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import optimize
 
 from pupper_analysis import contact
 from pupper_analysis.configuration import Configuration
@@ -17,8 +16,8 @@ from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoSti
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot, on_ground
 from pupper_analysis.simulation import drop_at
-from pupper_analysis.stand import Stand, stand_statics
-from pupper_analysis.statics import GravityCompensation, LoadSharing
+from pupper_analysis.stand import Stand
+from pupper_analysis.way import Way
 
 Array = NDArray[np.float64]
 
@@ -28,10 +27,6 @@ RELEASE_MARGIN = 0.06
 HIGHEST_KP = 1e4
 """The stiffest servos that ``least_kp`` tries (N m/rad): 2000 times v3's."""
 
-_LEAST_STEP = 1 / 64  # of the feed-forward, taken away at once
-_SHARE_TOLERANCE = 1e-7  # of the feed-forward: when a foot touches or lets go, to nanometres
-_MAX_EVENTS = 24  # feet that touch or let go on the way: more is chatter
-_CREEP_STEPS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,12 +129,19 @@ def settled_pose(
         StaticsInfeasibleError: If no contact forces balance the stand itself.
         NoEquilibriumError: If there is no equilibrium that continues the stand.
     """
-    _check(robot, stand, feet, seconds)
+    check_request(robot, stand, feet, seconds)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    return settle(Equilibrium(robot, stand, kp, feet), feedforward=feedforward, seconds=seconds)
+    way = Way(Equilibrium(robot, stand, kp, feet))
+    return settle(way, feedforward=feedforward, seconds=seconds)
 
 
-def _check(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
+def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
+    """Checks what a prediction is asked for.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the robot cannot stand.
+        UnknownNameError: If the stand is another robot's, with other feet.
+    """
     if not robot.floating or not robot.contacts or stand.qpos.shape != (robot.nq,):
         raise ConfigurationError("robot", f"{robot.name} cannot stand on its feet like that")
     for foot in stand.foot_targets:
@@ -157,154 +159,32 @@ def _check(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
         )
 
 
-def settle(system: Equilibrium, *, feedforward: bool, seconds: float = 0.0) -> SettledPose:
-    """Follows an equilibrium from the stand to where it ends; see ``settled_pose``.
+def settle(way: Way, *, feedforward: bool, seconds: float = 0.0) -> SettledPose:
+    """Goes a way to its end; see ``settled_pose``.
 
     Args:
-        system: The equations. On return they are those of the end.
+        way: The way, at its beginning.
         feedforward: Keep the feed-forward.
         seconds: How long pinned feet creep then (s).
 
     Raises:
-        StaticsInfeasibleError: If no contact forces balance the stand itself.
         NoEquilibriumError: If there is no equilibrium that continues the stand.
     """
-    way = _Way(system)
-    held = {foot: system.frame @ force for foot, force in way.balance.contact_forces.items()}
     way.follow(0.0 if feedforward else 1.0)
-    ends = {
+    margin = release_margin(way)
+    if seconds:
+        way.creep(seconds)
+    return pose_at(way, margin)
+
+
+def release_margin(way: Way) -> float:
+    """Returns the ``release_margin`` of a ``SettledPose`` at the end of a way."""
+    held = {f: way.system.frame @ force for f, force in way.balance.contact_forces.items()}
+    overshot = {
         foot: 2 * way.solution.force(foot) - held.get(foot, np.zeros(3))
         for foot in {*held, *way.solution.forces}
     }
-    margin = system.friction_left(ends)
-    if seconds:
-        way.creep(seconds)
-    return _result(system, way.solution, way.iterations, margin)
-
-
-class _Way:
-    """The way of an equilibrium from the stand: feed-forward is taken away, then the feet creep.
-
-    Attributes:
-        system: The equations; their feet touch as they do where the way has come to.
-        balance: What holds the stand itself.
-        share: Of the feed-forward, how much is taken away.
-        solution: The equilibrium there.
-        iterations: Newton steps so far.
-    """
-
-    def __init__(self, system: Equilibrium) -> None:
-        self.system, stand = system, system.stand
-        self.balance: GravityCompensation = stand_statics(
-            system.robot, stand, sharing=LoadSharing.EVEN
-        )
-        self.share, self.iterations, self._events = 0.0, 0, 0
-        forces = {f: system.frame @ force for f, force in self.balance.contact_forces.items()}
-        sunk = system.sunk(np.array(list(forces.values())))
-        qpos = stand.qpos.copy()
-        qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
-        self._command(0.0)
-        self.solution = self._settled(Solution(qpos, forces), "as it stands, with feed-forward,")
-
-    def follow(self, goal: float) -> None:
-        """Takes away the share ``goal`` of the feed-forward, in one step or in smaller ones.
-
-        Raises:
-            NoEquilibriumError: If the equilibrium ends before.
-        """
-        step = 1.0
-        while self.share < goal:
-            wanted = min(self.share + step, goal)
-            found = self._at(wanted)
-            if found is not None:
-                wrong = self.system.against(found)
-                if not wrong:
-                    self.share, self.solution = wanted, found
-                    continue
-                if self._event(list(wrong), wanted):
-                    continue
-            step /= 2
-            if step < _LEAST_STEP:
-                raise NoEquilibriumError(
-                    self.share,
-                    f"with {self.system.feet} feet and kp = {self.system.kp.min():.3g} N m/rad it "
-                    f"ends where {self.share:.0%} of the feed-forward is taken away",
-                )
-
-    def creep(self, seconds: float) -> None:
-        """Lets pinned feet creep.
-
-        Raises:
-            NoEquilibriumError: If the equilibrium ends before.
-        """
-        for number in range(_CREEP_STEPS):
-            self.system.begin_creep(self.solution, seconds / _CREEP_STEPS)
-            after = f"after {number * seconds / _CREEP_STEPS:.1f} s of creep"
-            self.solution = self._settled(self.solution, after)
-
-    def _command(self, share: float) -> None:
-        system = self.system
-        feedforward = self.balance.joint_torques / system.kp
-        system.target = system.stand.qpos[7:] + (1 - share) * feedforward
-
-    def _at(self, share: float) -> Solution | None:
-        """Returns the equilibrium at a share, the feet touching as they do; None if none."""
-        self._command(share)
-        found = self.system.solve(self.solution)
-        self.iterations += 0 if found is None else len(found.residuals) - 1
-        return found
-
-    def _event(self, feet: list[str], wanted: float) -> bool:
-        """Goes on to where, before ``wanted``, the first of some feet touches or lets go.
-
-        Returns:
-            Whether that place was found.
-        """
-
-        def amount(share: float, foot: str) -> float:
-            found = self._at(share)
-            if found is None:
-                raise ArithmeticError
-            return self.system.wrong(foot, found)
-
-        first, place = "", math.inf
-        for foot in feet:
-            try:
-                if amount(self.share, foot) >= 0:  # it just touched, and would let go at once
-                    share = self.share
-                else:
-                    share = optimize.brentq(
-                        amount, self.share, wanted, (foot,), xtol=_SHARE_TOLERANCE
-                    )
-            except ArithmeticError:
-                return False
-            if share < place:
-                first, place = foot, share
-        found = self._at(place)
-        if found is None:
-            return False
-        self.share = place
-        self._switch(first, found)
-        return True
-
-    def _switch(self, foot: str, found: Solution) -> None:
-        self._events += 1
-        if self._events > _MAX_EVENTS:
-            raise NoEquilibriumError(self.share, f"foot {foot} neither carries nor clears the ground")
-        self.solution = self.system.switch(foot, found)
-
-    def _settled(self, guess: Solution, when: str) -> Solution:
-        """Returns the equilibrium with the feet that touch in it, beginning with those that do."""
-        self.solution = guess
-        while True:
-            found = self.system.solve(self.solution)
-            if found is None:
-                raise NoEquilibriumError(self.share, f"{when} it ends")
-            self.iterations += len(found.residuals) - 1
-            wrong = self.system.against(found)
-            if not wrong:
-                return found
-            self._switch(next(iter(wrong)), found)
+    return way.system.friction_left(overshot)
 
 
 def least_kp(
@@ -354,14 +234,13 @@ def least_kp(
     return high
 
 
-def _result(
-    system: Equilibrium, solution: Solution, iterations: int, margin: float
-) -> SettledPose:
-    """Looks at a solution from all sides."""
+def pose_at(way: Way, margin: float) -> SettledPose:
+    """Looks at where a way has come to, from all sides; ``margin`` is its release margin."""
+    system, solution = way.system, way.solution
     robot, stand, qpos = system.robot, system.stand, solution.qpos
     forces = np.array(list(solution.forces.values())).reshape(-1, 3)
     derivative = system.derivative(qpos, forces)
-    stiffness = system.stiffness(solution, derivative)
+    stiffness = system.stiffness(solution)
     depths = system.depths(Configuration(robot, qpos))
     creep, flow = np.zeros((len(forces), 2)), np.zeros(len(derivative))
     if system.feet == "pinned":
@@ -390,7 +269,7 @@ def _result(
             zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)
         ),
         height_drift=float(np.linalg.solve(derivative, flow)[2]),
-        iterations=iterations,
+        iterations=way.iterations,
         residual=solution.residuals[-1],
         residuals=solution.residuals,
         stiffness=stiffness,
