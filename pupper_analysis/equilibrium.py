@@ -225,8 +225,9 @@ class Equilibrium:
         found = []
         for row, (foot, force, place) in enumerate(zip(self.anchors, forces, places, strict=True)):
             mu, tried = self.friction.sliding[foot], force[:2] - _RHO * place[:2]
-            # A foot that pulls is let go of, and does not slip before.
-            if 0 < mu * force[2] < np.linalg.norm(tried):
+            # Without friction where it pulls: so nothing jumps when it is let go of there.
+            mu = mu if force[2] > 0 else 0.0
+            if np.linalg.norm(tried) > mu * force[2]:
                 found.append((row, mu, tried))
         return found
 
