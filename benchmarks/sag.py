@@ -165,7 +165,8 @@ def show(name: str, case: Case) -> None:
     print(
         f"{name:12} {case.foot} {1e3 * case.lift:4.0f} mm kp {case.kp:6.2f} predicted {what:>7} "
         f"simulated {1e3 * case.run.height_loss:7.3f} off {error:>6} margin {margin:>6}"
-        f"{' touches' if case.touches else ''} {case.problems} | {case.run.failures}", flush=True
+        f"{' touches' if case.touches else ''} {case.problems} | {case.run.failures}",
+        flush=True,
     )
 
 

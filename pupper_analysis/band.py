@@ -27,11 +27,10 @@ class SettledBand(Result):
             from its stand comes to rest.
         friction: The share of friction with which ``highest`` was found: 1, unless the equilibrium
             ended before; then the robot may come to rest higher.
-        frictionless: What ``settled_pose`` says; None if without friction it goes on sinking.
+        frictionless: What ``settled_pose`` says; None if without friction it does not stand.
         lowest: Friction holds the base down as far as it can: where a robot that was pushed down,
             and is let go slowly, comes to rest. None if it then goes on sinking: the band has no
             lower end at which the robot stands.
-        failures: Why the robot may not stand so somewhere in the band, for each of the three.
     """
 
     highest: SettledPose
@@ -84,7 +83,7 @@ def settled_band(
         UnknownNameError: If the stand is another robot's, with other feet.
         ModelError: If a joint has no motor, or the model has no servos and no kp is given.
         StaticsInfeasibleError: If no contact forces balance the stand itself.
-        NoEquilibriumError: If even friction holds it nowhere.
+        NoEquilibriumError: If no stable equilibrium continues the stand, even with friction.
     """
     check_request(robot, stand, "pinned", 0.0)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
@@ -94,7 +93,7 @@ def settled_band(
         way.rub(lift)
         with contextlib.suppress(NoEquilibriumError):
             way.follow(0.0 if feedforward else 1.0)
-            return way
+            return way if way.system.stiffness(way.solution) > 0 else None
         return None
 
     way, frictionless, lowest = begin(0.0), None, None
@@ -107,7 +106,7 @@ def settled_band(
         way = way or begin(share)
     if way is None:
         raise NoEquilibriumError(
-            None, f"{robot.name} comes to rest nowhere: not even friction holds it"
+            None, "none that is stable continues the stand, not even with friction"
         )
     share = way.rub(1.0)
     return SettledBand(pose_at(way, release_margin(way)), share, frictionless, lowest)

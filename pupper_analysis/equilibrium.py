@@ -107,9 +107,7 @@ class Equilibrium:
         self.target = stand.qpos[7:]
         config = Configuration(robot, stand.qpos)
         self.anchors = {
-            foot: Anchor(
-                stand.foot_targets[foot], config.frame_rotation(robot.foot_frames[foot])
-            )
+            foot: Anchor(stand.foot_targets[foot], config.frame_rotation(robot.foot_frames[foot]))
             for foot in stand.carrying
         }
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
@@ -157,7 +155,11 @@ class Equilibrium:
             if foot in self.moments:
                 balance -= (self.frame @ both[3:]).T @ self.moments[foot]
         balance[6:] -= self.torques(qpos) + self.joint_friction
-        return balance, np.array(places).reshape(-1, 3), np.array(jacobians).reshape(-1, len(balance))
+        return (
+            balance,
+            np.array(places).reshape(-1, 3),
+            np.array(jacobians).reshape(-1, len(balance)),
+        )
 
     def residual(self, qpos: Array, forces: Array) -> Array:
         """Returns the equations (nv + 3 n,): balance, and per foot two of slip, one of depth."""
@@ -308,9 +310,7 @@ class Equilibrium:
             foot: amount for foot in depths if (amount := self.wrong(foot, solution, depths)) > 0
         }
 
-    def wrong(
-        self, foot: str, solution: Solution, depths: dict[str, float] | None = None
-    ) -> float:
+    def wrong(self, foot: str, solution: Solution, depths: dict[str, float] | None = None) -> float:
         """Returns with how much a touching foot pulls (N), or how deep another one is (m)."""
         if foot in self.anchors:
             return -float(solution.forces[foot][2])
@@ -330,9 +330,7 @@ class Equilibrium:
         else:
             config = Configuration(self.robot, solution.qpos)
             frame = self.robot.foot_frames[foot]
-            self.anchors[foot] = Anchor(
-                config.frame_position(frame), config.frame_rotation(frame)
-            )
+            self.anchors[foot] = Anchor(config.frame_position(frame), config.frame_rotation(frame))
             pressed = self.laws[foot].force(max(0.0, self.depths(config)[foot]))
             forces[foot] = np.array([0.0, 0.0, pressed])
         for kept in (self.crept, self.yielding, self.moments):

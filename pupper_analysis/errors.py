@@ -193,3 +193,15 @@ class NoStiffnessError(PupperAnalysisError):
             f"{robot} does not stand so without feed-forward with any kp: with {kp:.3g} N m/rad "
             f"{problem}"
         )
+
+
+class NotSettlingError(PupperAnalysisError):
+    """Quantities that determine each other do not settle by repeated substitution.
+
+    Attributes:
+        change: How much they still change from round to round, in their unit.
+    """
+
+    def __init__(self, change: float, problem: str) -> None:
+        self.change = change
+        super().__init__(problem)

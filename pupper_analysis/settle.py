@@ -28,7 +28,6 @@ HIGHEST_KP = 1e4
 """The stiffest servos that ``least_kp`` tries (N m/rad): 2000 times v3's."""
 
 
-
 @dataclass(frozen=True, eq=False)
 class SettledPose(Result):
     """An equilibrium of a servo-driven robot on its feet.
@@ -265,9 +264,7 @@ def pose_at(way: Way, margin: float) -> SettledPose:
         saturated=tuple(names[(torques <= system.lower) | (torques >= system.upper)].tolist()),
         carrying=tuple(foot for foot in robot.feet if foot in solution.forces),
         contact_forces={foot: system.frame.T @ solution.force(foot) for foot in robot.feet},
-        foot_creep=dict(
-            zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)
-        ),
+        foot_creep=dict(zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)),
         height_drift=float(np.linalg.solve(derivative, flow)[2]),
         iterations=way.iterations,
         residual=solution.residuals[-1],

@@ -166,7 +166,9 @@ class Way:
     def _switch(self, foot: str, found: Solution) -> None:
         self._events += 1
         if self._events > _MAX_EVENTS:
-            raise NoEquilibriumError(self.share, f"foot {foot} neither carries nor clears the ground")
+            raise NoEquilibriumError(
+                self.share, f"foot {foot} neither carries nor clears the ground"
+            )
         self.solution = self.system.switch(foot, found)
 
     def _settled(self, guess: Solution, when: str) -> Solution:
