@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import click
 import mujoco
@@ -146,9 +147,10 @@ def lifted(
         robot = pa.load_variant(name)
         if not dry:
             robot = changed(robot, without_dry_friction)
-        found = list(cases(robot, lift, times))
-        if verbose:
-            for case in found:
+        found = []
+        for case in cases(robot, lift, times):
+            found.append(case)
+            if verbose:
                 show(name, case)
         standing = [case for case in found if not case.problems]
         firm = [case.error for case in standing if case.firm]
@@ -193,7 +195,7 @@ def led(robot: pa.Robot, stand: pa.Stand, shares: tuple[float, ...], seconds: fl
     torques = stand_statics(robot, stand, sharing=LoadSharing.EVEN).joint_torques
     positions, steps = stand.joint_positions(robot), round(seconds / drive.model.opt.timestep)
     full, none = drive.command(robot, positions, torques), drive.command(robot, positions)
-    ways = [np.linspace(*pair, steps) for pair in zip(shares, shares[1:], strict=False)]
+    ways = [np.linspace(*pair, steps) for pair in pairwise(shares)]
     held = np.full(round(4.0 / drive.model.opt.timestep), shares[-1])
     share = np.concatenate([*ways, held])[:, None]
     start = place_on_ground(robot, drive, stand, torques)

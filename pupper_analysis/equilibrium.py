@@ -80,10 +80,11 @@ class Equilibrium:
     Sliding, f_t = 0.
 
     t and m are dry friction. With ``lift`` 0 there is none. With +-1 it is the one with which the
-    base comes to rest highest or lowest (with a share of it, of that share of friction): with D the derivative of the equations and
-    lambda = D^-T dz/dx, a joint's torque changes the height z by lambda at that joint, a foot's
-    moment by W lambda, and each is at the end of its range in that direction (the conditions of
-    Karush, Kuhn and Tucker for the extremum of z over all friction).
+    base comes to rest highest or lowest, with a share of that with that share of friction. D being
+    the derivative of the equations and lambda = D^-T dz/dx, a joint's torque changes the height z
+    by lambda at that joint, a foot's moment by W lambda, and each is at the end of its range in
+    that direction (the conditions of Karush, Kuhn and Tucker for the extremum of z over all
+    friction).
     """
 
     def __init__(
@@ -261,7 +262,7 @@ class Equilibrium:
         height = np.zeros(len(derivative))
         height[2] = np.sign(self.lift)
         try:
-            effect = np.linalg.solve(derivative.T, height)[: self.robot.nv]
+            effect = np.array(np.linalg.solve(derivative.T, height), float)[: self.robot.nv]
         except np.linalg.LinAlgError:
             return False
         config = Configuration(self.robot, solution.qpos)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis import contact
 from pupper_analysis.configuration import Configuration
-from pupper_analysis.equilibrium import RESIDUAL_TOLERANCE, Equilibrium, Feet, Solution, move
+from pupper_analysis.equilibrium import Equilibrium, Feet, Solution
 from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot, on_ground
@@ -45,7 +45,8 @@ class SettledPose(Result):
             those of the stand that the ground would have to pull.
         contact_forces: {foot: (3,)} of the ground on every foot, in world axes (N); zero for those
             that do not touch.
-        foot_creep: {foot that carries: speed} at which MuJoCo's friction lets it creep, pinned (m/s).
+        foot_creep: {foot that carries: speed} at which MuJoCo's friction lets it creep, if pinned
+            (m/s).
         height_drift: The rate of the base's height that comes of it (m/s). A simulated height is
             the predicted one within D for about D / |height_drift| seconds.
         iterations: Newton steps, on all of the way from the stand.
@@ -59,7 +60,8 @@ class SettledPose(Result):
             weight, as the robot overshoots when its feed-forward is taken away at once: it is then
             twice as far from the stand as the equilibrium, to first order. Below
             ``RELEASE_MARGIN`` a foot may slip or lift in that fall, and the robot comes to rest
-            elsewhere, by up to millimetres; let down slowly it does not.
+            elsewhere, by up to millimetres. Let down slowly they stay; but then dry friction, which
+            is left out, holds the robot above the equilibrium: v3 by 1.8 mm (``settled_band``).
         failures: Why the robot will not stand so; empty if it will.
     """
 

@@ -9,7 +9,7 @@ from conftest import NAMES, SKELETON_NAMES, changed, load, mujoco_at, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis import settle
-from pupper_analysis.equilibrium import Equilibrium
+from pupper_analysis.equilibrium import Equilibrium, Feet, move
 from pupper_analysis.ground import GroundLaw
 from pupper_analysis.settle import least_kp, settled_pose
 from pupper_analysis.simulation import servos
@@ -39,7 +39,7 @@ def firm_grip(model: mujoco.MjModel) -> None:
 
 @pytest.mark.parametrize("feet", ["pinned", "sliding"])
 @pytest.mark.parametrize("name", SETTLING)
-def test_forces_balance_in_mujocos_terms(name: str, feet: settle.Feet) -> None:
+def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
     robot, stand = load(name), stand_of(name)
     pose = settled_pose(robot, stand, feet=feet)
     data = mujoco_at(robot, pose.qpos)
@@ -83,7 +83,7 @@ def test_it_is_a_minimum_of_the_energy(name: str) -> None:
     least, random = energy(pose.qpos), np.random.default_rng(0)
     for _ in range(8):
         step = 1e-4 * random.standard_normal(robot.nv)
-        up, down = (energy(settle.move(pose.qpos, sign * step)) for sign in (1, -1))
+        up, down = (energy(move(pose.qpos, sign * step)) for sign in (1, -1))
         assert up > least
         assert down > least
         assert abs(up - down) < 0.1 * (up + down - 2 * least)
@@ -142,7 +142,7 @@ def test_random_stands(name: str) -> None:
         run = pa.verify_stand(robot, stand, feedforward=False)
         try:
             pose = settled_pose(robot, stand)
-        except settle.NoEquilibriumError:
+        except pa.NoEquilibriumError:
             pose = None
         if pose and not pose.failures and abs(pose.height_drift) < LASTING:
             tolerance = 1e-5 if name in SKELETON_NAMES else 1.5e-4
@@ -186,7 +186,7 @@ def test_force_limits_of_servos() -> None:
     assert np.abs(free.joint_torques).max() == pytest.approx(0.6393, abs=1e-4)
     assert pose.saturated == ("RL_KFE", "RR_KFE")
     assert pose.stiffness < 0.5 * free.stiffness
-    with pytest.raises(settle.NoEquilibriumError):
+    with pytest.raises(pa.NoEquilibriumError):
         settled_pose(with_torque_limit(0.632), stand)
     run = pa.verify_stand(with_torque_limit(0.632), stand, feedforward=False)
     assert "it fell over" in run.failures[0]
@@ -382,7 +382,7 @@ def test_derivative_of_the_equations(name: str, foot: str, kp: float) -> None:
             step = 1e-6 * random.standard_normal(len(derivative))
             ends = [
                 system.residual(
-                    settle.move(solution.qpos, sign * step[: system.robot.nv]),
+                    move(solution.qpos, sign * step[: system.robot.nv]),
                     forces + sign * step[system.robot.nv :].reshape(-1, 3),
                 )
                 for sign in (1, -1)
@@ -420,10 +420,10 @@ def test_least_kp_keeps_a_lifted_foot_off_the_ground() -> None:
 
 def test_long_leg_of_v3_does_not_last() -> None:
     robot, stand = load("v3-long-leg"), stand_of("v3-long-leg")
-    with pytest.raises(settle.NoEquilibriumError, match="sliding") as caught:
+    with pytest.raises(pa.NoEquilibriumError, match="sliding") as caught:
         settled_pose(robot, stand, feet="sliding")
     assert 0 < caught.value.share < 0.1
-    with pytest.raises(settle.NoEquilibriumError, match="FR and FL begin to slide") as caught:
+    with pytest.raises(pa.NoEquilibriumError, match="FR and FL begin to slide") as caught:
         settled_pose(robot, stand)
     assert 0.8 < caught.value.share < 0.9
     for change in (None, firm_grip):
