@@ -131,13 +131,11 @@ def cases(robot: pa.Robot, lifts: tuple[float, ...], times: tuple[float, ...]) -
 @click.option("--variant", type=click.Choice(list(pa.VARIANTS)), multiple=True)
 @click.option("--lift", type=float, multiple=True, default=(0.002, 0.006, 0.02), show_default=True)
 @click.option("--times", type=float, multiple=True, default=(1.05, 1.5, 3.0), show_default=True)
-@click.option("--dry/--no-dry", default=True, help="With dry friction, as the models have it.")
 @click.option("--verbose", is_flag=True, help="Print every case.")
 def lifted(
     variant: tuple[str, ...],
     lift: tuple[float, ...],
     times: tuple[float, ...],
-    dry: bool,
     verbose: bool,
 ) -> None:
     """Lift each foot, on servos of so many times the softest that carry the robot."""
@@ -145,8 +143,6 @@ def lifted(
     table = Table(*columns, "not firm", "worst (mm)")
     for name in variant or pa.VARIANTS:
         robot = pa.load_variant(name)
-        if not dry:
-            robot = changed(robot, without_dry_friction)
         found = []
         for case in cases(robot, lift, times):
             found.append(case)

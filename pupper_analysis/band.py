@@ -65,9 +65,9 @@ def settled_band(
     ``frictionloss``, and each foot any moment in the cone of torsional and rolling friction
     (``condim`` 4 and 6). All equilibria with such friction are where a robot may come to rest; the
     band's ends are those with the base highest and lowest. Feet are pinned, on ground that grips:
-    rubber does, MuJoCo with ``noslip_iterations`` or a large ``impratio``. Without these its
-    friction creeps, in joints within a second and in rolling feet within seconds to minutes, and a
-    robot leaves the band's ends towards the middle.
+    rubber does, MuJoCo with ``noslip_iterations``. Without these its friction creeps, in joints
+    within seconds, in rolling feet within seconds with an ``impratio`` of 100 and minutes with 1e4,
+    and a robot leaves the band's ends towards the middle.
 
     Args:
         robot: The robot.
