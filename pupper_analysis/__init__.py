@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pupper_analysis.analysis import Analysis, analyze_variant
     from pupper_analysis.audit import Audit, audit_model
+    from pupper_analysis.band import SettledBand, settled_band
     from pupper_analysis.best import BestStance, Objective, best_stance
     from pupper_analysis.comparison import Comparison, compare_models
     from pupper_analysis.configuration import Configuration
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
         Infeasibility,
         ModelError,
         NoEquilibriumError,
+        NoStiffnessError,
+        NotSettlingError,
         OutputError,
         PupperAnalysisError,
         StanceUnreachableError,
@@ -84,8 +87,12 @@ _HOME = {
     "PayloadLimit": "payload",
     "payload_limit": "payload",
     "NoEquilibriumError": "errors",
+    "NoStiffnessError": "errors",
+    "NotSettlingError": "errors",
     "PushRecovery": "push",
     "push_recovery": "push",
+    "SettledBand": "band",
+    "settled_band": "band",
     "SettledPose": "settle",
     "least_kp": "settle",
     "settled_pose": "settle",
@@ -142,6 +149,8 @@ __all__ = [
     "LoadSharing",
     "ModelError",
     "NoEquilibriumError",
+    "NoStiffnessError",
+    "NotSettlingError",
     "Objective",
     "OutputError",
     "PathTracking",
@@ -150,6 +159,7 @@ __all__ = [
     "PupperAnalysisError",
     "PushRecovery",
     "Robot",
+    "SettledBand",
     "SettledPose",
     "StancePath",
     "StanceUnreachableError",
@@ -174,6 +184,7 @@ __all__ = [
     "pose_envelope",
     "push_recovery",
     "reachable_heights",
+    "settled_band",
     "settled_pose",
     "solve_stand",
     "stance_path",

@@ -175,9 +175,39 @@ class NoEquilibriumError(PupperAnalysisError):
     """A servo-driven robot has no equilibrium near its stand.
 
     Attributes:
-        share: Of the feed-forward, how much could be taken away before the equilibrium ended.
+        share: Of the feed-forward, how much could be taken away before the equilibrium ended; None
+            where that is not how it was looked for.
     """
 
-    def __init__(self, share: float, problem: str) -> None:
+    def __init__(self, share: float | None, problem: str) -> None:
         self.share = share
         super().__init__(f"no equilibrium: {problem}")
+
+
+class NoStiffnessError(PupperAnalysisError):
+    """Servos of no stiffness carry a robot in its stand without feed-forward.
+
+    Attributes:
+        kp: The stiffest servos that were tried (N m/rad).
+        problem: Why it does not stand so with these.
+    """
+
+    def __init__(self, robot: str, kp: float, problem: str) -> None:
+        self.kp = kp
+        self.problem = problem
+        super().__init__(
+            f"{robot} does not stand so without feed-forward with any kp: with {kp:.3g} N m/rad "
+            f"{problem}"
+        )
+
+
+class NotSettlingError(PupperAnalysisError):
+    """Quantities that determine each other do not settle by repeated substitution.
+
+    Attributes:
+        change: How much they still change from round to round, in their unit.
+    """
+
+    def __init__(self, change: float, problem: str) -> None:
+        self.change = change
+        super().__init__(problem)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.configuration import Configuration
-from pupper_analysis.errors import NoEquilibriumError
+from pupper_analysis.errors import NotSettlingError
 from pupper_analysis.ground import GroundLaw
 from pupper_analysis.path import StancePath
 from pupper_analysis.robot import Robot
@@ -47,7 +47,7 @@ def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = T
         ConfigurationError: As ``solve_stand``.
         StanceUnreachableError: If it is out of reach, at least with its feet sunk.
         StaticsInfeasibleError: If no contact forces balance it.
-        NoEquilibriumError: If the depths do not settle.
+        NotSettlingError: If the depths do not settle.
     """
     task = task or StandTask()
     stand = solve_stand(robot, task, explain=explain)
@@ -67,7 +67,7 @@ def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = T
             return replace(stand, task=asked)
         posture = tuple(stand.joint_positions(robot).tolist())
         stand = solve_stand(robot, replace(task, posture=posture), depths=depths, explain=explain)
-    raise NoEquilibriumError(0.0, f"the feet's depths do not settle, by {1e3 * change:.3g} mm")
+    raise NotSettlingError(change, f"the feet's depths do not settle, by {1e3 * change:.3g} mm")
 
 
 def sunk_path(robot: Robot, path: StancePath) -> Array:

@@ -14,7 +14,11 @@ from rich.markup import escape
 from pupper_analysis.best import BestStance, Objective, best_stance
 from pupper_analysis.configuration import Configuration
 from pupper_analysis.envelope import PoseEnvelope, pose_envelope
-from pupper_analysis.errors import NoEquilibriumError, StanceUnreachableError
+from pupper_analysis.errors import (
+    NoEquilibriumError,
+    NoStiffnessError,
+    StanceUnreachableError,
+)
 from pupper_analysis.path import StancePath, stance_path
 from pupper_analysis.payload import PayloadLimit, payload_limit
 from pupper_analysis.push import PushRecovery, push_recovery
@@ -135,7 +139,7 @@ def study(
         settled = settled_pose(robot, stand, kp=kp)
     except NoEquilibriumError as error:
         unsettled = str(error)
-    with contextlib.suppress(NoEquilibriumError):
+    with contextlib.suppress(NoStiffnessError):
         softness = least_kp(robot, stand) if softest else None
     with contextlib.suppress(StanceUnreachableError):
         sunk = sunk_stand(robot, stand.task, explain=False)

@@ -43,6 +43,9 @@ def test_one_family(error: type[Exception]) -> None:
             ),
             ["no static balance", "friction too low", "0.3 is needed"],
         ),
+        (pa.NoEquilibriumError(0.86, "it ends there"), ["no equilibrium", "it ends there"]),
+        (pa.NoStiffnessError("v3", 8192.0, "a foot slides"), ["v3", "8.19e+03", "a foot slides"]),
+        (pa.NotSettlingError(1e-6, "the depths do not settle"), ["the depths do not settle"]),
     ],
 )
 def test_message_says_it_all(error: Exception, words: list[str]) -> None:

@@ -1,5 +1,7 @@
 """The predicted sag, each number two ways: against differences, balances, MuJoCo, simulations."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,9 +9,11 @@ from conftest import NAMES, SKELETON_NAMES, changed, load, mujoco_at, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis import settle
+from pupper_analysis.equilibrium import Equilibrium, Feet, move
 from pupper_analysis.ground import GroundLaw
 from pupper_analysis.settle import least_kp, settled_pose
-from pupper_analysis.simulation import SETTLED_DRIFT, servos
+from pupper_analysis.simulation import servos
+from pupper_analysis.way import Way
 
 LASTING = 1e-4
 """With less height drift than this, 5 s of creep change the height by less than 0.5 mm (m/s)."""
@@ -35,7 +39,7 @@ def firm_grip(model: mujoco.MjModel) -> None:
 
 @pytest.mark.parametrize("feet", ["pinned", "sliding"])
 @pytest.mark.parametrize("name", SETTLING)
-def test_forces_balance_in_mujocos_terms(name: str, feet: settle.Feet) -> None:
+def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
     robot, stand = load(name), stand_of(name)
     pose = settled_pose(robot, stand, feet=feet)
     data = mujoco_at(robot, pose.qpos)
@@ -79,17 +83,17 @@ def test_it_is_a_minimum_of_the_energy(name: str) -> None:
     least, random = energy(pose.qpos), np.random.default_rng(0)
     for _ in range(8):
         step = 1e-4 * random.standard_normal(robot.nv)
-        up, down = (energy(settle.move(pose.qpos, sign * step)) for sign in (1, -1))
+        up, down = (energy(move(pose.qpos, sign * step)) for sign in (1, -1))
         assert up > least
         assert down > least
         assert abs(up - down) < 0.1 * (up + down - 2 * least)
 
 
 def test_newton_converges_quadratically() -> None:
-    for name in NAMES:
+    for name in SETTLING:
         residuals = settled_pose(load(name), stand_of(name)).residuals
         assert residuals[-1] < 1e-10
-        assert len(residuals) <= (8 if name == "v3-long-leg" else 6)
+        assert len(residuals) <= 6
         for last, this in zip(residuals[-4:-1], residuals[-3:], strict=True):
             assert this < 40 * last**2 + 1e-13
 
@@ -138,7 +142,7 @@ def test_random_stands(name: str) -> None:
         run = pa.verify_stand(robot, stand, feedforward=False)
         try:
             pose = settled_pose(robot, stand)
-        except settle.NoEquilibriumError:
+        except pa.NoEquilibriumError:
             pose = None
         if pose and not pose.failures and abs(pose.height_drift) < LASTING:
             tolerance = 1e-5 if name in SKELETON_NAMES else 1.5e-4
@@ -182,7 +186,7 @@ def test_force_limits_of_servos() -> None:
     assert np.abs(free.joint_torques).max() == pytest.approx(0.6393, abs=1e-4)
     assert pose.saturated == ("RL_KFE", "RR_KFE")
     assert pose.stiffness < 0.5 * free.stiffness
-    with pytest.raises(settle.NoEquilibriumError):
+    with pytest.raises(pa.NoEquilibriumError):
         settled_pose(with_torque_limit(0.632), stand)
     run = pa.verify_stand(with_torque_limit(0.632), stand, feedforward=False)
     assert "it fell over" in run.failures[0]
@@ -257,19 +261,175 @@ def test_feet_slip_as_it_is_let_go_where_that_is_said(name: str) -> None:
     assert still.release_margin > 0.2
 
 
+# ------------------------------------------------------------------------------------- lifted feet
+
+
+def lifted(name: str, foot: str, height: float, **task: object) -> pa.Stand:
+    """A stand with the com 10 mm inside the triangle of the other feet."""
+    asked = pa.StandTask(lifted={foot: height}, com="inside", com_margin=0.01, **task)
+    return pa.solve_stand(load(name), asked)
+
+
+LANDING = [
+    ("v3", "RR", 0.006, 5.0),
+    ("v3", "RL", 0.006, 3.0),
+    ("v3", "FR", 0.006, 8.0),  # it slips
+    ("v3-heavy", "RL", 0.002, 6.6),
+    ("v3-long-leg", "RR", 0.006, 9.0),
+    ("original", "FL", 0.002, 12.0),  # it slips
+    ("long-leg", "RR", 0.002, 12.0),
+    ("heavy", "RL", 0.002, 10.0),
+]
+
+
+@pytest.mark.parametrize(("name", "foot", "height", "kp"), LANDING)
+def test_a_lifted_foot_that_comes_down_carries(
+    name: str, foot: str, height: float, kp: float
+) -> None:
+    robot, stand = load(name), lifted(name, foot, height)
+    pose = settled_pose(robot, stand, kp=kp, seconds=7.5)
+    assert pose.carrying == robot.feet
+    assert [failure for failure in pose.failures if f"foot {foot}, lifted, touches" in failure]
+    run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=8)
+    assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
+    for other, force in run.foot_forces.items():
+        assert pose.contact_forces[other][2] == pytest.approx(force[2], abs=0.25)
+
+
+@pytest.mark.parametrize("kp", [3.0, 5.0, 8.0, 20.0])
+def test_feet_carry_where_they_are_in_the_ground(kp: float) -> None:
+    """Complementarity, by MuJoCo's collisions and the law of the ground."""
+    robot, stand = load("v3"), lifted("v3", "RR", 0.006)
+    pose = settled_pose(robot, stand, kp=kp)
+    depths = {}
+    for touch in mujoco_at(robot, pose.qpos).contact:
+        depths[robot.soles[max(touch.geom)]] = -touch.dist
+    assert set(pose.carrying) == set(depths)
+    assert ("RR" in depths) == (kp < 10)
+    for foot, force in pose.contact_forces.items():
+        if foot in depths:
+            assert force[2] == pytest.approx(GroundLaw.of(robot, foot).force(depths[foot]))
+        else:
+            np.testing.assert_array_equal(force, 0)
+    weight = robot.total_mass * robot.gravity
+    np.testing.assert_allclose(sum(pose.contact_forces.values()), -weight, atol=1e-8)
+
+
+def test_touching_begins_without_a_jump() -> None:
+    """Lifted by as much as it comes down, a foot just touches."""
+    robot = load("v3")
+
+    def pose(height: float) -> settle.SettledPose:
+        return settled_pose(robot, lifted("v3", "RR", height), kp=4.0)
+
+    low, high = 0.006, 0.03  # it touches; it does not
+    assert "RR" in pose(low).carrying
+    assert "RR" not in pose(high).carrying
+    while high - low > 1e-6:
+        middle = (low + high) / 2
+        low, high = (middle, high) if "RR" in pose(middle).carrying else (low, middle)
+    assert 0 < pose(low).contact_forces["RR"][2] < 5e-3
+    assert pose(low).height_loss == pytest.approx(pose(high).height_loss, abs=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("what", "kp", "ground"),
+    [
+        ("step", 5.0, pa.Ground(heights={"RR": 0.006})),
+        ("slope", 5.0, pa.Ground(0.1, 0.5)),
+    ],
+)
+def test_it_comes_down_on_a_step_and_on_a_slope(what: str, kp: float, ground: pa.Ground) -> None:
+    robot, stand = load("v3"), lifted("v3", "RR", 0.004, ground=ground)
+    pose = settled_pose(robot, stand, kp=kp, seconds=5.5)
+    assert "RR" in pose.carrying
+    run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=6)
+    assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
+    assert pose.contact_forces["RR"][2] == pytest.approx(run.foot_forces["RR"][2], abs=0.2)
+
+
+def test_friction_of_a_slipping_foot_is_at_its_limit_against_the_slip() -> None:
+    robot, stand = load("original"), lifted("original", "FL", 0.002)
+    way = Way(Equilibrium(robot, stand, 12.0, "pinned"))
+    way.follow(1.0)
+    system, solution = way.system, way.solution
+    assert system.slipping(solution) == ("FL",)
+    force = solution.forces["FL"]
+    mu = robot.contacts["FL"].sliding_friction
+    assert np.linalg.norm(force[:2]) == pytest.approx(mu * force[2], rel=1e-9)
+    # The contact point moves as the centre does, less what the sphere rolls: r (turn x up).
+    frame, anchor = robot.foot_frames["FL"], system.anchors["FL"]
+    config = pa.Configuration(robot, solution.qpos)
+    turned = config.frame_rotation(frame) @ anchor.turned.T
+    turn = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], 0]) / 2
+    rolled = robot.foot_radius["FL"] * np.cross(turn, (0, 0, 1))
+    slip = (config.frame_position(frame) - anchor.place - rolled)[:2]
+    assert np.linalg.norm(slip) > 1e-4
+    assert force[:2] @ slip < -0.99 * np.linalg.norm(force[:2]) * np.linalg.norm(slip)
+
+
+@pytest.mark.parametrize(("name", "foot", "kp"), [("original", "FL", 12.0), ("v3", "RR", 4.0)])
+def test_derivative_of_the_equations(name: str, foot: str, kp: float) -> None:
+    """Against differences, with feet that stick, slip, and creep."""
+    way = Way(Equilibrium(load(name), lifted(name, foot, 0.002), kp, "pinned"))
+    way.follow(1.0)
+    system, solution = way.system, way.solution
+    forces = np.array(list(solution.forces.values()))
+    random = np.random.default_rng(0)
+    for _ in range(2):
+        derivative = system.derivative(solution.qpos, forces)
+        for _ in range(4):
+            step = 1e-6 * random.standard_normal(len(derivative))
+            ends = [
+                system.residual(
+                    move(solution.qpos, sign * step[: system.robot.nv]),
+                    forces + sign * step[system.robot.nv :].reshape(-1, 3),
+                )
+                for sign in (1, -1)
+            ]
+            np.testing.assert_allclose((ends[0] - ends[1]) / 2, derivative @ step, atol=2e-9)
+        system.begin_creep(solution, 1.0)
+
+
+def test_a_foot_that_the_ground_would_have_to_pull_lets_go() -> None:
+    robot = load("original")
+    stand = pa.solve_stand(robot, pa.StandTask(offset=(0.055, 0.055)))
+    assert pa.stand_statics(robot, stand).contact_forces["RR"][2] > 0
+    pose = settled_pose(robot, stand, seconds=4.5)
+    assert pose.carrying == ("FL", "FR", "RL")
+    assert pose.failures == ("foot RR carries nothing",)
+    np.testing.assert_array_equal(pose.contact_forces["RR"], 0)
+    run = pa.verify_stand(robot, stand, feedforward=False)
+    assert run.foot_forces["RR"][2] == 0
+    assert pose.base_height == pytest.approx(run.base_height, abs=2e-5)
+
+
+def test_least_kp_keeps_a_lifted_foot_off_the_ground() -> None:
+    robot, stand = load("v3"), lifted("v3", "RR", 0.02)
+    kp = least_kp(robot, stand, tolerance=0.02)
+    assert settled_pose(robot, stand, kp=kp).carrying == stand.carrying
+    assert "RR" in settled_pose(robot, stand, kp=0.95 * kp).carrying
+    with pytest.raises(pa.NoStiffnessError, match="foot RR, lifted, touches the ground") as caught:
+        least_kp(robot, lifted("v3", "RR", 0.0005))  # the others sink deeper than that
+    assert caught.value.kp > 5e3
+    assert "RR" in caught.value.problem
+
+
 # ------------------------------------------------------------------------------------- stability
 
 
 def test_long_leg_of_v3_does_not_last() -> None:
     robot, stand = load("v3-long-leg"), stand_of("v3-long-leg")
-    with pytest.raises(settle.NoEquilibriumError, match="sliding") as caught:
+    with pytest.raises(pa.NoEquilibriumError, match="sliding") as caught:
         settled_pose(robot, stand, feet="sliding")
     assert 0 < caught.value.share < 0.1
-    pinned = settled_pose(robot, stand)
-    assert pinned.height_drift < -SETTLED_DRIFT
-    assert "foot FR slides" in pinned.failures
-    run = pa.verify_stand(robot, stand, feedforward=False, duration=10)
-    assert any("touches the ground" in failure for failure in run.failures)
+    with pytest.raises(pa.NoEquilibriumError, match="FR and FL begin to slide") as caught:
+        settled_pose(robot, stand)
+    assert 0.8 < caught.value.share < 0.9
+    for change in (None, firm_grip):
+        ground = robot if change is None else changed(robot, change)
+        run = pa.verify_stand(ground, stand, feedforward=False, duration=10)
+        assert any("touches the ground" in failure for failure in run.failures)
 
 
 def test_least_kp_of_pinned_feet() -> None:
@@ -322,6 +482,17 @@ def test_wrong_requests() -> None:
             settled_pose(robot, stand, seconds=seconds, feet=feet)
     with pytest.raises(pa.ConfigurationError, match="kp"):
         settled_pose(robot, stand, kp=-1)
+    for tolerance in (0.0, 1.0, -0.1, np.nan):
+        with pytest.raises(pa.ConfigurationError, match="tolerance"):
+            least_kp(robot, stand, tolerance=tolerance)
+    named = {foot.lower(): place for foot, place in stand.foot_targets.items()}
+    with pytest.raises(pa.UnknownNameError, match="fr"):
+        settled_pose(robot, replace(stand, foot_targets=named))
+    slippery = {
+        foot: replace(contact, friction=(0.0,) * 5) for foot, contact in robot.contacts.items()
+    }
+    with pytest.raises(pa.ConfigurationError, match="no friction"):
+        settled_pose(replace(robot, contacts=slippery), stand)
 
 
 def test_result_is_json() -> None:

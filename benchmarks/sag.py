@@ -1,0 +1,292 @@
+"""Compares predicted sag with simulations: `python benchmarks/sag.py lifted`, `band`, `limits`."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import click
+import mujoco
+import mujoco.rollout
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import pupper_analysis as pa
+from pupper_analysis import contact
+from pupper_analysis.band import settled_band
+from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.robot import on_ground
+from pupper_analysis.settle import RELEASE_MARGIN, SettledPose, settled_pose
+from pupper_analysis.simulation import STATE, place_on_ground, servos
+from pupper_analysis.stand import stand_statics
+from pupper_analysis.statics import LoadSharing
+
+SECONDS = 12.0
+"""A simulation's length (s). Its settled height is the mean of the last second."""
+
+WITHIN = 2e-4
+"""A height that is predicted this well is right (m)."""
+
+
+@click.group()
+def main() -> None:
+    """Compare predicted sag with MuJoCo's simulation."""
+
+
+# ------------------------------------------------------------------------------------- grounds
+
+
+def changed(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:
+    """The robot with another MuJoCo model, and the contacts that it has there."""
+    model = copy.copy(robot.mj_model)
+    change(model)
+    ground = contact.ground_geom(model)
+    contacts = {foot: contact.combine(model, sole, ground) for sole, foot in robot.soles.items()}
+    return replace(robot, mj_model=model, contacts=contacts)
+
+
+def gripping(model: mujoco.MjModel) -> None:
+    """Dry friction, of feet and joints, that does not creep."""
+    model.opt.noslip_iterations = 20
+
+
+def without_dry_friction(model: mujoco.MjModel) -> None:
+    """Neither joints nor rolling or spinning feet rub; creep is as it was."""
+    model.geom_condim[:] = 3
+    model.dof_frictionloss[:] = 0
+
+
+# ------------------------------------------------------------------------------------- lifted feet
+
+
+@dataclass(frozen=True)
+class Case:
+    """One lifted foot, predicted and simulated; heights in mm."""
+
+    foot: str
+    lift: float
+    kp: float
+    pose: SettledPose | None
+    run: pa.StandVerification
+
+    @property
+    def problems(self) -> list[str]:
+        """Why it is not predicted to stand, but for the lifted foot's touching."""
+        if self.pose is None:
+            return ["no equilibrium"]
+        return [text for text in self.pose.failures if ", lifted," not in text]
+
+    @property
+    def touches(self) -> bool:
+        return self.pose is not None and self.foot in self.pose.carrying
+
+    @property
+    def error(self) -> float:
+        assert self.pose is not None
+        return 1e3 * abs(self.pose.base_height - self.run.base_height)
+
+    @property
+    def firm(self) -> bool:
+        return self.pose is not None and self.pose.release_margin > RELEASE_MARGIN
+
+
+def stands(robot: pa.Robot, stand: pa.Stand, kp: float) -> bool:
+    """Tells whether it stands, on the lifted foot as well if that comes down."""
+    try:
+        pose = settled_pose(robot, stand, kp=kp)
+    except PupperAnalysisError:
+        return False
+    return not [text for text in pose.failures if ", lifted," not in text]
+
+
+def softest(does: Callable[[float], bool]) -> float:
+    low, high = 0.0, 1.0
+    while not does(high):
+        low, high = high, 2 * high
+    while high - low > 0.02 * high:
+        middle = (low + high) / 2
+        low, high = (low, middle) if does(middle) else (middle, high)
+    return high
+
+
+def cases(robot: pa.Robot, lifts: tuple[float, ...], times: tuple[float, ...]) -> Iterator[Case]:
+    for foot in robot.feet:
+        for lift in lifts:
+            task = pa.StandTask(lifted={foot: lift}, com="inside", com_margin=0.01)
+            stand = pa.solve_stand(robot, task)
+            least = softest(lambda kp, stand=stand: stands(robot, stand, kp))
+            for kp in least * np.array(times):
+                run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=SECONDS)
+                try:
+                    pose = settled_pose(robot, stand, kp=kp, seconds=SECONDS - 0.5)
+                except pa.NoEquilibriumError:
+                    pose = None
+                yield Case(foot, lift, float(kp), pose, run)
+
+
+@main.command()
+@click.option("--variant", type=click.Choice(list(pa.VARIANTS)), multiple=True)
+@click.option("--lift", type=float, multiple=True, default=(0.002, 0.006, 0.02), show_default=True)
+@click.option("--times", type=float, multiple=True, default=(1.05, 1.5, 3.0), show_default=True)
+@click.option("--verbose", is_flag=True, help="Print every case.")
+def lifted(
+    variant: tuple[str, ...],
+    lift: tuple[float, ...],
+    times: tuple[float, ...],
+    verbose: bool,
+) -> None:
+    """Lift each foot, on servos of so many times the softest that carry the robot."""
+    columns = ("variant", "simulated", "said not to stand", "touch", "firm", "worst (mm)")
+    table = Table(*columns, "not firm", "worst (mm)")
+    for name in variant or pa.VARIANTS:
+        robot = pa.load_variant(name)
+        found = []
+        for case in cases(robot, lift, times):
+            found.append(case)
+            if verbose:
+                show(name, case)
+        standing = [case for case in found if not case.problems]
+        firm = [case.error for case in standing if case.firm]
+        loose = [case.error for case in standing if not case.firm]
+        row = [len(found), len(found) - len(standing), sum(case.touches for case in standing)]
+        table.add_row(name, *map(str, row), *summary(firm), *summary(loose))
+    Console().print(table)
+
+
+def show(name: str, case: Case) -> None:
+    what = "-" if case.pose is None else f"{1e3 * case.pose.height_loss:.3f}"
+    margin = "-" if case.pose is None else f"{case.pose.release_margin:.3f}"
+    error = "-" if case.pose is None else f"{case.error:.3f}"
+    print(
+        f"{name:12} {case.foot} {1e3 * case.lift:4.0f} mm kp {case.kp:6.2f} predicted {what:>7} "
+        f"simulated {1e3 * case.run.height_loss:7.3f} off {error:>6} margin {margin:>6}"
+        f"{' touches' if case.touches else ''} {case.problems} | {case.run.failures}",
+        flush=True,
+    )
+
+
+def summary(errors: list[float]) -> tuple[str, str]:
+    right = sum(error < 1e3 * WITHIN for error in errors)
+    return f"{right} of {len(errors)}", f"{max(errors):.3f}" if errors else "-"
+
+
+# ------------------------------------------------------------------------------------- dry friction
+
+
+def led(robot: pa.Robot, stand: pa.Stand, shares: tuple[float, ...], seconds: float) -> float:
+    """The base's height (m) at the end of a simulation in which feed-forward is changed slowly.
+
+    Args:
+        robot: The robot.
+        stand: Its stand, in which it begins, at rest.
+        shares: Of the feed-forward, how much is taken away: from each to the next in ``seconds``.
+            The last one is kept for 4 s.
+        seconds: s.
+    """
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    drive = servos(robot, integrator="implicitfast")
+    torques = stand_statics(robot, stand, sharing=LoadSharing.EVEN).joint_torques
+    positions, steps = stand.joint_positions(robot), round(seconds / drive.model.opt.timestep)
+    full, none = drive.command(robot, positions, torques), drive.command(robot, positions)
+    ways = [np.linspace(*pair, steps) for pair in pairwise(shares)]
+    held = np.full(round(4.0 / drive.model.opt.timestep), shares[-1])
+    share = np.concatenate([*ways, held])[:, None]
+    start = place_on_ground(robot, drive, stand, torques)
+    return end_height(robot, drive.model, start, (1 - share) * full + share * none)
+
+
+def left(robot: pa.Robot, stand: pa.Stand, qpos: np.ndarray, seconds: float = 6.0) -> float:
+    """The base's height (m) at the end of a simulation that begins at rest in qpos."""
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    drive = servos(robot, integrator="implicitfast")
+    data, state = mujoco.MjData(drive.model), np.empty(mujoco.mj_stateSize(drive.model, STATE))
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_forward(drive.model, data)
+    mujoco.mj_getState(drive.model, data, state, STATE)
+    ctrl = drive.command(robot, stand.joint_positions(robot))
+    steps = round(seconds / drive.model.opt.timestep)
+    return end_height(robot, drive.model, state, np.tile(ctrl, (steps, 1)))
+
+
+def end_height(
+    robot: pa.Robot, model: mujoco.MjModel, start: np.ndarray, ctrl: np.ndarray
+) -> float:
+    states, _ = mujoco.rollout.rollout(model, mujoco.MjData(model), start, ctrl[None])
+    last = states[0, -round(0.5 / model.opt.timestep) :, 1 + robot.mj_convention.qpos_index[2]]
+    return float(last.mean())
+
+
+@main.command()
+@click.option("--variant", type=click.Choice(list(pa.VARIANTS)), multiple=True)
+@click.option("--deep", default=1.7, show_default=True, help="Feed-forward taken away, pushed low.")
+@click.option("--seconds", default=10.0, show_default=True, help="To take it all away.")
+def band(variant: tuple[str, ...], deep: float, seconds: float) -> None:
+    """Let robots down slowly, let them go, and let them up again, on ground that grips.
+
+    Height lost (mm), predicted with friction up, none, and down; and simulated: let down slowly
+    from the stand; let go; brought lower by their servos, and let up slowly; and left at rest in
+    the predicted ends.
+    """
+    columns = ("variant", "highest", "none", "lowest", "let down", "let go", "let up")
+    table = Table(*columns, "left in highest", "left in lowest")
+    for name in variant or pa.VARIANTS:
+        robot = changed(pa.load_variant(name), gripping)
+        stand = pa.solve_stand(robot)
+        found = settled_band(robot, stand)
+        go = pa.verify_stand(robot, stand, feedforward=False, duration=SECONDS)
+        ends = [found.highest, found.frictionless, found.lowest]
+        heights = [None if pose is None else pose.base_height for pose in ends]
+        heights.append(led(robot, stand, (0.0, 1.0), seconds))
+        heights.append(go.base_height)
+        heights.append(led(robot, stand, (0.0, deep, 1.0), seconds))
+        heights += [None if p is None else left(robot, stand, p.qpos) for p in ends[::2]]
+        row = ["-" if h is None else f"{1e3 * (stand.qpos[2] - h):.4f}" for h in heights]
+        table.add_row(name, *row)
+    Console().print(table)
+
+
+# ------------------------------------------------------------------------------------- limits
+
+
+@main.command()
+def limits() -> None:
+    """Let v3 go on servos a little above its least kp, and heavy on motors a little too weak."""
+    robot = pa.load_variant("v3")
+    stand, table = pa.solve_stand(robot), Table("impratio", "kp / least kp", "lost (mm)", "knees")
+    least = pa.least_kp(robot, stand)
+    for impratio in (1.0, 100.0, 1e4):
+
+        def grip(model: mujoco.MjModel, impratio: float = impratio) -> None:
+            model.opt.impratio = impratio
+
+        for times in (1.05, 1.1, 1.3):
+            run = pa.verify_stand(
+                changed(robot, grip), stand, feedforward=False, kp=times * least, duration=SECONDS
+            )
+            knees = "touch the ground" if any("touches" in text for text in run.failures) else "-"
+            lost = f"{1e3 * run.height_loss:.2f}"
+            table.add_row(f"{impratio:g}", f"{times:g}", lost, knees)
+    Console().print(table)
+    robot, table = pa.load_variant("heavy"), Table("torque limit (N m)", "predicted", "let go")
+    stand = pa.solve_stand(robot)
+    for limit in (0.632, 0.636, 0.64, 0.65, 0.66):
+
+        def weaken(model: mujoco.MjModel, limit: float = limit) -> None:
+            model.actuator_forcerange[:] = -limit, limit
+
+        weak = changed(robot, weaken)
+        try:
+            predicted = f"{1e3 * settled_pose(weak, stand).height_loss:.3f} mm"
+        except pa.NoEquilibriumError:
+            predicted = "no equilibrium"
+        run = pa.verify_stand(weak, stand, feedforward=False, duration=SECONDS)
+        lost = f"{1e3 * run.height_loss:.3f} mm" if run.passed else "collapses"
+        table.add_row(f"{limit:g}", predicted, lost)
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
