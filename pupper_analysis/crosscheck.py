@@ -9,8 +9,8 @@ the other two the model is the same and the engines differ. So a deviation tells
            |                                |
     URDF in MuJoCo ------ models --- MJCF in MuJoCo --- extras --- MJCF as it is
 
-What a URDF cannot state (springs, tendons, fluid ...; see `extras`) is taken out of the MJCF for the
-square, so that both engines are given the same model; the last side tells what it does.
+What a URDF cannot state (springs, tendons, fluid ...; see `extras`) is taken out of the MJCF for
+the square, so that both engines are given the same model; the last side tells what it does.
 """
 
 from __future__ import annotations
@@ -379,6 +379,7 @@ def _mujoco_opinion(
     rows: dict[str, list[Array]] = {}
     for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
         convention.set_state(data, qpos)
+        data.qfrc_applied[dofs] = 0.0
         mujoco.mj_forward(model, data)
         gravity = data.qfrc_bias[public].copy()
         convention.set_state(data, qpos, qvel)

@@ -22,6 +22,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.convention import MujocoConvention
 from pupper_analysis.conversion import actuator_gear, is_at_one_joint
 
 Array = NDArray[np.float64]
@@ -59,6 +60,21 @@ class Reference:
         first = int(self.model.body_jntadr[base])
         loose = [first] if first >= 0 and self.model.jnt_type[first] == free else []
         return [*loose, *(self.names.joint(name).id for name in self.joint_names)]
+
+    def convention(self) -> MujocoConvention:
+        """Returns where the public coordinates are; other objects of a scene may float as well."""
+        model, joints = self.model, self.joints()
+        free = len(joints) - len(self.joint_names)
+        starts = zip(model.jnt_qposadr[joints], model.jnt_dofadr[joints], strict=True)
+        qpos, qvel = [], []
+        for number, (position, velocity) in enumerate(starts):
+            qpos += range(position, position + (7 if number < free else 1))
+            qvel += range(velocity, velocity + (6 if number < free else 1))
+        return MujocoConvention(
+            qpos_index=np.array(qpos, dtype=np.int64),
+            qvel_index=np.array(qvel, dtype=np.int64),
+            actuator_index=np.full(len(self.joint_names), -1),
+        )
 
     def bodies(self) -> set[int]:
         """Returns the ids of the robot's bodies: all on the trees of its base and its joints."""
@@ -113,6 +129,8 @@ def as_it_is(model: mujoco.MjModel) -> mujoco.MjModel:
     for bit in (_DISABLE.mjDSBL_CONTACT, _DISABLE.mjDSBL_LIMIT, _DISABLE.mjDSBL_FRICTIONLOSS):
         result.opt.disableflags |= bit.value
     result.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER.value
+    # MuJoCo takes a com within 1e-6 m of its body's frame for the frame itself; not here.
+    result.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE.value
     # mjDSBL_ACTUATION would take away the gravity compensation of actuatorgravcomp, too.
     result.actuator_group[:] = 0
     result.opt.disableactuator = 1

@@ -200,6 +200,22 @@ class MjcfFile:
                 if node.tag == tag:
                     yield node.attributes, node.place
 
+    def numbered(self, section: str, number: int) -> Place:
+        """Returns the place of an element without a name.
+
+        Args:
+            section: ``"actuator"``, ``"equality"`` or ``"tendon"``.
+            number: Its place in the section, from 0.
+
+        Returns:
+            Its file and line; the file alone where attached models or replicates add elements.
+        """
+        if len(self._roots) > 1 or any(True for _ in self.elements("replicate")):
+            return Place(self.path)
+        tops = (node for node in self._roots[0].children if node.tag == section)
+        found = [node.place for top in tops for node in top.children]
+        return found[number] if number < len(found) else Place(self.path)
+
     def compile(self) -> mujoco.MjModel:
         """Returns what MuJoCo compiles the file to, as it is (without what files are missing for).
 
