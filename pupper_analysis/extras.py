@@ -384,50 +384,48 @@ class _Finder:
         for index in range(model.neq):
             if not model.eq_active0[index]:
                 continue
-            kind, one, two = self._coupled(index)
-            if not (one | two) & self.bodies and kind not in _FLEXIBLE:
-                continue
+            ends = self._ends(index)
+            bodies = [self._end_bodies(what, target) for what, target in ends]
+            if not any(end is None or end & self.bodies for end in bodies):
+                continue  # of other objects of the scene
             name = self.name("equality", index)
-            ends = " to ".join(self._ends(index))
+            kind = _EQUALITY(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
+            what = " and ".join(self._end_name(*end) for end in ends)
             yield Extra(
                 "equality",
                 name,
                 [float(each) for each in model.eq_data[index]],
                 "",
-                f"equality {name}: nothing in the URDF, in the MJCF it is a {kind} of {ends}",
+                f"equality {name}: nothing in the URDF, in the MJCF it is a {kind} of {what}",
                 (("eq_active0", index),),
             )
 
-    def _coupled(self, index: int) -> tuple[str, set[int], set[int]]:
-        """The kind of an equality, and the bodies at its two ends."""
+    def _ends(self, index: int) -> list[tuple[mujoco.mjtObj, int]]:
+        """The kinds and ids of the two objects of an equality; -1 where it has one only."""
         model = self.model
-        kind = _EQUALITY(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
-        what = mujoco.mjtObj(int(model.eq_objtype[index]))
-        ends = []
-        for target in (int(model.eq_obj1id[index]), int(model.eq_obj2id[index])):
-            bodies: set[int] = set()
-            if target >= 0 and what == mujoco.mjtObj.mjOBJ_JOINT:
-                bodies = {int(model.jnt_bodyid[target])}
-            elif target >= 0 and what == mujoco.mjtObj.mjOBJ_BODY:
-                bodies = {target}
-            elif target >= 0 and what == mujoco.mjtObj.mjOBJ_SITE:
-                bodies = {int(model.site_bodyid[target])}
-            elif target >= 0 and what == mujoco.mjtObj.mjOBJ_TENDON:
-                bodies = self._wraps(target)
-            elif target >= 0 and what == mujoco.mjtObj.mjOBJ_GEOM:
-                bodies = {int(model.geom_bodyid[target])}
-            ends.append(bodies)
-        return kind, ends[0], ends[1]
+        what = _ENDS.get(int(model.eq_type[index])) or mujoco.mjtObj(int(model.eq_objtype[index]))
+        return [(what, int(model.eq_obj1id[index])), (what, int(model.eq_obj2id[index]))]
 
-    def _ends(self, index: int) -> list[str]:
-        model = self.model
-        what = mujoco.mjtObj(int(model.eq_objtype[index]))
-        word = what.name.removeprefix("mjOBJ_").lower()
-        ends = []
-        for target in (int(model.eq_obj1id[index]), int(model.eq_obj2id[index])):
-            name = mujoco.mj_id2name(self.names, what, target) if target >= 0 else None
-            ends.append(f"{word} {name or f'#{target}'}" if target >= 0 else "its rest")
-        return ends
+    def _end_bodies(self, what: mujoco.mjtObj, target: int) -> set[int] | None:
+        """The bodies that an equality holds at one end; None where it is not known."""
+        model, kinds = self.model, mujoco.mjtObj
+        if target < 0:
+            return set()
+        if what == kinds.mjOBJ_TENDON:
+            return self._wraps(target)
+        carrier = {
+            kinds.mjOBJ_BODY: np.arange(model.nbody),
+            kinds.mjOBJ_JOINT: model.jnt_bodyid,
+            kinds.mjOBJ_SITE: model.site_bodyid,
+            kinds.mjOBJ_GEOM: model.geom_bodyid,
+        }.get(what)
+        return None if carrier is None else {int(carrier[target])}
+
+    def _end_name(self, what: mujoco.mjtObj, target: int) -> str:
+        if target < 0:
+            return "a constant"
+        name = mujoco.mj_id2name(self.names, what.value, target)
+        return f"{what.name.removeprefix('mjOBJ_').lower()} {name or f'#{target}'}"
 
     def flexes(self) -> Iterator[Extra]:
         model = self.model
@@ -459,7 +457,14 @@ class _Finder:
                 yield Extra("flag", word, "disable", "", message)
 
 
-_FLEXIBLE = ("flex", "flexvert", "flexstrain")
+# MuJoCo's eq_objtype is for constraints that take bodies or sites.
+_ENDS = {
+    _EQUALITY.mjEQ_JOINT.value: mujoco.mjtObj.mjOBJ_JOINT,
+    _EQUALITY.mjEQ_TENDON.value: mujoco.mjtObj.mjOBJ_TENDON,
+    _EQUALITY.mjEQ_FLEX.value: mujoco.mjtObj.mjOBJ_FLEX,
+    _EQUALITY.mjEQ_FLEXVERT.value: mujoco.mjtObj.mjOBJ_FLEX,
+    _EQUALITY.mjEQ_FLEXSTRAIN.value: mujoco.mjtObj.mjOBJ_FLEX,
+}
 
 _FLAGS = (
     (_DISABLE.mjDSBL_LIMIT, "limit", "no joint limit acts"),
