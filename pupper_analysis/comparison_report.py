@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pupper_analysis.comparison import Comparison
-from pupper_analysis.crosscheck import EXTRAS
+from pupper_analysis.crosscheck import EDGES, EXTRAS
 from pupper_analysis.explain import Difference
 from pupper_analysis.formats import Annotation, Case
 
@@ -107,10 +107,18 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
         "configurations",
         style="bold",
     )
-    sides = list(dict.fromkeys(side for quantity in check.quantities for side in quantity.edges))
-    if not any(quantity.edges.get(EXTRAS) for quantity in check.quantities):
+    sides = [side for side in EDGES.values() if any(side in q.edges for q in check.quantities)]
+    extras = any(quantity.edges.get(EXTRAS) for quantity in check.quantities)
+    if not extras:
         sides.remove(EXTRAS)  # a column of zeros: the MJCF has none
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, header_style="dim")
+    # With that column, 80 characters are enough only if the columns share their padding.
+    table = Table(
+        box=SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        header_style="dim",
+        collapse_padding=extras,
+    )
     table.add_column("quantity", no_wrap=True)
     for side in sides:
         table.add_column(side.replace(" (", "\n("), justify="right", no_wrap=True)

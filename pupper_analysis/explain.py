@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pupper_analysis import parameters
 from pupper_analysis.configuration import Configuration
 from pupper_analysis.convention import PinocchioConvention
-from pupper_analysis.conversion import pinocchio_from_mujoco
+from pupper_analysis.conversion import joint_damping, pinocchio_from_mujoco
 from pupper_analysis.crosscheck import States, random_states
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.extras import Mimics, Reference, extras, split_mimics, without
@@ -184,7 +184,8 @@ class Explanation(Result):
         left: {quantity: relative deviation that is left when the URDF's model is given the MJCF's
             value for every difference, and what the MJCF alone has is taken out of it}.
         complete: Whether nothing is left.
-        remains: What acts in what is left of the MJCF, by MuJoCo's names, in words.
+        remains: What acts in MuJoCo when all that was found is taken away, and has no part in a
+            tree of joints, by MuJoCo's names, in words.
         armature: What the armature does; both models were given the MJCF's.
     """
 
@@ -261,14 +262,13 @@ def explain(
         everything = change.apply(everything, second)
     patched = _behaviour(robot, everything, states)
     left = {name: judge.relative(name, patched[name], stripped[name]) for name in patched}
-    complete = all(value <= EXPLAINED for value in left.values())
     differences.sort(key=lambda item: (-item.weight[0], -item.weight[1], _ORDER.index(item.kind)))
     return Explanation(
         differences=tuple(differences),
         deviations={name: judge.relative(name, urdf[name], mjcf[name]) for name in urdf},
         left=left,
-        complete=complete,
-        remains=() if complete else tuple(_remains(reference, bare, states)),
+        complete=all(value <= EXPLAINED for value in left.values()),
+        remains=tuple(_remains(reference, bare, states)),
         armature=_armature(robot, first, states, judge),
     )
 
@@ -443,23 +443,34 @@ def _mujoco_behaviour(
     return {name: np.array(values) for name, values in rows.items()}
 
 
-_FORCES = ("qfrc_spring", "qfrc_gravcomp", "qfrc_fluid", "qfrc_adhesion", "qfrc_actuator")
+_FORCES = ("spring", "damper", "gravcomp", "fluid", "adhesion", "actuator", "constraint")
 
 
 def _remains(reference: Reference, model: mujoco.MjModel, states: States) -> Iterator[str]:
-    """Yields the forces of MuJoCo's that still act, of which a bare tree of joints has none."""
+    """Yields the forces that still act, besides linear damping, of which a tree of joints has none.
+
+    Args:
+        reference: The MJCF.
+        model: The reference's, without what was found that a URDF cannot state.
+        states: The states.
+    """
     data = mujoco.MjData(model)
     convention = reference.convention()
-    worst = dict.fromkeys((*_FORCES, "qfrc_constraint"), 0.0)
+    damping = joint_damping(model)
+    worst = dict.fromkeys(_FORCES, 0.0)
+    scale = 0.0
     for qpos, qvel in zip(states.qpos, states.qvel, strict=True):
         convention.set_state(data, qpos, qvel)
         mujoco.mj_forward(model, data)
+        scale = max(scale, float(np.abs(data.qfrc_bias).max()))
         for name in worst:
-            force = np.abs(getattr(data, name)[convention.qvel_index]).max()
-            worst[name] = max(worst[name], float(force))
+            force = np.array(getattr(data, f"qfrc_{name}"))
+            if name == "damper":
+                force += damping * data.qvel
+            worst[name] = max(worst[name], float(np.abs(force[convention.qvel_index]).max()))
     for name, force in worst.items():
-        if force > 0:
-            yield f"MuJoCo's {name} is up to {force:.2g} N or N m"
+        if force > 1e-12 * scale:  # rounding
+            yield f"MuJoCo's qfrc_{name} is up to {force:.2g} N or N m"
 
 
 def _behaviour(robot: Robot, values: Parameters, states: States) -> dict[str, Array]:
