@@ -297,8 +297,8 @@ def _mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> Place
     if kind in _WHOLE:
         words = {"flag": (element,)}.get(kind, _WHOLE[kind])
         tag = "flag" if kind == "flag" or not words else "option"
-        places = (at for found, at in file.elements(tag) if set(words) & set(found))
-        return next(places, Place(file.path))
+        stated = (at for found, at in file.elements(tag) if set(words) & set(found))
+        return next(stated, Place(file.path))
     if kind in ("gravity compensation", "plugin"):
         return file.place("body", element)
     if difference.kind in ("mass", "com", "inertia"):

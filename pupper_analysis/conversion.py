@@ -84,7 +84,7 @@ def gravity(model: mujoco.MjModel) -> Array:
 def joint_armature(model: mujoco.MjModel) -> Array:
     """Returns the armature (nv,) that acts at each degree of freedom (kg m^2, kg).
 
-    The joint's, and that of the actuator at it, times its gear squared.
+    The joint's, and those of the actuators at it, times their gears squared.
     """
     return np.array(model.dof_armature) + _of_actuators(model, model.actuator_armature)
 
@@ -92,7 +92,7 @@ def joint_armature(model: mujoco.MjModel) -> Array:
 def joint_damping(model: mujoco.MjModel) -> Array:
     """Returns the linear damping (nv,) that acts at each degree of freedom (N m s/rad, N s/m).
 
-    The joint's, and that of the actuator at it, times its gear squared; 0 if switched off.
+    The joint's, and those of the actuators at it, times their gears squared; 0 if switched off.
     """
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER.value:
         return np.zeros(model.nv)
@@ -106,8 +106,7 @@ def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
         return False
     joint = int(model.actuator_trnid[actuator, 0])
     moving = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
-    # MuJoCo takes those of one actuator per joint.
-    return model.jnt_type[joint] in moving and model.jnt_actuatorid[joint] == actuator
+    return model.jnt_type[joint] in moving
 
 
 def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:

@@ -19,7 +19,7 @@ from pupper_analysis.convention import PinocchioConvention
 from pupper_analysis.conversion import joint_damping, pinocchio_from_mujoco
 from pupper_analysis.crosscheck import States, random_states
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.extras import Mimics, Reference, extras, split_mimics, without
+from pupper_analysis.extras import Mimics, Reference, as_it_is, extras, split_mimics, without
 from pupper_analysis.parameters import Body, Joint, Parameters
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot, foot_site
@@ -233,6 +233,7 @@ def explain(
     states = random_states(robot, 10, seed=0)
     urdf = _behaviour(robot, first, states)
     mujoco_sees = partial(_mujoco_behaviour, robot, reference, states)
+    whole = as_it_is(reference.model)
     mjcf = mujoco_sees(without(reference.model, coupled))
     bare = without(reference.model, [*found, *coupled])
     stripped = mujoco_sees(bare)
@@ -247,7 +248,7 @@ def explain(
     for extra in found:
         effects = {}
         if extra.slots:
-            extra.switch(bare, reference.model)
+            extra.switch(bare, whole)
             effects = judge.effects(stripped, mujoco_sees(bare))
             extra.switch(bare, None)
         differences.append(
@@ -468,9 +469,9 @@ def _remains(reference: Reference, model: mujoco.MjModel, states: States) -> Ite
             if name == "damper":
                 force += damping * data.qvel
             worst[name] = max(worst[name], float(np.abs(force[convention.qvel_index]).max()))
-    for name, force in worst.items():
-        if force > 1e-12 * scale:  # rounding
-            yield f"MuJoCo's qfrc_{name} is up to {force:.2g} N or N m"
+    for name, greatest in worst.items():
+        if greatest > 1e-12 * scale:  # rounding
+            yield f"MuJoCo's qfrc_{name} is up to {greatest:.2g} N or N m"
 
 
 def _behaviour(robot: Robot, values: Parameters, states: States) -> dict[str, Array]:

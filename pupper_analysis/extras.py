@@ -66,7 +66,8 @@ class Reference:
         model, joints = self.model, self.joints()
         free = len(joints) - len(self.joint_names)
         starts = zip(model.jnt_qposadr[joints], model.jnt_dofadr[joints], strict=True)
-        qpos, qvel = [], []
+        qpos: list[int] = []
+        qvel: list[int] = []
         for number, (position, velocity) in enumerate(starts):
             qpos += range(position, position + (7 if number < free else 1))
             qvel += range(velocity, velocity + (6 if number < free else 1))
@@ -108,7 +109,7 @@ class Extra:
     slots: tuple[Slot, ...] = field(default=())
 
     def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:
-        """Takes it away in a model, in place; or gives it the numbers of another again."""
+        """Takes it away in a model (of `as_it_is`), in place; or takes another's numbers again."""
         for name, where in self.slots:
             if name.startswith("opt."):
                 option = name.removeprefix("opt.")
@@ -121,9 +122,9 @@ def as_it_is(model: mujoco.MjModel) -> mujoco.MjModel:
     """Returns a copy whose ``mj_forward`` gives the accelerations that the motors do not make.
 
     All that acts is left as it is; but no contact, joint or tendon limit, or dry friction acts, and
-    the motors' own forces do not (their inertia and damping, and the gravity compensation that
-    goes through them, do). The integrator is set to Euler, for ``discrete`` would give
-    accelerations that depend on the timestep.
+    the motors' control does not (their inertia and damping, the gravity compensation that goes
+    through them, and what a DC motor does without a command, do). The integrator is set to Euler,
+    for ``discrete`` would give accelerations that depend on the timestep.
     """
     result = copy.copy(model)
     for bit in (_DISABLE.mjDSBL_CONTACT, _DISABLE.mjDSBL_LIMIT, _DISABLE.mjDSBL_FRICTIONLOSS):
@@ -131,10 +132,21 @@ def as_it_is(model: mujoco.MjModel) -> mujoco.MjModel:
     result.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER.value
     # MuJoCo takes a com within 1e-6 m of its body's frame for the frame itself; not here.
     result.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE.value
-    # mjDSBL_ACTUATION would take away the gravity compensation of actuatorgravcomp, too.
-    result.actuator_group[:] = 0
+    # By groups: mjDSBL_ACTUATION would take away the gravity compensation of actuatorgravcomp, too.
+    passive = [acts_without_command(model, motor) for motor in range(model.nactuator)]
+    result.actuator_group[:] = np.where(passive, 1, 0)
     result.opt.disableactuator = 1
     return result
+
+
+def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
+    """Says whether a motor is a DC motor without a controller: its back-EMF brakes all the same."""
+    dc = model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_DCMOTOR.value
+    # Its inputs are a sum of 1 and 2 (setpoints of a controller), 4, 8 and 16 (none).
+    controlled = bool(model.actuator_ctrlspec[motor] & 3)
+    group = int(model.actuator_group[motor])
+    switched_off = 0 <= group < 31 and bool(model.opt.disableactuator >> group & 1)
+    return bool(dc) and not controlled and not switched_off
 
 
 def without(model: mujoco.MjModel, extras: Iterable[Extra]) -> mujoco.MjModel:
@@ -173,7 +185,8 @@ class _Finder:
         return bool(self.model.opt.disableflags & bit.value)
 
     def name(self, kind: str, index: int) -> str:
-        return str(getattr(self.names, kind)(index).name) or f"#{index}"
+        what = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}").value
+        return mujoco.mj_id2name(self.names, what, index) or f"#{index}"
 
     def joint_name(self, joint: int) -> str:
         """A joint's name; the base's for its free joint."""
@@ -340,8 +353,15 @@ class _Finder:
             if higher.any():
                 value["damping polynomial"] = [float(each) for each in higher]
                 slots.append(("actuator_dampingpoly", motor))
+            name = self.name("actuator", motor)
+            if acts_without_command(model, motor) and not self.off(_DISABLE.mjDSBL_ACTUATION):
+                message = (
+                    f"actuator {name}: nothing in the URDF, in the MJCF it is a DC motor, which "
+                    "brakes without a command"
+                )
+                group = ("actuator_group", motor)  # 0 is off in `as_it_is`
+                yield Extra("actuator", name, "DC motor", "", message, (group,))
             if value:
-                name = self.name("actuator", motor)
                 said = ", ".join(f"{word} {_numbers(number)}" for word, number in value.items())
                 gear = _list(actuator_gear(model, motor))
                 message = (

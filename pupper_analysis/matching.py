@@ -139,8 +139,8 @@ def match(
     only_urdf = tuple(name for name in mine if name not in pairs)
     only_mjcf = tuple(name for name in theirs if name not in pairs.values())
     mimics = {
-        pairs[name]: (pairs.get(other, other), *numbers)
-        for name, (other, *numbers) in urdf_mimics(root).items()
+        pairs[name]: (pairs.get(other, other), multiplier, offset)
+        for name, (other, multiplier, offset) in urdf_mimics(root).items()
         if name in pairs
     }
     _fix_in_urdf(root, only_urdf)

@@ -38,6 +38,8 @@ from pupper_analysis.extras import Reference, as_it_is, extras, split_mimics, wi
 GRAVITY, LENGTH, MASS = 9.81, 0.5, 2.0  # of the pendulum
 ROD = MASS * LENGTH**2 + 1e-3 + 0.01  # its moment of inertia about the hinge, with the rotor
 
+EFFORT = Tolerances().changed({"effort": 2.0})  # of whatever motors there are
+
 URDF = urdf_text(quadruped())
 MJCF = mjcf_text(quadruped())
 
@@ -61,7 +63,7 @@ def swing(folder: Path, **edits: str) -> tuple[dict[str, Effect], np.ndarray, np
     match = matched(files)
     explanation = explain(match.robot, reference=match.reference, mimics=match.mimics)
     assert explanation.complete
-    (difference,) = explanation.differences
+    (difference,) = (item for item in explanation.differences if item.kind != "effort")
     states = random_states(match.robot, 10, seed=0)
     return difference.effects, states.qpos[:, 0], states.qvel[:, 0]
 
@@ -158,6 +160,41 @@ def test_gravities_in_use_are_no_difference_unless_strict(tmp_path: Path, gravit
     assert strict.agree == (gravity == 9.81)
 
 
+DC = '<dcmotor name="dc" joint="swing" gear="3" motorconst="0.5" resistance="2" {}/></actuator>'
+
+
+def test_a_dc_motor_brakes_without_a_command(tmp_path: Path) -> None:
+    """Its back-EMF K w drives K w / R through the winding: a torque of K^2 w / R."""
+    for command in ("", 'input="none"'):
+        effects, _, speed = swing(tmp_path, **{"</actuator>": DC.format(command)})
+        only_acceleration(effects, 3**2 * 0.5**2 / 2 * speed / ROD)
+
+
+def test_a_controlled_motor_is_left_to_its_controller(tmp_path: Path) -> None:
+    text = mjcf_text(pendulum(), free=False)
+    for motor in (
+        DC.format('input="pos" controller="10 0 0"'),
+        '<position joint="swing" kp="30" kv="2"/></actuator>',
+        '<velocity joint="swing" kv="2"/></actuator>',
+    ):
+        mjcf = with_(text, **{"</actuator>": motor})
+        comparison = pair(tmp_path, mjcf, urdf_text(pendulum()))
+        assert found(comparison) == [("effort", "swing")], motor  # it is not limited any more
+        assert max(comparison.deviations.values()) < 1e-12, motor
+
+
+def test_a_flex_between_bodies_of_the_robot(tmp_path: Path) -> None:
+    rope = (
+        '<deformable><flex name="rope" dim="1" body="shank0 shank1 shank2" '
+        'vertex="0 0 0 0 0 0 0 0 0" element="0 1 1 2"><edge stiffness="50" damping="2"/></flex>'
+        "</deformable>"
+    )
+    comparison = pair(tmp_path, mjcf_text(quadruped(), extra=rope))
+    assert found(comparison) == [("flex", "rope")]
+    assert comparison.complete
+    assert comparison.differences[0].effects["forward dynamics"].relative > 1e-3
+
+
 # ------------------------------------------------------------------------------------- one joint's
 
 
@@ -170,7 +207,7 @@ def test_a_motor_at_a_joint_has_the_joints_armature_and_damping(tmp_path: Path) 
         motor = f'name="m_hip{leg}" joint="hip{leg}"'
         motors = with_(motors, **{motor: f'{motor} gear="2" damping="0.015" armature="0.002"'})
     # 0.04 + 4 0.015 = 0.1 and 0.002 + 4 0.002 = 0.01; the torques' limits grow with the gear.
-    comparison = pair(tmp_path, motors, tolerances=Tolerances().changed({"effort": 2.0}))
+    comparison = pair(tmp_path, motors, tolerances=EFFORT)
     assert found(comparison) == []
     assert comparison.agree
     armature = {q.name: q for q in comparison.check.quantities}["armature"]
