@@ -19,7 +19,7 @@ from pupper_analysis.convention import PinocchioConvention
 from pupper_analysis.conversion import joint_damping, pinocchio_from_mujoco
 from pupper_analysis.crosscheck import States, random_states
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.extras import Mimics, Reference, as_it_is, extras, split_mimics, without
+from pupper_analysis.extras import Extra, Mimics, Reference, as_it_is, extras, split_mimics, without
 from pupper_analysis.parameters import Body, Joint, Parameters
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot, foot_site
@@ -233,7 +233,6 @@ def explain(
     states = random_states(robot, 10, seed=0)
     urdf = _behaviour(robot, first, states)
     mujoco_sees = partial(_mujoco_behaviour, robot, reference, states)
-    whole = as_it_is(reference.model)
     mjcf = mujoco_sees(without(reference.model, coupled))
     bare = without(reference.model, [*found, *coupled])
     stripped = mujoco_sees(bare)
@@ -245,23 +244,14 @@ def explain(
             effects = judge.effects(urdf, _behaviour(robot, change.apply(first, second), states))
         differences.append(change.difference(effects))
     differences += _armature_differences(robot, first, states, judge)
+    whole = as_it_is(reference.model)
     for extra in found:
-        effects = {}
-        if extra.slots:
-            extra.switch(bare, whole)
-            effects = judge.effects(stripped, mujoco_sees(bare))
-            extra.switch(bare, None)
-        differences.append(
-            Difference(
-                extra.kind, extra.element, None, extra.value, extra.unit, extra.message, effects
-            )
-        )
+        extra.switch(bare, whole)
+        effects = judge.effects(stripped, mujoco_sees(bare)) if extra.slots else {}
+        extra.switch(bare, None)
+        differences.append(_extra(extra, effects))
     differences += [_mimic(name, (mimics or {})[name]) for name in uncoupled]
-    everything = first
-    # What is within the tolerance is taken over as well, so that only what was overlooked is left.
-    for change in _changes(first, second, _NOTHING):
-        everything = change.apply(everything, second)
-    patched = _behaviour(robot, everything, states)
+    patched = _behaviour(robot, _patched(first, second), states)
     left = {name: judge.relative(name, patched[name], stripped[name]) for name in patched}
     differences.sort(key=lambda item: (-item.weight[0], -item.weight[1], _ORDER.index(item.kind)))
     return Explanation(
@@ -325,6 +315,23 @@ class _Judge:
                 share = relative / total if 0 < total < math.inf else math.inf
                 found[name] = Effect(relative * self.scale(name), relative, share)
         return found
+
+
+def _patched(first: Parameters, second: Parameters) -> Parameters:
+    """Returns the first with the second's value for every difference.
+
+    What is within the tolerance is taken over as well, so that only what was overlooked is left.
+    """
+    patched = first
+    for change in _changes(first, second, _NOTHING):
+        patched = change.apply(patched, second)
+    return patched
+
+
+def _extra(extra: Extra, effects: dict[str, Effect]) -> Difference:
+    return Difference(
+        extra.kind, extra.element, None, extra.value, extra.unit, extra.message, effects
+    )
 
 
 def _mimic(name: str, said: tuple[str, float, float]) -> Difference:

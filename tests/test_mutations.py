@@ -818,6 +818,18 @@ def test_a_joint_that_is_fixed_in_one_file_is_named(tmp_path: Path) -> None:
     assert comparison.complete
 
 
+def test_the_program_says_so_if_a_change_is_missed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is changed, so that nothing can be found."""
+    nothing: dict[str, Mutation] = {"nothing": lambda _: ({"mass"}, {"base_link"})}
+    for kinds, status in ((nothing, 1), ({"mass": MUTATIONS["mass"]}, 0)):
+        monkeypatch.setattr(sys.modules[__name__], "MUTATIONS", kinds)
+        monkeypatch.setattr(sys.modules[__name__], "PLACES", 1)
+        assert main() == status
+    assert "1 kinds: 0 of 3 found" in capsys.readouterr().out
+
+
 def main() -> int:
     """Prints the score: ``python tests/test_mutations.py``; returns 1 if any was missed."""
     import tempfile
