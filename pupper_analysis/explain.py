@@ -416,11 +416,8 @@ def _mujoco_behaviour(
     coordinates = model.jnt_qposadr[joints]
     frames = {**robot.description.feet, **robot.description.frames}
     places = [foot_site(names, frame, robot.name) for _, frame in frames.values()]
-    base, public = names.body(reference.base).id, convention.qvel_index
-    robots = reference.bodies()
-    weights = np.array(
-        [model.body_mass[b] if b in robots or b == base else 0.0 for b in range(model.nbody)]
-    )
+    public = convention.qvel_index
+    weights = _weights(robot, reference)
     full = np.zeros((model.nv, model.nv))
     rows: dict[str, list[Array]] = {}
     for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
@@ -449,6 +446,21 @@ def _mujoco_behaviour(
         for name, value in result.items():
             rows.setdefault(name, []).append(value)
     return {name: np.array(values) for name, values in rows.items()}
+
+
+def _weights(robot: Robot, reference: Reference) -> Array:
+    """Returns the mass (nbody,) of each body of the reference that is the robot's, else 0 (kg).
+
+    On a fixed base all that is static counts, as in `pinocchio_from_mujoco`.
+    """
+    model, moving = reference.model, reference.bodies()
+    kept = {robot.mj_model.body(body).name for body in range(robot.mj_model.nbody)}
+    members = [
+        (body in moving or not (robot.floating or model.body_weldid[body]))
+        and reference.names.body(body).name in kept
+        for body in range(model.nbody)
+    ]
+    return np.where(members, model.body_mass, 0.0)
 
 
 _FORCES = ("spring", "damper", "gravcomp", "fluid", "adhesion", "actuator", "constraint")

@@ -107,7 +107,7 @@ def match(
     spec = mjcf.spec.copy()
     _name_all(spec, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
-    _drop_other_objects(spec, mjcf.path, notes)
+    _drop_other_objects(spec, mjcf.path, {str(e.get("name")) for e in root.iter("link")}, notes)
     theirs = _hinges(spec, mjcf.path)
     root = _strip_roots(root, urdf.path, _mjcf_tree(spec, mjcf.path), notes)
 
@@ -309,19 +309,24 @@ def _hinges(spec: mujoco.MjSpec, source: Path) -> list[str]:
     return names
 
 
-def _drop_other_objects(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> None:
-    """Keeps the largest tree of joints: a scene may have loose objects besides the robot."""
-    trees = [
-        body
-        for body in spec.worldbody.bodies
-        if body.find_all(mujoco.mjtObj.mjOBJ_JOINT) or body.joints
-    ]
-    if not trees:
+def _drop_other_objects(
+    spec: mujoco.MjSpec, source: Path, links: set[str], notes: list[str]
+) -> None:
+    """Keeps the largest tree of joints: a scene may have loose objects besides the robot.
+
+    Beside a robot on a fixed base, a table or a wall would count as part of that base, unless it
+    has the name of one of the URDF's links.
+    """
+    kinds = mujoco.mjtObj
+    size = {body.name: len(body.find_all(kinds.mjOBJ_JOINT)) for body in spec.worldbody.bodies}
+    if not any(size.values()):
         raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")
-    size = {body.name: len(body.find_all(mujoco.mjtObj.mjOBJ_JOINT)) for body in trees}
-    robot = max(trees, key=lambda body: size[body.name])
-    for body in trees:
-        if body is not robot:
+    robot = max(spec.worldbody.bodies, key=lambda body: size[body.name])
+    fixed = not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in robot.joints)
+    for body in list(spec.worldbody.bodies):
+        names = {body.name, *(below.name for below in body.find_all(kinds.mjOBJ_BODY))}
+        scenery = fixed and not body.mocap and not names & links
+        if body.name != robot.name and (size[body.name] or scenery):
             notes.append(f"{source.name}: body {body.name!r} is not part of the robot: left out")
             spec.delete(body)
 

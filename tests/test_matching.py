@@ -241,6 +241,18 @@ def test_loose_objects_and_a_floor_are_no_part_of_the_robot(tmp_path: Path) -> N
     assert "robot.xml: body 'door' is not part of the robot: left out" in comparison.notes
 
 
+def test_scenery_is_no_part_of_a_fixed_base(tmp_path: Path) -> None:
+    """What is static is lumped with a fixed base, but not a table that the URDF has not."""
+    table = '<body name="table" pos="1 0 0"><geom size="0.1"/></body>'
+    mjcf = mjcf_text(arm(), free=False, scene=table)
+    comparison = compare_texts(tmp_path, urdf_text(arm()), mjcf)
+    assert comparison.agree
+    assert comparison.engines == ()
+    assert "robot.xml: body 'table' is not part of the robot: left out" in comparison.notes
+    heavier = mjcf_text(changed(arm(), "base", mass=3.5), free=False, scene=table)
+    assert found(compare_texts(tmp_path, urdf_text(arm()), heavier)) == [("mass", "base")]
+
+
 def test_loose_objects_without_names(tmp_path: Path) -> None:
     scene = BALL.replace(' name="ball"', "")
     mjcf = mjcf_text(quadruped(), scene=scene).replace('<body name="base"', "<body")
