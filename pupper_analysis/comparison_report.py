@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 from rich.box import SIMPLE_HEAD
@@ -10,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pupper_analysis.comparison import Comparison
+from pupper_analysis.crosscheck import EDGES, EXTRAS
 from pupper_analysis.explain import Difference
 from pupper_analysis.formats import Annotation, Case
 
@@ -30,7 +32,9 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
     groups = _groups(comparison.differences)
     verdict = "[bold green]AGREE[/]" if comparison.agree else "[bold red]DISAGREE[/]"
     first = groups[0][0].message if groups else "no difference within the tolerances"
-    if not groups and not comparison.agree:
+    if not groups and comparison.objections:
+        first = comparison.objections[0]
+    elif not groups and not comparison.agree:
         first = "they do not have the same joints"
     out.print(f"{verdict}: {escape(first)}", soft_wrap=True)
     shown = groups if everything else groups[:SHOWN]
@@ -46,6 +50,8 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
             f"values in the URDF's model {left:.1e} is left{complete}",
             soft_wrap=True,
         )
+    for objection in comparison.objections:
+        out.print(f"[red]{escape(objection)}[/]", soft_wrap=True)
     _print_quantities(out, comparison)
     for note in _matching_notes(comparison):
         out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
@@ -84,7 +90,9 @@ def _print_group(out: Console, number: int, group: list[Difference], everything:
     out.print(escape(f"   {first.urdf_place}   {first.mjcf_place}"), style="dim", soft_wrap=True)
     if first.effects:
         effects = ", ".join(
-            f"{name} {effect.share:.0%}" + (f" ({effect.relative:.1e})" if effect.share else "")
+            f"{name} {effect.share:.0%} ({effect.relative:.1e})"
+            if math.isfinite(effect.share)
+            else f"{name} ({effect.relative:.1e})"
             for name, effect in sorted(first.effects.items(), key=lambda item: -item[1].share)
         )
         out.print(f"   alone it makes, of the deviation in: {effects}", soft_wrap=True)
@@ -99,8 +107,18 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
         "configurations",
         style="bold",
     )
-    sides = list(dict.fromkeys(side for quantity in check.quantities for side in quantity.edges))
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, header_style="dim")
+    sides = [side for side in EDGES.values() if any(side in q.edges for q in check.quantities)]
+    extras = any(quantity.edges.get(EXTRAS) for quantity in check.quantities)
+    if not extras:
+        sides.remove(EXTRAS)  # a column of zeros: the MJCF has none
+    # With that column, 80 characters are enough only if the columns share their padding.
+    table = Table(
+        box=SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        header_style="dim",
+        collapse_padding=extras,
+    )
     table.add_column("quantity", no_wrap=True)
     for side in sides:
         table.add_column(side.replace(" (", "\n("), justify="right", no_wrap=True)
@@ -134,6 +152,10 @@ def remarks(comparison: Comparison) -> list[Annotation]:
             Annotation("error", f"joint {name}", f"joint {name} is not in {other}", file)
             for name in joints
         ]
+    found += [
+        Annotation("error", "agreement", objection, comparison.mjcf)
+        for objection in comparison.objections
+    ]
     if comparison.guessed:
         pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
         message = f"matched by structure, not by name: {pairs}"
@@ -158,7 +180,6 @@ def cases(comparison: Comparison) -> list[Case]:
         if not (quantity.passed or comparison.agree):
             failure = f"{quantity.relative:.1e} ({quantity.whose}; {quantity.where})"
         result.append(Case(f"{quantity.name} agree", failure))
-    left = max(comparison.left.values())
-    incomplete = None if comparison.complete else f"{left:.1e} is left unexplained"
+    incomplete = "\n".join(comparison.objections) or None
     result.append(Case("the differences explain the deviations", incomplete))
     return result

@@ -29,8 +29,9 @@ _ROOT = "__root__"
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
     """Rebuilds a compiled MuJoCo model in Pinocchio.
 
-    Bodies and sites become frames (of type BODY). Armature, damping and friction loss, joint limits
-    and the force limits of the motors are taken over.
+    Bodies and sites become frames (of type BODY). Gravity, armature and damping as they act (see
+    `gravity`, `joint_armature`, `joint_damping`), friction loss, joint limits and the force limits
+    of the motors are taken over. What else acts (springs, tendons ...) is not: see `extras`.
 
     Args:
         model: A model with free, hinge and slide joints.
@@ -39,7 +40,7 @@ def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
         ModelError: If it has a ball joint.
     """
     result = pin.Model()
-    result.gravity = pin.Motion(np.array(model.opt.gravity), np.zeros(3))
+    result.gravity = pin.Motion(gravity(model), np.zeros(3))
     joint_of = {0: 0}  # the joint that moves each body, and the body's placement in its frame
     placement_of = {0: pin.SE3.Identity()}
     dofs: list[int] = []
@@ -68,10 +69,59 @@ def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
             rotation_from_quaternion(model.site_quat[site]), np.array(model.site_pos[site])
         )
         _add_frame(result, model.site(site).name, joint_of[body], placement_of[body] * local)
-    result.armature = np.array(model.dof_armature[dofs])
-    result.damping = np.array(model.dof_damping[dofs])
+    result.armature = joint_armature(model)[dofs]
+    result.damping = joint_damping(model)[dofs]
     result.friction = np.array(model.dof_frictionloss[dofs])
     return result
+
+
+def gravity(model: mujoco.MjModel) -> Array:
+    """Returns the acceleration of gravity (3,) that acts in a model (m/s^2): 0 if switched off."""
+    off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY.value
+    return np.zeros(3) if off else np.array(model.opt.gravity)
+
+
+def joint_armature(model: mujoco.MjModel) -> Array:
+    """Returns the armature (nv,) that acts at each degree of freedom (kg m^2, kg).
+
+    The joint's, and those of the actuators at it, times their gears squared.
+    """
+    return np.array(model.dof_armature) + _of_actuators(model, model.actuator_armature)
+
+
+def joint_damping(model: mujoco.MjModel) -> Array:
+    """Returns the linear damping (nv,) that acts at each degree of freedom (N m s/rad, N s/m).
+
+    The joint's, and those of the actuators at it, times their gears squared; 0 if switched off.
+    """
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER.value:
+        return np.zeros(model.nv)
+    return np.array(model.dof_damping) + _of_actuators(model, model.actuator_damping)
+
+
+def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
+    """Says whether an actuator's armature and damping are those of one hinge or slide."""
+    kinds = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
+    if model.actuator_trntype[actuator] not in kinds:
+        return False
+    joint = int(model.actuator_trnid[actuator, 0])
+    moving = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
+    return model.jnt_type[joint] in moving
+
+
+def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
+    """Returns the gear of an actuator's first output: (1,) at one joint, else (6,)."""
+    gear = np.array(model.actuator_gear[int(model.actuator_outadr[actuator])])
+    return gear[:1] if is_at_one_joint(model, actuator) else gear
+
+
+def _of_actuators(model: mujoco.MjModel, values: Array) -> Array:
+    total = np.zeros(model.nv)
+    for actuator in range(model.nactuator):
+        if values[actuator] and is_at_one_joint(model, actuator):
+            dof = int(model.jnt_dofadr[model.actuator_trnid[actuator, 0]])
+            total[dof] += float(actuator_gear(model, actuator)[0]) ** 2 * float(values[actuator])
+    return total
 
 
 def _add_joint(
@@ -196,7 +246,7 @@ def mujoco_from_urdf(
     except (ValueError, RuntimeError) as error:
         message = " ".join(str(error).split())
         raise ModelError(source, f"MuJoCo cannot import it: {message}") from error
-    spec.option.gravity = like.opt.gravity
+    spec.option.gravity = gravity(like)
     if floating:
         spec.body(root_link).add_freejoint(name=_ROOT)
     else:
@@ -212,11 +262,12 @@ def mujoco_from_urdf(
         ):
             spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=imu)
     model = copy.copy(mjcf.compile_spec(spec, source))
+    armature = joint_armature(like)
     for index in range(model.njnt):
         name = model.joint(index).name
         twin = _free_joint(like) if name == _ROOT else like.joint(name).id
         start, first = int(model.jnt_dofadr[index]), int(like.jnt_dofadr[twin])
         count = 6 if name == _ROOT else 1
-        model.dof_armature[start : start + count] = like.dof_armature[first : first + count]
+        model.dof_armature[start : start + count] = armature[first : first + count]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model

@@ -7,15 +7,18 @@ the other two the model is the same and the engines differ. So a deviation tells
            |                                |
         engines                          engines
            |                                |
-    URDF in MuJoCo ------ models --- MJCF in MuJoCo
+    URDF in MuJoCo ------ models --- MJCF in MuJoCo --- extras --- MJCF as it is
+
+What a URDF cannot state (springs, tendons, fluid ...; see `extras`) is taken out of the MJCF for
+the square, so that both engines are given the same model; the last side tells what it does.
 """
 
 from __future__ import annotations
 
-import copy
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -24,8 +27,23 @@ from numpy.typing import NDArray
 
 from pupper_analysis.configuration import Configuration
 from pupper_analysis.convention import MujocoConvention, PinocchioConvention
-from pupper_analysis.conversion import effort_limit, mujoco_from_urdf, pinocchio_from_mujoco
+from pupper_analysis.conversion import (
+    effort_limit,
+    joint_armature,
+    joint_damping,
+    mujoco_from_urdf,
+    pinocchio_from_mujoco,
+)
 from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.extras import (
+    Mimics,
+    Reference,
+    as_it_is,
+    extras,
+    split_mimics,
+    urdf_mimics,
+    without,
+)
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot, foot_site
 
@@ -38,7 +56,11 @@ URDF_PINOCCHIO = "URDF in Pinocchio"
 MJCF_PINOCCHIO = "MJCF in Pinocchio"
 URDF_MUJOCO = "URDF in MuJoCo"
 MJCF_MUJOCO = "MJCF in MuJoCo"
+MJCF_AS_IT_IS = "MJCF as it is"
 URDF_YOURDFPY = "URDF in yourdfpy"
+
+EXTRAS = "extras (MJCF)"
+"""The side of springs, tendons, fluid and others that a URDF has no words for."""
 
 EDGES = {
     (URDF_PINOCCHIO, MJCF_PINOCCHIO): "models (Pinocchio)",
@@ -46,6 +68,7 @@ EDGES = {
     (URDF_PINOCCHIO, URDF_MUJOCO): "engines (URDF)",
     (MJCF_PINOCCHIO, MJCF_MUJOCO): "engines (MJCF)",
     (URDF_PINOCCHIO, URDF_YOURDFPY): "yourdfpy (URDF)",
+    (MJCF_MUJOCO, MJCF_AS_IT_IS): EXTRAS,
 }
 """What a deviation between two opinions is a deviation of."""
 
@@ -73,9 +96,10 @@ class Quantity:
 Opinion = dict[str, Quantity]
 
 _NOTES = (
-    "armature: the MJCF's, in all four; URDF cannot state it",
-    "gravity: the MJCF's, in all four; URDF cannot state it",
-    "forward dynamics: joint damping of each file; no dry friction, limits or contacts",
+    "armature: the MJCF's, in all; URDF cannot state it",
+    "gravity: the MJCF's, in all; URDF cannot state it",
+    "forward dynamics: joint damping of each file, and the same torques in place of the motors' "
+    "control; no dry friction, limits or contacts",
 )
 
 
@@ -137,6 +161,7 @@ def cross_check(
     configurations: int = 20,
     tolerance: float = TOLERANCE,
     seed: int = 0,
+    mimics: Mimics | None = None,
 ) -> CrossCheck:
     """Compares the URDF and the MJCF, in Pinocchio and in MuJoCo.
 
@@ -147,7 +172,9 @@ def cross_check(
         robot: The robot.
         configurations: How many.
         tolerance: Relative deviation that is let pass.
-        seed: For the random numbers.
+        seed: For the random numbers, 0 or more.
+        mimics: The joints that follow others in the URDF; those of its text by default. A joint
+            equality of the MJCF that says the same does not act here.
 
     Returns:
         The worst deviation of each quantity, where it occurs, and the verdict.
@@ -161,6 +188,11 @@ def cross_check(
         raise ConfigurationError("tolerance", f"{tolerance} is not positive")
     states = random_states(robot, configurations, seed)
     description = robot.description
+    reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
+    found = extras(reference)
+    if mimics is None:
+        mimics = urdf_mimics(ElementTree.fromstring(description.urdf.encode()))
+    coupled, _ = split_mimics(found, reference, mimics, tolerance)
     notes = list(_NOTES)
     in_mujoco: mujoco.MjModel | None = None
     try:
@@ -185,9 +217,17 @@ def cross_check(
     opinions = {
         URDF_PINOCCHIO: _pinocchio_opinion(robot, states),
         MJCF_PINOCCHIO: _pinocchio_opinion(mjcf_robot, states),
-        MJCF_MUJOCO: _mujoco_opinion(robot, robot.mj_model, robot.mj_base, mjcf_frames, states),
+        MJCF_MUJOCO: _mujoco_opinion(
+            robot, without(robot.mj_model, found), robot.mj_base, mjcf_frames, states
+        ),
+        MJCF_AS_IT_IS: _mujoco_opinion(
+            robot, without(robot.mj_model, coupled), robot.mj_base, mjcf_frames, states
+        ),
     }
     if in_mujoco is not None:
+        in_mujoco = as_it_is(in_mujoco)
+        # MuJoCo's importer makes equalities of mimic joints, which Pinocchio leaves independent.
+        in_mujoco.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
         opinions[URDF_MUJOCO] = _mujoco_opinion(robot, in_mujoco, robot.base, urdf_frames, states)
     if pairs:
         opinions[URDF_YOURDFPY] = _yourdfpy_opinion(robot, states)
@@ -219,7 +259,13 @@ class States:
 
 
 def random_states(robot: Robot, count: int, seed: int) -> States:
-    """Draws states: joints inside their limits, the base anywhere, with velocities and torques."""
+    """Draws states: joints inside their limits, the base anywhere, with velocities and torques.
+
+    Raises:
+        ConfigurationError: If the seed is not a whole number from 0.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ConfigurationError("seed", f"{seed!r} is not a whole number from 0")
     rng = np.random.default_rng(seed)
     lower = np.where(np.isfinite(robot.lower_limits), robot.lower_limits, -np.pi)
     upper = np.where(np.isfinite(robot.upper_limits), robot.upper_limits, np.pi)
@@ -302,9 +348,6 @@ def _mujoco_opinion(
     frames: Mapping[str, str],
     states: States,
 ) -> Opinion:
-    model = copy.copy(model)
-    disable = mujoco.mjtDisableBit
-    model.opt.disableflags |= disable.mjDSBL_CONSTRAINT.value | disable.mjDSBL_ACTUATION.value
     data = mujoco.MjData(model)
     convention = MujocoConvention.of(model, robot.joint_names)
     convention.set_state(data, robot.neutral())
@@ -324,8 +367,8 @@ def _mujoco_opinion(
         lower=np.where(limited, model.jnt_range[joints, 0], -np.inf),
         upper=np.where(limited, model.jnt_range[joints, 1], np.inf),
         effort=np.array([effort_limit(model, joint) for joint in joints]),
-        armature=model.dof_armature[dofs],
-        damping=model.dof_damping[dofs],
+        armature=joint_armature(model)[dofs],
+        damping=joint_damping(model)[dofs],
         friction=model.dof_frictionloss[dofs],
     )
     sensors = _imu_sensors(model)
@@ -336,6 +379,7 @@ def _mujoco_opinion(
     rows: dict[str, list[Array]] = {}
     for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
         convention.set_state(data, qpos)
+        data.qfrc_applied[dofs] = 0.0
         mujoco.mj_forward(model, data)
         gravity = data.qfrc_bias[public].copy()
         convention.set_state(data, qpos, qvel)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -14,19 +16,26 @@ from numpy.typing import NDArray
 from pupper_analysis import parameters
 from pupper_analysis.configuration import Configuration
 from pupper_analysis.convention import PinocchioConvention
-from pupper_analysis.conversion import pinocchio_from_mujoco
+from pupper_analysis.conversion import joint_damping, pinocchio_from_mujoco
 from pupper_analysis.crosscheck import States, random_states
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.extras import Extra, Mimics, Reference, as_it_is, extras, split_mimics, without
 from pupper_analysis.parameters import Body, Joint, Parameters
 from pupper_analysis.results import Result
-from pupper_analysis.robot import Robot
+from pupper_analysis.robot import Robot, foot_site
 
 Array = NDArray[np.float64]
 
 _MAIN = ("mass matrix", "gravity", "foot positions", "joint positions")
 
 EXPLAINED = 1e-9
-"""What may be left, relative to a quantity's scale, when all differences are taken away."""
+"""What may be left, relative to a quantity's scale, when all differences are taken away.
+
+Two engines of double precision agree to some 1e-13; with a mass matrix whose condition number is
+1e6, a hand's fingers on a humanoid, to 1e-10.
+"""
+
+_GRAVITY = np.array([0.0, 0.0, -9.81])  # Pinocchio's and MuJoCo's default (m/s^2)
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,8 @@ class Tolerances:
         velocity: Relative.
         damping: Relative.
         friction: Relative.
+        gravity: Of the MJCF's gravity, to the 9.81 m/s^2 downwards that Pinocchio gives a URDF
+            (m/s^2). The default passes 9.8 and 9.80665.
         dynamics: Of the quantities of the cross-check, relative to their scale.
     """
 
@@ -61,6 +72,7 @@ class Tolerances:
     velocity: float = 1e-3
     damping: float = 1e-3
     friction: float = 1e-3
+    gravity: float = 0.02
     dynamics: float = 1e-3
 
     def __post_init__(self) -> None:
@@ -112,10 +124,13 @@ class Difference(Result):
     Attributes:
         kind: ``mass``, ``com``, ``inertia``, ``position``, ``rotation``, ``axis``, ``lower limit``,
             ``upper limit``, ``effort``, ``velocity``, ``damping``, ``friction``, ``frame``,
-            ``parent``, ``type``, or ``armature`` (which a URDF cannot state: then it differs from
-            that of the joints at the same place of other legs).
-        element: The joint, the body (named by the joint that moves it, or the base) or the frame.
-        urdf: The URDF's value, in the URDF's frames.
+            ``parent``, ``type``, ``gravity``, or ``armature`` (which a URDF cannot state: then it
+            differs from that of the joints at the same place of other legs); ``mimic``, that the
+            URDF alone has; ``name``, where names count; or what the MJCF alone has, the kinds of
+            `extras.Extra`.
+        element: The joint, the body (named by the joint that moves it, or the base) or the frame;
+            of what the MJCF alone has, its name there, or ``#3``.
+        urdf: The URDF's value, in the URDF's frames; None where it has none.
         mjcf: The MJCF's, in the URDF's frames.
         unit: Of both.
         message: The difference in plain words.
@@ -167,8 +182,10 @@ class Explanation(Result):
         differences: Sorted by effect, the greatest first.
         deviations: {quantity: relative deviation between the two models}.
         left: {quantity: relative deviation that is left when the URDF's model is given the MJCF's
-            value for every difference}.
+            value for every difference, and what the MJCF alone has is taken out of it}.
         complete: Whether nothing is left.
+        remains: What acts in MuJoCo when all that was found is taken away, and has no part in a
+            tree of joints, by MuJoCo's names, in words.
         armature: What the armature does; both models were given the MJCF's.
     """
 
@@ -176,83 +193,173 @@ class Explanation(Result):
     deviations: dict[str, float]
     left: dict[str, float]
     complete: bool
+    remains: tuple[str, ...]
     armature: Armature
 
 
 # ------------------------------------------------------------------------------------- explanation
 
 
-def explain(robot: Robot, *, tolerances: Tolerances | None = None) -> Explanation:
+def explain(
+    robot: Robot,
+    *,
+    tolerances: Tolerances | None = None,
+    reference: Reference | None = None,
+    mimics: Mimics | None = None,
+) -> Explanation:
     """Finds every number in which a robot's URDF and MJCF differ, and proves that none is missing.
 
-    The parameters of both models are compared body by body. Each difference is put into the URDF's
-    model alone, to see its effect; then all are, and the result must behave as the MJCF's model.
+    The parameters of both models are compared body by body, and what the MJCF alone can state is
+    found. Each difference is put into the URDF's model alone (or into a MuJoCo model that has
+    nothing else that a URDF cannot state), to see its effect. Then all are put into the URDF's
+    model in Pinocchio, and it must behave as MuJoCo's model of the MJCF, as it is but for what was
+    found that a URDF cannot state.
 
     Args:
         robot: The robot.
         tolerances: What counts as a difference; for files of 5 to 6 digits by default.
+        reference: The MJCF as it is; by default the robot's MuJoCo model.
+        mimics: The joints that follow others in the URDF.
     """
     tolerances = tolerances or Tolerances()
-    description = robot.description
-    frames = {**description.feet, **description.frames}
-    first = parameters.from_pinocchio(
+    reference = reference or Reference(
+        robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base
+    )
+    first, raw = _parameters(robot, tolerances)
+    second = parameters.aligned(raw, first, partial(_count, tolerances))
+    found = extras(reference)
+    coupled, uncoupled = split_mimics(found, reference, mimics or {}, tolerances.limit)
+    found = [extra for extra in found if extra not in coupled]
+    states = random_states(robot, 10, seed=0)
+    urdf = _behaviour(robot, first, states)
+    mujoco_sees = partial(_mujoco_behaviour, robot, reference, states)
+    mjcf = mujoco_sees(without(reference.model, coupled))
+    bare = without(reference.model, [*found, *coupled])
+    stripped = mujoco_sees(bare)
+    judge = _Judge(urdf, mjcf)
+    differences = []
+    for change in _changes(first, second, tolerances):
+        effects = {}
+        if change.felt:
+            effects = judge.effects(urdf, _behaviour(robot, change.apply(first, second), states))
+        differences.append(change.difference(effects))
+    differences += _armature_differences(robot, first, states, judge)
+    whole = as_it_is(reference.model)
+    for extra in found:
+        extra.switch(bare, whole)
+        effects = judge.effects(stripped, mujoco_sees(bare)) if extra.slots else {}
+        extra.switch(bare, None)
+        differences.append(_extra(extra, effects))
+    differences += [_mimic(name, (mimics or {})[name]) for name in uncoupled]
+    patched = _behaviour(robot, _patched(first, second), states)
+    left = {name: judge.relative(name, patched[name], stripped[name]) for name in patched}
+    differences.sort(key=lambda item: (-item.weight[0], -item.weight[1], _ORDER.index(item.kind)))
+    return Explanation(
+        differences=tuple(differences),
+        deviations={name: judge.relative(name, urdf[name], mjcf[name]) for name in urdf},
+        left=left,
+        complete=all(value <= EXPLAINED for value in left.values()),
+        remains=tuple(_remains(reference, bare, states)),
+        armature=_armature(robot, first, states, judge),
+    )
+
+
+def _parameters(robot: Robot, tolerances: Tolerances) -> tuple[Parameters, Parameters]:
+    """Returns the parameters of the URDF and of the MJCF."""
+    frames = {**robot.description.feet, **robot.description.frames}
+    urdf = parameters.from_pinocchio(
         robot.pin_model,
         robot.base,
         robot.joint_names,
         {name: pair[0] for name, pair in frames.items()},
     )
-    in_pinocchio = pinocchio_from_mujoco(robot.mj_model)
-    raw = parameters.from_pinocchio(
-        in_pinocchio,
+    mjcf = parameters.from_pinocchio(
+        pinocchio_from_mujoco(robot.mj_model),
         robot.base,
         robot.joint_names,
         {name: pair[1] for name, pair in frames.items()},
     )
+    if float(np.linalg.norm(mjcf.gravity - _GRAVITY)) > tolerances.gravity:
+        urdf = replace(urdf, gravity=_GRAVITY)
+    return urdf, mjcf
 
-    def count(one: Parameters, two: Parameters, name: str) -> int:
-        carried = {frame for frame, (owner, _) in one.frames.items() if owner == name}
-        concerned = {name, *one.children(name), *carried}
-        return sum(1 for change in _changes(one, two, tolerances) if change.element in concerned)
 
-    second = parameters.aligned(raw, first, count)
-    changes = list(_changes(first, second, tolerances))
-    states = random_states(robot, 10, seed=0)
-    urdf = _behaviour(robot, first, states)
-    mjcf = _behaviour(robot, raw, states)
-    scale = {name: max(float(np.abs(values).max()), 1e-300) for name, values in urdf.items()}
-    total = {name: float(np.abs(mjcf[name] - urdf[name]).max()) for name in urdf}
+def _count(tolerances: Tolerances, one: Parameters, two: Parameters, name: str) -> int:
+    """Counts the differences of a body, its joint, and what it carries."""
+    carried = {frame for frame, (owner, _) in one.frames.items() if owner == name}
+    concerned = {name, *one.children(name), *carried}
+    return sum(1 for change in _changes(one, two, tolerances) if change.element in concerned)
+
+
+@dataclass(frozen=True, eq=False)
+class _Judge:
+    """Weighs deviations against the quantities of the URDF's model, and against the whole."""
+
+    urdf: Mapping[str, Array]
+    mjcf: Mapping[str, Array]
+
+    def scale(self, name: str) -> float:
+        return max(float(np.abs(self.urdf[name]).max()), 1e-300)
+
+    def relative(self, name: str, one: Array, two: Array) -> float:
+        deviation = float(np.abs(one - two).max())
+        # What is no number differs from everything.
+        return deviation / self.scale(name) if math.isfinite(deviation) else math.inf
+
+    def effects(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> dict[str, Effect]:
+        found = {}
+        for name, values in after.items():
+            relative = self.relative(name, values, before[name])
+            if relative > 1e-12:  # rounding
+                total = self.relative(name, self.urdf[name], self.mjcf[name])
+                share = relative / total if 0 < total < math.inf else math.inf
+                found[name] = Effect(relative * self.scale(name), relative, share)
+        return found
+
+
+def _patched(first: Parameters, second: Parameters) -> Parameters:
+    """Returns the first with the second's value for every difference.
+
+    What is within the tolerance is taken over as well, so that only what was overlooked is left.
+    """
+    patched = first
+    for change in _changes(first, second, _NOTHING):
+        patched = change.apply(patched, second)
+    return patched
+
+
+def _extra(extra: Extra, effects: dict[str, Effect]) -> Difference:
+    return Difference(
+        extra.kind, extra.element, None, extra.value, extra.unit, extra.message, effects
+    )
+
+
+def _mimic(name: str, said: tuple[str, float, float]) -> Difference:
+    leader, multiplier, offset = said
+    message = (
+        f"joint {name}: it mimics {leader} in the URDF (times {multiplier:.6g}, plus "
+        f"{offset:.6g}), and no joint equality of the MJCF says so"
+    )
+    return Difference("mimic", name, said, None, "", message, {})
+
+
+def _armature_differences(
+    robot: Robot, values: Parameters, states: States, judge: _Judge
+) -> list[Difference]:
+    """Returns armatures unlike those of the other legs, which a URDF cannot state."""
     differences = []
-    for change in changes:
-        effects = {}
-        if change.felt:
-            alone = _behaviour(robot, change.apply(first, second), states)
-            effects = _effects(urdf, alone, scale, total)
-        differences.append(change.difference(effects))
-    for name, usual in _unusual_armatures(first).items():
-        joint = replace(first.joints[name], armature=usual)
-        alone = _behaviour(robot, replace(first, joints={**first.joints, name: joint}), states)
-        value = first.joints[name].armature
+    for name, usual in _unusual_armatures(values).items():
+        joint = replace(values.joints[name], armature=usual)
+        alone = _behaviour(robot, replace(values, joints={**values.joints, name: joint}), states)
+        value = values.joints[name].armature
         unit = "kg" if joint.slides else "kg m^2"
         message = (
             f"joint {name}: armature {value:.6g} {unit} in the MJCF, but {usual:.6g} {unit} on the "
             "joints at the same place of the other legs (a URDF cannot state it)"
         )
-        effects = _effects(urdf, alone, scale, total)
+        effects = judge.effects(judge.urdf, alone)
         differences.append(Difference("armature", name, None, value, unit, message, effects))
-    everything = first
-    # What is within the tolerance is taken over as well, so that only what was overlooked is left.
-    for change in _changes(first, second, _NOTHING):
-        everything = change.apply(everything, second)
-    patched = _behaviour(robot, everything, states)
-    left = {name: float(np.abs(patched[name] - mjcf[name]).max()) / scale[name] for name in patched}
-    differences.sort(key=lambda item: (-item.weight[0], -item.weight[1], _ORDER.index(item.kind)))
-    return Explanation(
-        differences=tuple(differences),
-        deviations={name: total[name] / scale[name] for name in total},
-        left=left,
-        complete=all(value <= EXPLAINED for value in left.values()),
-        armature=_armature(robot, first, states, urdf, scale, total),
-    )
+    return differences
 
 
 def _unusual_armatures(values: Parameters) -> dict[str, float]:
@@ -283,33 +390,107 @@ def _unusual_armatures(values: Parameters) -> dict[str, float]:
     return unusual
 
 
-def _effects(
-    before: Mapping[str, Array],
-    after: Mapping[str, Array],
-    scale: Mapping[str, float],
-    total: Mapping[str, float],
-) -> dict[str, Effect]:
-    effects = {}
-    for name, values in after.items():
-        deviation = float(np.abs(values - before[name]).max())
-        if deviation > 1e-12 * scale[name]:
-            share = deviation / total[name] if total[name] > 0 else math.inf
-            effects[name] = Effect(deviation, deviation / scale[name], share)
-    return effects
-
-
-def _armature(
-    robot: Robot,
-    values: Parameters,
-    states: States,
-    urdf: Mapping[str, Array],
-    scale: Mapping[str, float],
-    total: Mapping[str, float],
-) -> Armature:
-    without = {name: replace(joint, armature=0.0) for name, joint in values.joints.items()}
-    bare = _behaviour(robot, replace(values, joints=without), states)
+def _armature(robot: Robot, values: Parameters, states: States, judge: _Judge) -> Armature:
+    without_it = {name: replace(joint, armature=0.0) for name, joint in values.joints.items()}
+    bare = _behaviour(robot, replace(values, joints=without_it), states)
     armature = {name: values.joints[name].armature for name in robot.joint_names}
-    return Armature(armature, _effects(urdf, bare, scale, total))
+    return Armature(armature, judge.effects(judge.urdf, bare))
+
+
+def _mujoco_behaviour(
+    robot: Robot, reference: Reference, states: States, model: mujoco.MjModel
+) -> dict[str, Array]:
+    """Evaluates the same quantities as `_behaviour` in MuJoCo, at all states.
+
+    Args:
+        robot: The robot.
+        reference: Names the elements of the model.
+        states: The states.
+        model: One with the elements of the reference.
+    """
+    names, data = reference.names, mujoco.MjData(model)
+    convention = reference.convention()
+    joints = [names.joint(name).id for name in robot.joint_names]
+    dofs = convention.qvel_index[robot.nv - robot.nu :]
+    slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE.value
+    coordinates = model.jnt_qposadr[joints]
+    frames = {**robot.description.feet, **robot.description.frames}
+    places = [foot_site(names, frame, robot.name) for _, frame in frames.values()]
+    public = convention.qvel_index
+    weights = _weights(robot, reference)
+    full = np.zeros((model.nv, model.nv))
+    rows: dict[str, list[Array]] = {}
+    for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
+        convention.set_state(data, qpos)
+        data.qfrc_applied[:] = 0.0
+        mujoco.mj_forward(model, data)
+        gravity = data.qfrc_bias[public].copy()
+        convention.set_state(data, qpos, qvel)
+        data.qfrc_applied[dofs] = torques
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        # MuJoCo's anchor of a slide is where it is at rest.
+        slid = np.where(slides, data.qpos[coordinates] - model.qpos0[coordinates], 0.0)
+        result = {
+            "mass matrix": full[np.ix_(public, public)],
+            "gravity": gravity,
+            "bias forces": data.qfrc_bias[public].copy(),
+            "com": weights @ data.xipos / max(weights.sum(), 1e-300),
+            "forward dynamics": data.qacc[public].copy(),
+            "joint positions": data.xanchor[joints] + slid[:, None] * data.xaxis[joints],
+        }
+        if places:
+            result["foot positions"] = np.array(
+                [data.xpos[b] + data.xmat[b].reshape(3, 3) @ local for b, local in places]
+            )
+        for name, value in result.items():
+            rows.setdefault(name, []).append(value)
+    return {name: np.array(values) for name, values in rows.items()}
+
+
+def _weights(robot: Robot, reference: Reference) -> Array:
+    """Returns the mass (nbody,) of each body of the reference that is the robot's, else 0 (kg).
+
+    On a fixed base all that is static counts, as in `pinocchio_from_mujoco`.
+    """
+    model, moving = reference.model, reference.bodies()
+    kept = {robot.mj_model.body(body).name for body in range(robot.mj_model.nbody)}
+    members = [
+        (body in moving or not (robot.floating or model.body_weldid[body]))
+        and reference.names.body(body).name in kept
+        for body in range(model.nbody)
+    ]
+    return np.where(members, model.body_mass, 0.0)
+
+
+_FORCES = ("spring", "damper", "gravcomp", "fluid", "adhesion", "actuator", "constraint")
+
+
+def _remains(reference: Reference, model: mujoco.MjModel, states: States) -> Iterator[str]:
+    """Yields the forces that still act, besides linear damping, of which a tree of joints has none.
+
+    Args:
+        reference: The MJCF.
+        model: The reference's, without what was found that a URDF cannot state.
+        states: The states.
+    """
+    data = mujoco.MjData(model)
+    convention = reference.convention()
+    damping = joint_damping(model)
+    worst = dict.fromkeys(_FORCES, 0.0)
+    scale = 0.0
+    for qpos, qvel in zip(states.qpos, states.qvel, strict=True):
+        convention.set_state(data, qpos, qvel)
+        mujoco.mj_forward(model, data)
+        scale = max(scale, float(np.abs(data.qfrc_bias).max()))
+        for name in worst:
+            force = np.array(getattr(data, f"qfrc_{name}"))
+            if name == "damper":
+                force += damping * data.qvel
+            worst[name] = max(worst[name], float(np.abs(force[convention.qvel_index]).max()))
+    for name, greatest in worst.items():
+        if greatest > 1e-12 * scale:  # rounding
+            yield f"MuJoCo's qfrc_{name} is up to {greatest:.2g} N or N m"
 
 
 def _behaviour(robot: Robot, values: Parameters, states: States) -> dict[str, Array]:
@@ -368,8 +549,10 @@ class _Change:
 
 
 _ORDER = (
+    "name",
     "type",
     "parent",
+    "gravity",
     "mass",
     "com",
     "inertia",
@@ -384,6 +567,17 @@ _ORDER = (
     "effort",
     "velocity",
     "friction",
+    "mimic",
+    "spring",
+    "damping polynomial",
+    "gravity compensation",
+    "tendon",
+    "actuator",
+    "fluid",
+    "equality",
+    "flex",
+    "plugin",
+    "flag",
 )
 
 _NOTHING = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
@@ -394,6 +588,21 @@ def _changes(one: Parameters, two: Parameters, tolerances: Tolerances) -> Iterab
         yield from _body_changes(name, body, two.bodies[name], tolerances)
     for name, joint in one.joints.items():
         yield from _joint_changes(name, joint, two.joints[name], tolerances)
+    if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
+        message = (
+            f"gravity: {_vector(one.gravity)} m/s^2, which Pinocchio gives a URDF, "
+            f"{_vector(two.gravity)} m/s^2 in the MJCF"
+        )
+        yield _Change(
+            "gravity",
+            "option",
+            one.gravity,
+            two.gravity,
+            "m/s^2",
+            message,
+            lambda first, second: replace(first, gravity=second.gravity),
+            felt=True,
+        )
     if abs(two.base_damping - one.base_damping) > tolerances.damping * two.base_damping:
         message = (
             f"free joint of {one.base}: damping {one.base_damping:g} in the URDF, "

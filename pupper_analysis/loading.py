@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 import os
@@ -151,13 +152,19 @@ class MjcfFile:
         spec: What MuJoCo read, not compiled, without what needs files that are missing.
         files: The file and all it includes.
         notes: What was left out on reading, in plain words.
+        refusal: Why MuJoCo does not compile the file as it is, and where; None if it does.
+            ``MjSpec.copy()`` drops elements that refer to nothing, so that a copy of the spec may
+            compile where the file does not.
     """
 
     path: Path
     spec: mujoco.MjSpec = field(repr=False)
     files: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
+    refusal: tuple[str, Place] | None = None
+    _model: mujoco.MjModel | None = field(default=None, repr=False)
     _index: Mapping[tuple[str, str], _Node] = field(default_factory=dict, repr=False)
+    _roots: tuple[_Node, ...] = field(default=(), repr=False)
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
         """Finds an element, in the file where it really stands.
@@ -183,22 +190,49 @@ class MjcfFile:
             node = below
         return node.place
 
+    def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
+        """Yields the attributes and the place of every element of a kind, as they are written.
+
+        In the file, in what it includes, and in the models it attaches.
+        """
+        for root in self._roots:
+            for node in _walk(root):
+                if node.tag == tag:
+                    yield node.attributes, node.place
+
+    def numbered(self, section: str, number: int) -> Place:
+        """Returns the place of an element without a name.
+
+        Args:
+            section: ``"actuator"``, ``"equality"`` or ``"tendon"``.
+            number: Its place in the section, from 0.
+
+        Returns:
+            Its file and line; the file alone where attached models or replicates add elements.
+        """
+        if len(self._roots) > 1 or any(True for _ in self.elements("replicate")):
+            return Place(self.path)
+        tops = (node for node in self._roots[0].children if node.tag == section)
+        found = [node.place for top in tops for node in top.children]
+        return found[number] if number < len(found) else Place(self.path)
+
     def compile(self) -> mujoco.MjModel:
-        """Compiles a copy of the spec.
+        """Returns what MuJoCo compiles the file to, as it is (without what files are missing for).
 
         Raises:
             ModelError: If MuJoCo refuses it; the message is MuJoCo's.
         """
-        try:
-            with quiet():
-                return self.spec.copy().compile()
-        except _MUJOCO_ERRORS as error:
-            what = "MuJoCo cannot compile it"
-            raise _mujoco_refusal(self.path, self._index, what, error) from error
+        if self.refusal is not None:
+            message, place = self.refusal
+            raise ModelError(_source(place.file, place.line), message)
+        assert self._model is not None
+        return copy.copy(self._model)
 
 
 def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile | MjcfFile:
     """Reads a URDF or an MJCF; the root element tells which it is.
+
+    An MJCF that MuJoCo parses but does not compile is returned, too, with its ``refusal``.
 
     Args:
         path: The file.
@@ -233,14 +267,18 @@ def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> U
 
 
 def read_mjcf(path: str | Path) -> MjcfFile:
-    """Reads an MJCF with all it includes.
+    """Reads an MJCF with all it includes, and compiles it as it is.
 
     Raises:
-        ModelError: If it cannot be loaded; one line that tells where and why.
+        ModelError: If it cannot be loaded, or MuJoCo does not compile it; one line that tells where
+            and why.
     """
     path = Path(path)
     _, root = _parse(path)
-    return _read_mjcf(path, root)
+    file = _read_mjcf(path, root)
+    if file.refusal is not None:
+        file.compile()  # raises
+    return file
 
 
 # ------------------------------------------------------------------------------------- URDF
@@ -319,27 +357,50 @@ def _read_urdf(
         raise _refusal(path, root, 'the robot has no name; write <robot name="...">')
     if root.get("version") not in (None, "1", "1.0"):
         raise _refusal(path, root, f"version {root.get('version')!r} is unknown; valid: 1.0")
-    _distinct(path, root, "material")
+    notes: list[str] = []
+    rewritten = _leave_out_undeclared(root, notes)
+    materials = _distinct(path, root, "material")
     links = _distinct(path, root, "link")
     joints = _distinct(path, root, "joint")
     if not links:
         raise ModelError(_source(path), "it has no <link>; a robot has at least one")
     if len(links) > MAX_LINKS:
         raise ModelError(_source(path), f"it has {len(links)} links; at most {MAX_LINKS} are read")
-    notes: list[str] = []
-    rewritten = False
-    for element in (*links.values(), *joints.values()):
-        rewritten |= _check_element(path, element)
+    spaces = False
+    for element in (*links.values(), *joints.values(), *materials.values()):
+        spaces |= _check_element(path, element)
     for name, joint in joints.items():
         _check_joint(path, name, joint, links)
         mimic = joint.find("mimic")
         if mimic is not None and mimic.get("joint") not in joints.keys() - {name}:
             notes.append(f"joint {name!r} mimics {mimic.get('joint')!r}, not another joint here")
     _check_tree(path, links, joints)
-    if rewritten or _WHITE_SPACE.search(text):
-        text = etree.tostring(root, encoding="unicode")
+    if spaces or _WHITE_SPACE.search(text):
+        rewritten = True
         notes.append("white space in numbers was normalised: Pinocchio takes single spaces only")
+    if rewritten:
+        text = etree.tostring(root, encoding="unicode")
     return UrdfFile(path, text, root, MappingProxyType(dict(packages or {})), tuple(notes))
+
+
+def _leave_out_undeclared(root: etree._Element, notes: list[str]) -> bool:
+    """Takes out what has a prefix that is not declared: Pinocchio skips it, other parsers refuse.
+
+    Returns:
+        Whether there was any.
+    """
+    gone: dict[str, None] = {}
+    for element in list(root.iter()):
+        for name in [str(name) for name in element.attrib if ":" in str(name).rpartition("}")[2]]:
+            gone[name] = None
+            del element.attrib[name]
+        parent = element.getparent()
+        if ":" in element.tag.rpartition("}")[2] and parent is not None:
+            gone[element.tag] = None
+            parent.remove(element)
+    if gone:
+        notes.append(f"left out, for their prefixes are not declared: {', '.join(gone)}")
+    return bool(gone)
 
 
 def _distinct(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:
@@ -516,6 +577,7 @@ class _Tree:
 
     Attributes:
         files: The file and all it includes or attaches.
+        attached: The root elements of the models that it attaches, and that these attach.
         folders: The folders of the file and of the models it attaches.
         root: The root element.
         copies: How many elements MuJoCo will make of its replicates and attached models.
@@ -532,6 +594,7 @@ class _Tree:
         self.files: dict[Path, None] = {path: None}
         self.folders: dict[Path, None] = {path.parent: None}
         self._within = (*within, path.resolve())
+        self.attached: list[_Node] = []
         self._models: dict[str, int] = {}
         self._parsed: dict[Path, etree._Element] = {}
         self._count = 0
@@ -593,6 +656,7 @@ class _Tree:
         _, root = _parse(attached)
         tree = _Tree(attached, root, self._within, self._includes)
         self.files |= tree.files
+        self.attached += [tree.root, *tree.attached]
         self.folders |= tree.folders
         name = element.get("name") or root.get("model") or attached.stem
         self._models[name] = tree.copies
@@ -647,15 +711,47 @@ def _read_mjcf(path: Path, root: etree._Element) -> MjcfFile:
         raise _refusal(path, root, f"an MJCF's root element is <mujoco>, not <{root.tag}>{hint}")
     tree = _Tree(path, root)
     index = _index(tree.root)
+    spec, notes = _spec(tree, index)
+    model, refusal = None, None
     try:
         with quiet():
-            spec = mujoco.MjSpec.from_file(str(path))
+            # Another spec, for compiling changes it; and no copy, which lacks what is dangling.
+            model = _spec(tree, index)[0].compile()
+    except _MUJOCO_ERRORS as error:
+        refusal = _mujoco_refusal(tree, index, "MuJoCo cannot compile it", error)
+    return MjcfFile(
+        path,
+        spec,
+        tuple(tree.files),
+        tuple(notes),
+        refusal,
+        model,
+        index,
+        (tree.root, *tree.attached),
+    )
+
+
+def _spec(tree: _Tree, index: Mapping[tuple[str, str], _Node]) -> tuple[mujoco.MjSpec, list[str]]:
+    """Returns what MuJoCo reads, without what needs files that are missing, and what that is."""
+    try:
+        with quiet():
+            spec = mujoco.MjSpec.from_file(str(tree.path))
     except _MUJOCO_ERRORS as error:
         if "could not find decoder" in str(error):
-            raise ModelError(_source(path), "MuJoCo reads files *.xml only; rename it") from error
-        raise _mujoco_refusal(path, index, "not a valid MJCF", error) from error
-    notes = _leave_out_missing(spec, tree, index)
-    return MjcfFile(path, spec, tuple(tree.files), tuple(notes), index)
+            problem = "MuJoCo reads files *.xml only; rename it"
+            raise ModelError(_source(tree.path), problem) from error
+        message, place = _mujoco_refusal(tree, index, "not a valid MJCF", error)
+        raise ModelError(_source(place.file, place.line), message) from error
+    return spec, _leave_out_missing(spec, tree, index)
+
+
+def _walk(root: _Node) -> Iterator[_Node]:
+    """Yields an element and all below it, in the order of the file."""
+    pending = [root]
+    while pending:
+        node = pending.pop()
+        yield node
+        pending.extend(reversed(node.children))
 
 
 def _index(root: _Node) -> dict[tuple[str, str], _Node]:
@@ -806,19 +902,36 @@ def _users(spec: mujoco.MjSpec, root: _Node, names: set[str]) -> list[str]:
 
 
 def _mujoco_refusal(
-    path: Path, index: Mapping[tuple[str, str], _Node], what: str, error: BaseException
-) -> ModelError:
-    """Returns MuJoCo's message with the place of the element that it names."""
+    tree: _Tree, index: Mapping[tuple[str, str], _Node], what: str, error: BaseException
+) -> tuple[str, Place]:
+    """Returns MuJoCo's message, and the place of the element that it is about.
+
+    MuJoCo tells the line in the main file, or in an unnamed one, and 0 of what is included; and the
+    name that it tells may be the one that is not there.
+    """
     message = _one_line(error)
-    place = Place(path)
-    line = re.search(r"(?:, line |Line number=)([1-9][0-9]*)", message)
+    found = re.search(r"(?:, line |Line number=)([1-9][0-9]*)", message)
+    line = int(found[1]) if found else None
+    said = set(re.findall(r"'([^']+)'", message))
     name = re.search(r"Element name '([^']+)'", message)
-    if name:
-        node = next((node for (_, known), node in index.items() if known == name[1]), None)
-        place = node.place if node else place
-    elif line:
-        place = Place(path, int(line[1]))
-    return ModelError(_source(place.file, place.line), f"{what}: {message}")
+    named = [node.place for (_, known), node in index.items() if name and known == name[1]]
+    nodes = [node for root in (tree.root, *tree.attached) for node in _walk(root)]
+    meant = [
+        node.place
+        for node in nodes
+        if said & {v for k, v in node.attributes.items() if k != "name" or line is not None}
+        and line in (None, node.place.line)
+    ]
+    place = Place(tree.path)
+    if line is not None and len(tree.files) == 1:
+        place = Place(tree.path, line)
+    elif line is not None and len({where.file for where in meant}) == 1:
+        place = meant[0]
+    elif named or meant:
+        place = (named or meant)[0]
+    elif line is not None and len({n.place.file for n in nodes if n.place.line == line}) == 1:
+        place = next(node.place for node in nodes if node.place.line == line)
+    return f"{what}: {message}", place
 
 
 @contextmanager

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from pupper_analysis import parameters
 from pupper_analysis.conversion import pinocchio_from_mujoco
 from pupper_analysis.description import Description
+from pupper_analysis.description.mjcf import compile_spec
 from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.extras import Mimics, Reference, urdf_mimics
 from pupper_analysis.loading import MjcfFile, UrdfFile
 from pupper_analysis.robot import Robot, build_robot
 
@@ -41,6 +43,9 @@ class Match:
         only_urdf: Joints that the MJCF does not have; fixed at zero for the comparison.
         only_mjcf: Joints that the URDF does not have; likewise.
         notes: What was assumed or left out, in plain words.
+        reference: The MJCF as it is, with all else in its scene. Where it has joints that the URDF
+            lacks, these are fixed at zero.
+        mimics: The joints that follow others in the URDF.
     """
 
     robot: Robot
@@ -51,6 +56,8 @@ class Match:
     only_urdf: tuple[str, ...]
     only_mjcf: tuple[str, ...]
     notes: tuple[str, ...]
+    reference: Reference
+    mimics: Mimics
 
 
 def read_mapping(path: Path) -> dict[str, str]:
@@ -99,13 +106,10 @@ def match(
                 link.remove(shape)
     spec = mjcf.spec.copy()
     _name_all(spec, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
-    _drop_other_objects(spec, mjcf.path, notes)
+    whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
+    _drop_other_objects(spec, mjcf.path, {str(e.get("name")) for e in root.iter("link")}, notes)
     theirs = _hinges(spec, mjcf.path)
     root = _strip_roots(root, urdf.path, _mjcf_tree(spec, mjcf.path), notes)
-    if any(joint.find("mimic") is not None for joint in root.findall("joint")):
-        notes.append("mimic joints of the URDF are compared as independent joints")
-    if spec.equalities:
-        notes.append(f"{len(spec.equalities)} equality constraint(s) of the MJCF are left out")
 
     mine = _moving_joints(root, urdf.path)
     wanted = dict(names or {})
@@ -134,6 +138,11 @@ def match(
         )
     only_urdf = tuple(name for name in mine if name not in pairs)
     only_mjcf = tuple(name for name in theirs if name not in pairs.values())
+    mimics = {
+        pairs[name]: (pairs.get(other, other), multiplier, offset)
+        for name, (other, multiplier, offset) in urdf_mimics(root).items()
+        if name in pairs
+    }
     _fix_in_urdf(root, only_urdf)
     for joint in list(spec.joints):
         if joint.name in only_mjcf:
@@ -171,6 +180,13 @@ def match(
         only_urdf=only_urdf,
         only_mjcf=only_mjcf,
         notes=(*notes, *(note for note in robot.notes if "free joint" in note)),
+        reference=Reference(
+            robot.mj_model if only_mjcf else mjcf.compile(),
+            robot.mj_model if only_mjcf else whole,
+            robot.joint_names,
+            robot.mj_base,
+        ),
+        mimics=mimics,
     )
 
 
@@ -293,19 +309,24 @@ def _hinges(spec: mujoco.MjSpec, source: Path) -> list[str]:
     return names
 
 
-def _drop_other_objects(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> None:
-    """Keeps the largest tree of joints: a scene may have loose objects besides the robot."""
-    trees = [
-        body
-        for body in spec.worldbody.bodies
-        if body.find_all(mujoco.mjtObj.mjOBJ_JOINT) or body.joints
-    ]
-    if not trees:
+def _drop_other_objects(
+    spec: mujoco.MjSpec, source: Path, links: set[str], notes: list[str]
+) -> None:
+    """Keeps the largest tree of joints: a scene may have loose objects besides the robot.
+
+    Beside a robot on a fixed base, a table or a wall would count as part of that base, unless it
+    has the name of one of the URDF's links.
+    """
+    kinds = mujoco.mjtObj
+    size = {body.name: len(body.find_all(kinds.mjOBJ_JOINT)) for body in spec.worldbody.bodies}
+    if not any(size.values()):
         raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")
-    size = {body.name: len(body.find_all(mujoco.mjtObj.mjOBJ_JOINT)) for body in trees}
-    robot = max(trees, key=lambda body: size[body.name])
-    for body in trees:
-        if body is not robot:
+    robot = max(spec.worldbody.bodies, key=lambda body: size[body.name])
+    fixed = not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in robot.joints)
+    for body in list(spec.worldbody.bodies):
+        names = {body.name, *(below.name for below in body.find_all(kinds.mjOBJ_BODY))}
+        scenery = fixed and not body.mocap and not names & links
+        if body.name != robot.name and (size[body.name] or scenery):
             notes.append(f"{source.name}: body {body.name!r} is not part of the robot: left out")
             spec.delete(body)
 

@@ -213,7 +213,9 @@ def _parents_first(parameters: Parameters) -> list[str]:
 
 
 def _append(model: pin.Model, joint: int, body: Body) -> None:
-    inertia = pin.Inertia(body.mass, body.com, body.inertia)
+    inertia = pin.Inertia.Zero()
+    # One by one: the constructor refuses what no body has, which a file may state all the same.
+    inertia.mass, inertia.lever, inertia.inertia = body.mass, body.com, body.inertia
     model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
 
 

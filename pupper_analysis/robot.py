@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pupper_analysis import contact
 from pupper_analysis.contact import ContactParameters
 from pupper_analysis.convention import MujocoConvention, PinocchioConvention
+from pupper_analysis.conversion import gravity, joint_armature
 from pupper_analysis.description import Description, describe
 from pupper_analysis.description import mjcf as mjcf_description
 from pupper_analysis.errors import ModelError, UnknownNameError
@@ -97,7 +98,7 @@ class Robot:
     @property
     def gravity(self) -> Array:
         """(3,) acceleration of gravity in the world (m/s^2)."""
-        return np.array(self.mj_model.opt.gravity)
+        return gravity(self.mj_model)
 
     @property
     def total_mass(self) -> float:
@@ -232,7 +233,7 @@ def build_robot(
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
     armature = np.zeros(pin_model.nv)
     dofs = mj_convention.qvel_index[pin_convention.base_nv :]
-    armature[pin_convention.v_index] = mj_model.dof_armature[dofs]
+    armature[pin_convention.v_index] = joint_armature(mj_model)[dofs]
     base = mj_convention.qvel_index[: pin_convention.base_nv]
     armature[: pin_convention.base_nv] = mj_model.dof_armature[base]
     pin_model.armature = armature
@@ -573,7 +574,7 @@ def _pinocchio_model(
         for frame in model.frames:
             if frame.parentJoint == 0 and frame.name != "universe":
                 frame.placement = pose * frame.placement
-    model.gravity = pin.Motion(np.array(mj_model.opt.gravity), np.zeros(3))
+    model.gravity = pin.Motion(gravity(mj_model), np.zeros(3))
     return model
 
 

@@ -697,3 +697,43 @@ def test_robots_of_others(file: str, expected: set[str]) -> None:
     warnings = {f.rule for f in result.findings if f.severity == Severity.WARNING}
     assert expected <= warnings
     assert warnings <= expected | {"start-self-collision"}
+
+
+# ------------------------------------------------------------------------------------- one reader
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("<mujoco ", '<mujoco xsi:noNamespaceSchemaLocation="mujoco.xsd" '),
+        ("<mujoco ", '<?xml version="1.0" encoding="latin-1"?>\n<mujoco '),
+    ],
+    ids=["undeclared prefix", "declared encoding"],
+)
+def test_what_the_reader_lets_pass_the_rules_do_too(old: str, new: str, tmp_path: Path) -> None:
+    """A mesh that is missing, and the gravity, are looked for in the file's own elements."""
+    text = OWN["mjcf"].read_text()
+    extra = '<asset><mesh name="k" file="no.obj"/></asset>\n<option gravity="0 0 -1"/>'
+    text = text[text.index("<mujoco") :].replace(old, new, 1)
+    text = text.replace("</mujoco>", f"{extra}\n</mujoco>")
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    result = audit_model(path)
+    (mesh,) = found(result, "mesh-missing")
+    (gravity,) = found(result, "gravity-unusual")
+    assert "no.obj" in text.splitlines()[int(mesh.line or 0) - 1]
+    assert "gravity" in text.splitlines()[int(gravity.line or 0) - 1]
+
+
+def test_what_refers_to_nothing_is_found(tmp_path: Path) -> None:
+    """It vanishes from a copy of the spec, which compiles."""
+    text = OWN["mjcf"].read_text()
+    wrong = '<contact>\n<exclude body1="base_link" body2="nix"/></contact>'
+    path = tmp_path / "model.xml"
+    path.write_text(text.replace("</mujoco>", f"{wrong}</mujoco>"))
+    result = audit_model(path)
+    assert not result.passed
+    (finding,) = found(result, "mujoco-refuses")
+    assert "body 'nix' not found" in finding.message
+    assert "<exclude" in path.read_text().splitlines()[int(finding.line or 0) - 1]
+    assert any("of a repaired copy" in note for note in result.notes)

@@ -88,6 +88,20 @@ def test_strict_and_tolerance(models: Path) -> None:
     assert strict.returncode == 0, strict.stdout
 
 
+def test_strict_minds_names(models: Path, tmp_path: Path) -> None:
+    """A name that was guessed is a note, an error under --strict, and none once it is given."""
+    text = (models / "robot.urdf").read_text().replace('"knee2"', '"lh_kfe"')
+    (tmp_path / "robot.urdf").write_text(text)
+    pair = ("robot.urdf", str(models / "robot.xml"))
+    loose = run(tmp_path, *pair)
+    assert loose.returncode == 0
+    assert "matched by structure, not by name (confirm with --map): lh_kfe=knee2" in loose.stdout
+    strict = run(tmp_path, *pair, "--strict")
+    assert strict.returncode == 1
+    assert "DISAGREE: joint knee2: it is called lh_kfe in the URDF, knee2 in the" in strict.stdout
+    assert run(tmp_path, *pair, "--strict", "--map", "lh_kfe=knee2").returncode == 0
+
+
 def test_tolerances_may_be_repeated(models: Path) -> None:
     options = ("--tolerance", "mass=0.5", "--tolerance", "damping=0.9")
     result = run(models, "robot.urdf", "heavier.xml", *options)

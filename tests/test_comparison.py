@@ -27,6 +27,7 @@ from robots import (
 
 from pupper_analysis import crosscheck
 from pupper_analysis.comparison import Comparison, compare_models
+from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.explain import Difference, Tolerances
 
 SHANK = quadruped()["shank2"]
@@ -230,6 +231,44 @@ def test_the_seed_and_the_configurations_are_the_cross_checks(tmp_path: Path) ->
     files = write_parts(tmp_path, quadruped(), quadruped())
     check = compare_models(files.urdf, files.mjcf, configurations=3, seed=7).check
     assert (check.configurations, check.seed) == (3, 7)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, True, "1"])
+def test_a_seed_is_a_whole_number_from_0(tmp_path: Path, seed: Any) -> None:
+    files = write_parts(tmp_path, quadruped(), quadruped())
+    with pytest.raises(ConfigurationError, match=r"seed: .* is not a whole number from 0"):
+        compare_models(files.urdf, files.mjcf, seed=seed)
+
+
+def test_names_count_if_they_shall(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, changed(quadruped(), "shank2", joint="lh_kfe"), quadruped())
+    assert compared(files).agree
+    strict = compared(files, strict_names=True)
+    assert not strict.agree
+    assert found(strict) == [("name", "knee2")]
+    difference = strict.differences[0]
+    assert (difference.urdf, difference.mjcf) == ("lh_kfe", "knee2")
+    in_urdf, in_mjcf = lines_of(difference, files)
+    assert '<joint name="lh_kfe"' in in_urdf
+    assert '<joint name="knee2"' in in_mjcf
+    assert strict.complete
+    # Who says that they are the same joint knows their names.
+    assert compared(files, strict_names=True, names={"lh_kfe": "knee2"}).agree
+
+
+def test_a_urdf_without_any_mass_is_refused(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, all_changed(quadruped(), mass=0.0), quadruped())
+    with pytest.raises(ModelError, match="its links weigh 0 kg together; give them <inertial>s"):
+        compared(files)
+
+
+def test_an_mjcf_that_mujoco_refuses_is_not_compared(tmp_path: Path) -> None:
+    """A copy of its spec, without the sensor, would agree."""
+    text = mjcf_text(quadruped(), extra='<sensor>\n<gyro site="nix"/>\n</sensor>')
+    files = write(tmp_path, urdf_text(quadruped()), text)
+    line = number_of(text, "<gyro")
+    with pytest.raises(ModelError, match=rf"robot.xml:{line}: .* unrecognized name 'nix'"):
+        compared(files)
 
 
 # ------------------------------------------------------------------------------------- JSON

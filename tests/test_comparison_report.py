@@ -23,8 +23,10 @@ from robots import (
     write_parts,
 )
 
+from pupper_analysis import extras
 from pupper_analysis.comparison import Comparison
 from pupper_analysis.comparison_report import SHOWN, cases, print_models, remarks
+from pupper_analysis.crosscheck import EXTRAS
 from pupper_analysis.explain import Tolerances
 from pupper_analysis.formats import github, junit
 
@@ -134,17 +136,21 @@ def test_what_is_left_is_printed(files: Files) -> None:
 LONG = "knee_of_the_left_hind_leg_whose_name_is_as_long_as_a_whole_line_of_a_terminal_is_wide_1"
 
 
+@pytest.mark.parametrize("spring", [False, True])
 @pytest.mark.parametrize("width", [80, 100, 120])
-def test_nothing_is_cut_off(tmp_path: Path, width: int) -> None:
+def test_nothing_is_cut_off(tmp_path: Path, width: int, spring: bool) -> None:
     urdf = changed(quadruped(), "shank1", joint=LONG)
-    mjcf = changed(changed(quadruped(), "shank1", joint=LONG), "shank1", mass=0.9)
-    comparison = compared(write_parts(tmp_path, urdf, mjcf))
+    mjcf = mjcf_text(changed(changed(quadruped(), "shank1", joint=LONG), "shank1", mass=0.9))
+    if spring:
+        mjcf = mjcf.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
+    comparison = compared(write(tmp_path, urdf_text(urdf), mjcf))
     text = printed(comparison, True, width)
     assert f"body of {LONG}: mass 0.21 kg in the URDF, 0.9 kg in the MJCF" in text
     for quantity in comparison.check.quantities:
         row = next(line for line in text.splitlines() if line.startswith(quantity.name))
-        for relative in quantity.edges.values():
-            assert f"{relative:.1e}" in row
+        for side, relative in quantity.edges.items():
+            # A side of zeros everywhere is left out: the MJCF has nothing that a URDF has not.
+            assert f"{relative:.1e}" in row or (side == EXTRAS and not spring)
     assert "…" not in text
 
 
@@ -255,3 +261,36 @@ def test_no_case_fails_where_the_verdict_is_agreement(tmp_path: Path, case: str)
     files = write(tmp_path, urdf_text(narrow, frames), mjcf_text(mjcf, frames))
     comparison = compared(files, tolerances=tolerances)
     assert comparison.agree == (failures(comparison) == {})
+
+
+def test_what_is_not_explained_is_the_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a difference to name, the verdict still is not AGREE, in every format."""
+    monkeypatch.setattr(extras._Finder, "springs", lambda _: iter(()))
+    text = mjcf_text(quadruped())
+    text = text.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
+    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
+    first = lines(comparison)[0]
+    assert re.match(r"DISAGREE: \S+ of forward dynamics is left that no difference explains", first)
+    assert "MuJoCo's qfrc_spring is up to" in first
+    (remark,) = (r for r in remarks(comparison) if r.title == "agreement")
+    assert remark.level == "error"
+    assert "no difference explains" in remark.message
+    failed = {case.name: case.failure for case in cases(comparison) if case.failure}
+    assert "qfrc_spring" in failed["the differences explain the deviations"]
+
+
+def test_what_the_mjcf_alone_has_is_printed_with_its_effect(tmp_path: Path) -> None:
+    text = mjcf_text(quadruped())
+    for leg in (0, 2):
+        text = text.replace(f'<joint name="hip{leg}"', f'<joint name="hip{leg}" stiffness="20"')
+    out = printed(compared(write(tmp_path, urdf_text(quadruped()), text)))
+    spring = "no spring in the URDF, one of stiffness 20 N m/rad, at rest at 0 rad in the MJCF"
+    assert out.startswith("DISAGREE: joint hip")
+    assert f": {spring}; likewise on 1 more: hip" in out
+    assert re.search(r"alone it makes, of the deviation in: forward dynamics \d+% \(", out)
+    assert "explained: 100 % of the deviation" in out
+    assert "engines differ" not in out
+    header = next(line for line in out.splitlines() if line.strip().startswith("models"))
+    assert header.split()[-1] == "extras"

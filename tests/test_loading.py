@@ -9,8 +9,10 @@ import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import corpus
+import mujoco
 import pinocchio as pin
 import pytest
 from corpus import LIMIT, joint, link, mjcf, urdf
@@ -370,9 +372,72 @@ def test_what_refers_to_missing_files_is_left_out(tmp_path: Path) -> None:
 def test_mujocos_messages_get_a_place(tmp_path: Path) -> None:
     part = '<mujocoinclude>\n<body name="b"><joint name="j"/></body></mujocoinclude>'
     path = write(tmp_path, m=mjcf('<worldbody><include file="a.xml"/></worldbody>'), a=part)
-    model = read_mjcf(path)
-    message = refused(model.compile)
+    message = refused(lambda: read_mjcf(path))
     assert message.startswith(f"{tmp_path / 'a.xml'}:2: MuJoCo cannot compile it: ")
+
+
+DANGLING = {
+    "gyro": '<sensor><gyro site="nix"/></sensor>',
+    "joint sensor": '<sensor><jointpos joint="nix"/></sensor>',
+    "actuator": '<actuator><motor joint="nix"/></actuator>',
+    "actuator of a tendon": '<actuator><motor tendon="nix"/></actuator>',
+    "exclude": '<contact><exclude body1="b" body2="nix"/></contact>',
+    "pair": '<contact><pair geom1="g" geom2="nix"/></contact>',
+    "joint equality": '<equality><joint joint1="j" joint2="nix"/></equality>',
+    "weld": '<equality><weld body1="b" body2="nix"/></equality>',
+    "connect": '<equality><connect body1="b" body2="nix" anchor="0 0 0"/></equality>',
+    "fixed tendon": '<tendon><fixed><joint joint="nix" coef="1"/></fixed></tendon>',
+    "spatial tendon": '<tendon><spatial><site site="s"/><site site="nix"/></spatial></tendon>',
+    "tuple": '<custom><tuple name="t"><element objtype="body" objname="nix"/></tuple></custom>',
+    "camera target": '<worldbody><camera mode="targetbody" target="nix"/></worldbody>',
+}
+
+BODY = '<worldbody><body name="b"><joint name="j"/><geom name="g" size="1"/><site name="s"/>'
+
+
+@pytest.mark.parametrize("missing_mesh", [False, True], ids=["", "with a missing mesh"])
+@pytest.mark.parametrize("kind", DANGLING)
+def test_what_refers_to_nothing_is_refused_at_its_line(
+    kind: str, missing_mesh: bool, tmp_path: Path
+) -> None:
+    """A copy of the spec lacks the element, and compiles."""
+    drawn = '<geom type="mesh" mesh="k" mass="0"/>' if missing_mesh else ""
+    text = mjcf(MESH if missing_mesh else "", f"{BODY}{drawn}</body></worldbody>", DANGLING[kind])
+    path = write(tmp_path, m=text)
+    message = refused(lambda: read_mjcf(path))
+    assert message.startswith(f"{path}:4: MuJoCo cannot compile it: ")
+    assert "'nix'" in message or kind == "camera target"  # of which MuJoCo does not tell the name
+    file = read_model(path)
+    assert isinstance(file, MjcfFile)
+    assert file.refusal is not None
+    assert refused(file.compile) == message
+    if not missing_mesh and kind != "camera target":
+        assert mujoco.MjSpec.from_string(text).copy().compile().nbody == 2
+
+
+def test_what_refers_to_nothing_is_found_in_the_included_file(tmp_path: Path) -> None:
+    part = '<mujocoinclude>\n\n\n<sensor><gyro site="nix"/></sensor></mujocoinclude>'
+    body = f"{BODY}</body></worldbody>"
+    path = write(tmp_path, m=mjcf(body, "<custom/>", '<include file="a.xml"/>'), a=part)
+    assert refused(lambda: read_mjcf(path)).startswith(f"{tmp_path / 'a.xml'}:4: MuJoCo cannot ")
+
+
+def test_undeclared_prefixes_are_left_out_of_a_urdf(tmp_path: Path) -> None:
+    """Pinocchio minds neither; yourdfpy and MuJoCo's importer, both strict parsers, refuse them."""
+    path = tmp_path / "r.urdf"
+    path.write_text('<robot name="r" a:b="1"><link name="l" c:d="2"/><e:f/></robot>')
+    file = read_urdf(path)
+    assert file.notes == ("left out, for their prefixes are not declared: a:b, c:d, e:f",)
+    assert ElementTree.fromstring(file.text).find("link").attrib == {"name": "l"}
+
+
+def test_a_colour_of_a_urdf_is_checked_at_the_top_level_too(tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        '<robot name="r">\n<material name="m"><color rgba="1,0,0,1"/></material>'
+        '<link name="l"/></robot>'
+    )
+    assert refused(lambda: read_urdf(path)).startswith(f"{path}:2: material 'm': <color rgba=")
 
 
 def test_no_log_file_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -201,7 +201,9 @@ def test_a_joint_of_several_degrees_of_freedom_in_the_urdf(tmp_path: Path, kind:
 
 
 def test_a_ball_joint_in_the_mjcf(tmp_path: Path) -> None:
-    text = MJCF.replace('name="hip1" type="hinge"', 'name="hip1" type="ball"')
+    text = MJCF.replace('name="hip1" type="hinge"', 'name="hip1" type="ball" limited="false"')
+    motor = next(line for line in text.splitlines() if 'joint="hip1"' in line)
+    text = text.replace(motor, "")
     with pytest.raises(ModelError, match="joint 'hip1' is a ball joint; hinge and slide joints"):
         compare_texts(tmp_path, URDF, text)
 
@@ -237,6 +239,18 @@ def test_loose_objects_and_a_floor_are_no_part_of_the_robot(tmp_path: Path) -> N
     assert comparison.agree
     assert "robot.xml: body 'ball' is not part of the robot: left out" in comparison.notes
     assert "robot.xml: body 'door' is not part of the robot: left out" in comparison.notes
+
+
+def test_scenery_is_no_part_of_a_fixed_base(tmp_path: Path) -> None:
+    """What is static is lumped with a fixed base, but not a table that the URDF has not."""
+    table = '<body name="table" pos="1 0 0"><geom size="0.1"/></body>'
+    mjcf = mjcf_text(arm(), free=False, scene=table)
+    comparison = compare_texts(tmp_path, urdf_text(arm()), mjcf)
+    assert comparison.agree
+    assert comparison.engines == ()
+    assert "robot.xml: body 'table' is not part of the robot: left out" in comparison.notes
+    heavier = mjcf_text(changed(arm(), "base", mass=3.5), free=False, scene=table)
+    assert found(compare_texts(tmp_path, urdf_text(arm()), heavier)) == [("mass", "base")]
 
 
 def test_loose_objects_without_names(tmp_path: Path) -> None:
@@ -280,20 +294,23 @@ def test_inertias_from_geoms(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- couplings
 
 
-def test_mimic_joints_are_compared_as_independent_and_said_so(tmp_path: Path) -> None:
+def test_a_mimic_joint_that_the_mjcf_leaves_free_is_a_difference(tmp_path: Path) -> None:
     mimic = '<mimic joint="hip0" multiplier="2"/>\n<axis xyz="0.0 1.0 0.0"/>'
     text = URDF.replace('<axis xyz="0.0 1.0 0.0"/>', mimic, 1)
     comparison = compare_texts(tmp_path, text, MJCF)
-    assert comparison.agree
     assert "knee0" in comparison.joints
-    assert "mimic joints of the URDF are compared as independent joints" in comparison.notes
+    assert found(comparison) == [("mimic", "knee0")]
+    assert comparison.differences[0].message == (
+        "joint knee0: it mimics hip0 in the URDF (times 2, plus 0), and no joint equality of the "
+        "MJCF says so"
+    )
 
 
-def test_equality_constraints_are_left_out_and_said_so(tmp_path: Path) -> None:
+def test_joints_that_the_mjcf_alone_couples_are_a_difference(tmp_path: Path) -> None:
     extra = '<equality><joint joint1="hip0" joint2="hip1"/></equality>'
     comparison = compare_texts(tmp_path, URDF, mjcf_text(quadruped(), extra=extra))
-    assert comparison.agree
-    assert "1 equality constraint(s) of the MJCF are left out" in comparison.notes
+    assert found(comparison) == [("equality", "#0")]
+    assert "it is a joint of joint hip0 and joint hip1" in comparison.differences[0].message
 
 
 # ------------------------------------------------------------------------------------- left over

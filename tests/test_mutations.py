@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import random
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -54,9 +55,12 @@ class Files:
                 return joint.get("name")
         return name
 
-    def mjcf_joint(self) -> Element:
+    def mjcf_joints(self) -> list[Element]:
         joints = [j for body in self.mjcf.iter("body") for j in body.findall("joint")]
-        return self.choose.choice([joint for joint in joints if joint.get("type") != "free"])
+        return [joint for joint in joints if joint.get("type") != "free"]
+
+    def mjcf_joint(self) -> Element:
+        return self.choose.choice(self.mjcf_joints())
 
     def mjcf_body(self) -> Element:
         """A body with a hinge."""
@@ -462,6 +466,258 @@ def mjcf_free_joint_with_damping(files: Files) -> Expected:
     return {"damping"}, {"base_link"}
 
 
+# ----------------------------------------------------------- what a URDF has no words for
+
+
+def _of_joint(kind: str, **attributes: str) -> Mutation:
+    def change(files: Files) -> Expected:
+        joint = files.mjcf_joint()
+        for name, value in attributes.items():
+            joint.set(name, value)
+        return {kind}, {joint.get("name")}
+
+    return change
+
+
+MUTATIONS["spring"] = _of_joint("spring", stiffness="2")
+MUTATIONS["weak_spring"] = _of_joint("spring", stiffness="1e-5")
+MUTATIONS["spring_at_an_angle"] = _of_joint("spring", stiffness="1500", springref="0.4")
+MUTATIONS["stiffness_polynomial"] = _of_joint("spring", stiffness="0 0 3")
+
+
+def _more_damping(files: Files) -> Expected:
+    joint = files.mjcf_joint()
+    # The linear coefficient stays that of the joint's default class.
+    classes = {d.get("class"): d.find("joint") for d in files.mjcf.iter("default")}
+    stated = classes.get(joint.get("class"))
+    linear = joint.get("damping") or (None if stated is None else stated.get("damping"))
+    if linear is None:
+        linear = classes["main"].get("damping", "0") if classes.get("main") is not None else "0"
+    joint.set("damping", f"{linear.split()[0]} 0.05 0.02")
+    return {"damping polynomial"}, {joint.get("name")}
+
+
+MUTATIONS["damping_polynomial"] = _more_damping
+
+
+@mutation
+def free_joint_with_spring(files: Files) -> Expected:
+    base = next(body for body in files.mjcf.iter("body") if body.get("name") == "base_link")
+    base.find("joint").set("stiffness", "30")
+    return {"spring"}, {"base_link"}
+
+
+@mutation
+def gravity_compensation(files: Files) -> Expected:
+    body = files.mjcf_body()
+    body.set("gravcomp", repr(files.choose.choice([1.0, 0.5, -0.2])))
+    return {"gravity compensation"}, {body.get("name")}
+
+
+@mutation
+def gravity_compensation_through_motors(files: Files) -> Expected:
+    """It is a motor's force then, and no passive one."""
+    body = files.mjcf_body()
+    body.set("gravcomp", "1")
+    for joint in files.mjcf.iter("joint"):
+        if joint.get("type") != "free" and joint.get("name"):
+            joint.set("actuatorgravcomp", "true")
+    return {"gravity compensation"}, {body.get("name")}
+
+
+def _fixed_tendon(**attributes: str) -> Mutation:
+    def change(files: Files) -> Expected:
+        section = ElementTree.SubElement(files.mjcf, "tendon")
+        tendon = ElementTree.SubElement(section, "fixed", name="t", **attributes)
+        names = sorted({str(joint.get("name")) for joint in files.mjcf_joints()})
+        for name, coefficient in zip(files.choose.sample(names, 2), ("1", "-0.5"), strict=True):
+            ElementTree.SubElement(tendon, "joint", joint=name, coef=coefficient)
+        return {"tendon"}, {"t"}
+
+    return change
+
+
+MUTATIONS["tendon_spring"] = _fixed_tendon(stiffness="4", springlength="0.1")
+MUTATIONS["tendon_with_slack"] = _fixed_tendon(stiffness="4", springlength="-0.1 0.1")
+MUTATIONS["tendon_damping"] = _fixed_tendon(damping="0.3")
+MUTATIONS["tendon_damping_polynomial"] = _fixed_tendon(damping="0 0.2")
+MUTATIONS["tendon_armature"] = _fixed_tendon(armature="0.003")
+MUTATIONS["tendon_friction_loss"] = _fixed_tendon(frictionloss="0.3")
+MUTATIONS["tendon_limits"] = _fixed_tendon(limited="true", range="-0.2 0.3")
+
+
+def _spatial_tendon(**attributes: str) -> Mutation:
+    def change(files: Files) -> Expected:
+        for body, name in ((files.mjcf_body(), "s1"), (files.mjcf_body(), "s2")):
+            ElementTree.SubElement(body, "site", name=name, pos="0.01 0.02 0.005")
+        section = ElementTree.SubElement(files.mjcf, "tendon")
+        ElementTree.SubElement(section, "spatial", **attributes)  # without a name
+        for end in ("s1", "s2"):
+            ElementTree.SubElement(section[0], "site", site=end)
+        return {"tendon"}, {"#0"}
+
+    return change
+
+
+def _between_two_bodies(change: Mutation) -> Mutation:
+    """A tendon between two sites of one body pulls at nothing."""
+
+    def apart(files: Files) -> Expected | None:
+        expected = change(files)
+        bodies = [b for b in files.mjcf.iter("body") if b.find("site[@name='s1']") is not None]
+        both = [b for b in bodies if b.find("site[@name='s2']") is not None]
+        if not both:
+            return expected
+        files.mjcf.remove(files.mjcf.find("tendon"))
+        for body in both:
+            for site in [s for s in body.findall("site") if s.get("name") in ("s1", "s2")]:
+                body.remove(site)
+        return None
+
+    return apart
+
+
+MUTATIONS["spatial_spring"] = _between_two_bodies(_spatial_tendon(stiffness="40"))
+MUTATIONS["spatial_armature"] = _between_two_bodies(_spatial_tendon(armature="0.3"))
+
+
+def _option(kind: str, **attributes: str) -> Mutation:
+    def change(files: Files) -> Expected:
+        option = files.mjcf.find("option")
+        if option is None:
+            option = ElementTree.SubElement(files.mjcf, "option")
+        for name, value in attributes.items():
+            option.set(name, value)
+        return {kind}, {"option"}
+
+    return change
+
+
+MUTATIONS["fluid_density"] = _option("fluid", density="1.2")
+MUTATIONS["fluid_viscosity"] = _option("fluid", viscosity="0.9")
+MUTATIONS["fluid_wind"] = _option("fluid", density="1.2", wind="5 0 1")
+MUTATIONS["gravity_of_the_moon"] = _option("gravity", gravity="0 0 -1.62")
+
+
+@mutation
+def fluid_around_an_ellipsoid(files: Files) -> Expected:
+    body = files.mjcf_body()
+    ElementTree.SubElement(
+        body, "geom", type="ellipsoid", size="0.05 0.02 0.03", mass="0", fluidshape="ellipsoid",
+        contype="0", conaffinity="0",
+    )  # fmt: skip
+    return _option("fluid", density="1000")(files)
+
+
+def _flag(word: str, kinds: set[str]) -> Mutation:
+    def change(files: Files) -> Expected:
+        option = files.mjcf.find("option")
+        if option is None:
+            option = ElementTree.SubElement(files.mjcf, "option")
+        ElementTree.SubElement(option, "flag", {word: "disable"})
+        names = {str(joint.get("name")) for joint in files.mjcf.iter("joint")}
+        return kinds, {"option", word} | names
+
+    return change
+
+
+MUTATIONS["flag_gravity"] = _flag("gravity", {"gravity"})
+MUTATIONS["flag_damper"] = _flag("damper", {"damping"})
+MUTATIONS["flag_limit"] = _flag("limit", {"flag"})
+MUTATIONS["flag_frictionloss"] = _flag("frictionloss", {"flag"})
+MUTATIONS["flag_actuation"] = _flag("actuation", {"flag"})
+
+
+def _motor(kinds: set[str], element: str, **attributes: str) -> Mutation:
+    """A motor with inertia or damping of its own; of those of a joint, one per joint counts."""
+
+    def change(files: Files) -> Expected:
+        joint = str(files.mjcf_joint().get("name"))
+        for motor in files.mjcf.find("actuator"):
+            if motor.get("joint") == joint:
+                for name, value in attributes.items():
+                    motor.set(name, value)
+                return kinds, {joint if element == "joint" else str(motor.get("name"))}
+        raise AssertionError(joint)
+
+    return change
+
+
+MUTATIONS["motor_armature"] = _motor({"armature"}, "joint", armature="0.04")
+MUTATIONS["motor_damping"] = _motor({"damping"}, "joint", damping="0.4")
+
+
+@mutation
+def motor_damping_polynomial(files: Files) -> Expected:
+    motor = files.choose.choice(list(files.mjcf.find("actuator")))
+    motor.set("damping", "0 0.3")
+    motor.set("name", "grease")
+    return {"actuator"}, {"grease"}
+
+
+@mutation
+def motor_armature_on_a_tendon(files: Files) -> Expected:
+    _fixed_tendon()(files)
+    ElementTree.SubElement(
+        files.mjcf.find("actuator"), "motor", name="winch", tendon="t", armature="0.01", gear="3"
+    )
+    return {"actuator"}, {"winch"}
+
+
+@mutation
+def loop_closed(files: Files) -> Expected:
+    """Two bodies are held together: a four-bar linkage."""
+    bodies = [b for b in files.mjcf.iter("body") if b.find("joint") is not None]
+    one, two = files.choose.sample(bodies, 2)
+    section = ElementTree.SubElement(files.mjcf, "equality")
+    ElementTree.SubElement(
+        section, "connect", name="rod", anchor="0 0 0.01",
+        body1=one.get("name"), body2=two.get("name"),
+    )  # fmt: skip
+    return {"equality"}, {"rod"}
+
+
+@mutation
+def base_welded_to_the_world(files: Files) -> Expected:
+    section = ElementTree.SubElement(files.mjcf, "equality")
+    ElementTree.SubElement(section, "weld", body1="base_link")
+    return {"equality"}, {"#0"}
+
+
+def _coupled_joints(files: Files) -> tuple[Element, Element]:
+    moving = [j for j in files.urdf.iter("joint") if j.get("type") != "fixed"]
+    one, two = files.choose.sample(moving, 2)
+    return one, two
+
+
+@mutation
+def joints_coupled_in_the_mjcf(files: Files) -> Expected:
+    one, two = (str(joint.get("name")) for joint in _coupled_joints(files))
+    section = ElementTree.SubElement(files.mjcf, "equality")
+    ElementTree.SubElement(section, "joint", name="gear", joint1=one, joint2=two)
+    return {"equality"}, {"gear"}
+
+
+@mutation
+def joints_coupled_in_the_urdf(files: Files) -> Expected:
+    one, two = _coupled_joints(files)
+    ElementTree.SubElement(one, "mimic", joint=str(two.get("name")), multiplier="2")
+    return {"mimic"}, {str(one.get("name"))}
+
+
+@mutation
+def joints_coupled_otherwise(files: Files) -> Expected:
+    """Both files couple the same joints, with different factors."""
+    one, two = _coupled_joints(files)
+    names = str(one.get("name")), str(two.get("name"))
+    ElementTree.SubElement(one, "mimic", joint=names[1], multiplier="2", offset="0.1")
+    section = ElementTree.SubElement(files.mjcf, "equality")
+    ElementTree.SubElement(
+        section, "joint", name="gear", joint1=names[0], joint2=names[1], polycoef="0.1 2.1 0 0 0"
+    )
+    return {"mimic", "equality"}, {names[0], "gear"}
+
+
 # ------------------------------------------------------------------------------------- the test
 
 
@@ -536,7 +792,7 @@ def test_a_change_is_found_named_first_and_explained(kind: str, tmp_path: Path) 
 
 
 def test_there_are_many_kinds() -> None:
-    assert len(MUTATIONS) >= 25
+    assert len(MUTATIONS) >= 70
 
 
 def test_a_renamed_joint_is_matched_by_structure_and_said_so(tmp_path: Path) -> None:
@@ -562,8 +818,20 @@ def test_a_joint_that_is_fixed_in_one_file_is_named(tmp_path: Path) -> None:
     assert comparison.complete
 
 
-def main() -> None:
-    """Prints the score: ``python tests/test_mutations.py``."""
+def test_the_program_says_so_if_a_change_is_missed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is changed, so that nothing can be found."""
+    nothing: dict[str, Mutation] = {"nothing": lambda _: ({"mass"}, {"base_link"})}
+    for kinds, status in ((nothing, 1), ({"mass": MUTATIONS["mass"]}, 0)):
+        monkeypatch.setattr(sys.modules[__name__], "MUTATIONS", kinds)
+        monkeypatch.setattr(sys.modules[__name__], "PLACES", 1)
+        assert main() == status
+    assert "1 kinds: 0 of 3 found" in capsys.readouterr().out
+
+
+def main() -> int:
+    """Prints the score: ``python tests/test_mutations.py``; returns 1 if any was missed."""
     import tempfile
 
     total = found = 0
@@ -580,7 +848,8 @@ def main() -> None:
         total, found = total + len(outcomes), found + sum(outcomes)
         print(f"{kind:32s} {sum(outcomes)} of {len(outcomes)}")
     print(f"{len(MUTATIONS)} kinds: {found} of {total} found, named first and explained in full")
+    return 0 if 0 < total == found else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -17,7 +16,7 @@ import numpy as np
 from pupper_analysis.audit.from_urdf import half_digit
 from pupper_analysis.audit.geometry import hull_points
 from pupper_analysis.audit.pose import Array, Pose
-from pupper_analysis.audit.repair import MUJOCO_ERRORS, full_matrix, repaired, switched_off_ranges
+from pupper_analysis.audit.repair import full_matrix, repaired, switched_off_ranges
 from pupper_analysis.audit.view import (
     BALL,
     FREE,
@@ -32,7 +31,6 @@ from pupper_analysis.audit.view import (
 )
 from pupper_analysis.convention import rotation_from_quaternion
 from pupper_analysis.conversion import effort_limit
-from pupper_analysis.errors import ModelError
 from pupper_analysis.loading import MjcfFile, Place
 
 _KINDS = {
@@ -45,16 +43,14 @@ _KINDS = {
 
 def mjcf_view(file: MjcfFile) -> MjcfView:
     """Returns the neutral view of an MJCF; empty if MuJoCo refuses even a repaired copy."""
-    spec, notes = file.spec.copy(), list(file.notes)
-    refusal = None
-    try:
-        model = spec.compile()
-    except MUJOCO_ERRORS:
-        refusal = _refusal(file)
+    notes, refusal = list(file.notes), file.refusal
+    if refusal is None:
+        spec = file.spec.copy()
+        model = spec.compile()  # numbers the elements of this spec
+    else:
         spec, model = repaired(file.spec)
-        if model is None:
-            notes.append("MuJoCo compiles the file not even after repair: only its text is audited")
     if model is None:
+        notes.append("MuJoCo compiles the file not even after repair: only its text is audited")
         return MjcfView("mjcf", "body", "", {}, tuple(notes), file, None, refusal, ())
     if refusal:
         notes.append(
@@ -102,20 +98,6 @@ def mjcf_view(file: MjcfFile) -> MjcfView:
     return MjcfView(
         "mjcf", "body", names[base], bodies, tuple(notes), file, model, refusal, tuple(names)
     )
-
-
-def _refusal(file: MjcfFile) -> tuple[str, Place]:
-    """Returns MuJoCo's message and the place that it names."""
-    try:
-        file.compile()
-    except ModelError as error:
-        line = re.search(r"line ([1-9]\d*)", error.problem)
-        if line and len(file.files) == 1:
-            return error.problem, Place(file.path, int(line[1]))
-        place = re.fullmatch(r"(.*):(\d+)", error.source)
-        where = Place(Path(place[1]), int(place[2])) if place else Place(file.path)
-        return error.problem, where
-    return "it compiles only at the second attempt", Place(file.path)
 
 
 def body_names(model: mujoco.MjModel) -> list[str]:

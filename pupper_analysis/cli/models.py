@@ -53,9 +53,11 @@ _package_option = click.option(
     multiple=True,
     metavar="KIND=VALUE",
     help="Of mass, com, inertia, position, rotation, axis, limit, effort, velocity, damping, "
-    "friction or dynamics. May be repeated.",
+    "friction, gravity or dynamics. May be repeated.",
 )
-@click.option("--strict", is_flag=True, help="Tolerate rounding errors alone (1e-9), not digits.")
+@click.option(
+    "--strict", is_flag=True, help="Tolerate rounding errors alone (1e-9), not digits or names."
+)
 @click.option("--all", "everything", is_flag=True, help="Print every difference.")
 @json_option
 @format_option
@@ -104,7 +106,13 @@ def crosscheck(
     tolerances = tolerances.changed(dict(number("tolerance", text) for text in changes))
     check_outputs(json_path)
     comparison = compare_models(
-        urdf, mjcf, names=names, packages=folders, feet=feet, tolerances=tolerances
+        urdf,
+        mjcf,
+        names=names,
+        packages=folders,
+        feet=feet,
+        tolerances=tolerances,
+        strict_names=strict,
     )
     if style == "text":
         comparison_report.print_models(report.console(), comparison, everything=everything)

@@ -12,23 +12,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ModelError
+from pupper_analysis.loading import quiet
 from pupper_analysis.variants import BASES, Box, VariantSpec
 
 Array = NDArray[np.float64]
 
 
 def load(path: Path) -> mujoco.MjSpec:
-    """Reads an MJCF file, includes and all, without compiling it.
+    """Reads an MJCF file, includes and all; the spec is not compiled, but is known to compile.
 
     Raises:
-        ModelError: If the file cannot be read or is no MJCF; the message is MuJoCo's.
+        ModelError: If the file cannot be read, is no MJCF, or does not compile; the message is
+            MuJoCo's.
     """
     if not path.is_file():
         raise ModelError(path, "there is no such file; give the path of an MJCF (.xml) file")
     try:
-        return mujoco.MjSpec.from_file(str(path))
+        with quiet():
+            spec, same = (mujoco.MjSpec.from_file(str(path)) for _ in range(2))
     except (ValueError, RuntimeError) as error:
         raise ModelError(path, f"not a valid MJCF: {_one_line(error)}") from error
+    # Here and not later: a copy of a spec lacks what is dangling, and would compile.
+    compile_spec(same, path)
+    return spec
 
 
 def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
@@ -38,7 +44,8 @@ def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
         ModelError: If MuJoCo refuses it; the message is MuJoCo's.
     """
     try:
-        return spec.compile()
+        with quiet():
+            return spec.compile()
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, f"MuJoCo cannot compile it: {_one_line(error)}") from error
 

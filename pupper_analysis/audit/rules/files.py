@@ -53,33 +53,21 @@ def mesh_missing(view: UrdfView | MjcfView) -> Iterator[Found]:
 
 
 def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:
-    roots = {path: _xml(path) for path in file.files}
     folders = [Path()]
-    for root in roots.values():
-        for compiler in root.iter("compiler"):
-            folders += [Path(compiler.get(what, "")) for what in ("meshdir", "assetdir")]
-    tops = {path.parent / folder for path in roots for folder in folders}
-    for path, root in roots.items():
-        for mesh in root.iter("mesh"):
-            name = mesh.get("file", "")
-            places = [top / inside for top in tops for inside in (name, Path(name).name)]
-            if name and not any(place.is_file() for place in places):
-                known = mesh.get("name") or Path(name).stem
-                place = Place(path, mesh.sourceline)
-                yield Found("mesh", known, f"there is no file {name!r}", place=place)
+    for attributes, _ in file.elements("compiler"):
+        folders += [Path(attributes.get(what, "")) for what in ("meshdir", "assetdir")]
+    tops = {path.parent / folder for path in file.files for folder in folders}
+    for attributes, place in file.elements("mesh"):
+        name = attributes.get("file", "")
+        places = [top / inside for top in tops for inside in (name, Path(name).name)]
+        if name and not any(place.is_file() for place in places):
+            known = attributes.get("name") or Path(name).stem
+            yield Found("mesh", known, f"there is no file {name!r}", place=place)
 
 
 def first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:
     """Returns the place of the first element of a kind with an attribute, of an MJCF."""
-    for path in file.files:
-        for element in _xml(path).iter(tag):
-            if element.get(attribute) is not None:
-                return Place(path, element.sourceline)
-    return None
-
-
-def _xml(path: Path) -> etree._Element:
-    return etree.fromstring(path.read_bytes(), etree.XMLParser(resolve_entities=False))
+    return next((place for found, place in file.elements(tag) if attribute in found), None)
 
 
 @rule(
