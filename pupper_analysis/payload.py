@@ -201,7 +201,13 @@ def motor_limit(
     if (over > 0).any():
         return Bound(0.0, Failure.MOTOR, _names(robot, over > 0))
     ceiling = min(most, UNLIMITED * robot.total_mass)
-    mass = _linear_limit(robot, stand, point, empty)
+    mass = None
+    laden = _even(robot, stand, point, robot.total_mass)
+    if laden is not None and not stand.task.ground.slope:
+        loads = Loads.of(empty, laden, robot.total_mass, stand)
+        mass = loads.motor_limit(limits)
+        if loads.contact_limit() < max(mass, robot.total_mass):
+            mass = None  # a foot lets go before: from there on another line
     if mass is None:
         mass = first_failing(
             lambda tried: (found := at(tried)) is not None and bool((found > 0).any()),
@@ -216,28 +222,53 @@ def motor_limit(
     return Bound(mass, Failure.MOTOR, _names(robot, near & np.isfinite(limits)))
 
 
-def _linear_limit(
-    robot: Robot, stand: Stand, point: Sequence[float] | Array, empty: GravityCompensation
-) -> float | None:
-    """Returns the limit where torques are linear in the mass; None if they are not up to there."""
-    if stand.task.ground.slope:
-        return None
-    one = robot.total_mass
-    laden = _even(robot, stand, point, one)
-    if laden is None:
-        return None
-    limits, rate = robot.effort_limits, (laden.joint_torques - empty.joint_torques) / one
-    with np.errstate(divide="ignore", invalid="ignore"):
-        room = (np.copysign(limits, rate) - empty.joint_torques) / rate
-    mass = float(np.min(np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)))
-    if not math.isfinite(mass):
-        return math.inf
-    for foot, force in empty.contact_forces.items():
-        load = float(force @ stand.normals[foot])
-        growth = (float(laden.contact_forces[foot] @ stand.normals[foot]) - load) / one
-        if load <= 0 or load + growth * max(mass, one) <= 0:
-            return None
-    return mass
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """Torques and contact forces that last, as linear functions of a payload's mass m.
+
+    tau = torques + m torque_rates, f_n = normals + m normal_rates: exact on level ground, steps or
+    not, for as long as every f_n > 0. There the forces are vertical, and their least sum of squares
+    under three equations of balance, in which m stands on the right, is linear in m.
+
+    Attributes:
+        torques: (nu,) without payload (N m).
+        torque_rates: (nu,) (N m/kg).
+        normals: (n,) of the feet that carry, without payload (N).
+        normal_rates: (n,) (N/kg).
+    """
+
+    torques: Array
+    torque_rates: Array
+    normals: Array
+    normal_rates: Array
+
+    @staticmethod
+    def of(
+        empty: GravityCompensation, laden: GravityCompensation, mass: float, stand: Stand
+    ) -> Loads:
+        """Returns the line through two equilibria, without and with a mass (kg)."""
+        one, two = (
+            np.array([held.contact_forces[foot] @ stand.normals[foot] for foot in stand.carrying])
+            for held in (empty, laden)
+        )
+        return Loads(
+            torques=empty.joint_torques,
+            torque_rates=(laden.joint_torques - empty.joint_torques) / mass,
+            normals=one,
+            normal_rates=(two - one) / mass,
+        )
+
+    def motor_limit(self, limits: Array) -> float:
+        """Returns the greatest mass (kg) with |tau| <= limits (nu,) (N m); 0 if none has."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = (np.copysign(limits, self.torque_rates) - self.torques) / self.torque_rates
+        return float(np.min(np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)))
+
+    def contact_limit(self) -> float:
+        """Returns the mass (kg) at which the first foot lets go; infinite if none does."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(self.normal_rates < 0, -self.normals / self.normal_rates, math.inf)
+        return float(np.min(room))
 
 
 def _even(
