@@ -54,7 +54,7 @@ def evolved(search: StanceSearch, subspace: Subspace, evaluations: int, seed: in
 
 @click.command()
 @click.argument("names", nargs=-1)
-@click.option("--objective", type=click.Choice(list(Objective)), multiple=True)
+@click.option("--objective", type=click.Choice([kind.value for kind in Objective]), multiple=True)
 @click.option("--evaluations", default=20_000, show_default=True, help="Of differential evolution.")
 @click.option("--apart", is_flag=True, help="With each coordinate free, not the feet together.")
 @click.option("--seed", default=0, show_default=True)
@@ -83,7 +83,7 @@ def main(
             one, two = -ours.best.level, -theirs.best.level
             table.add_row(
                 name,
-                str(what),
+                Objective(what).value,
                 f"{ours.value(space.nominal):.5g}",
                 f"{ours.scale * abs(one):.5g}",
                 f"{ours.evaluations}",

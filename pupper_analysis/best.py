@@ -13,13 +13,16 @@ from pupper_analysis.best_space import JOINT_RESERVE, Room, StanceSpace
 from pupper_analysis.envelope import Interval
 from pupper_analysis.errors import (
     ConfigurationError,
+    NoEquilibriumError,
     StanceUnreachableError,
     StaticsInfeasibleError,
 )
 from pupper_analysis.loaded import point_on_base, with_payload
-from pupper_analysis.payload import Loads, PayloadLimit, contact_limit, motor_limit, payload_limit
+from pupper_analysis.payload import PayloadLimit, payload_limit
+from pupper_analysis.payload_lines import FirstOrder
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
+from pupper_analysis.simulation import servos
 from pupper_analysis.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.statics import LoadSharing
 from pupper_analysis.task import StandTask
@@ -29,6 +32,9 @@ Array = NDArray[np.float64]
 _SAMPLES = 64  # a power of two, as Sobol's sequence likes it
 _STARTS = 3  # of the samples, besides the nominal stand
 _DESCENT = 25  # iterations of one descent
+_LOOK = 4  # iterations with all coordinates free, each of which takes a dozen stances
+_WORTHWHILE = 1e-3  # of the value: a gain for which it goes on
+_CONVERGED = 1e-4  # of the nominal value: a gain in one iteration that ends a descent
 _STEP = 1e-6  # of the bounds' distance: of the differences that gradients are taken from
 _INSIDE = 1e-6  # of what may not be used up: where descents stop short, so that they end inside
 _UNREACHED = 10.0  # what is missing where there is no stance, in parts of the nominal value
@@ -41,7 +47,7 @@ class Objective(StrEnum):
 
     UTILISATION: the least peak motor utilisation.
     MARGIN: the largest distance of the com's projection from the support polygon's edge.
-    PAYLOAD: the largest payload at a point of the base that motors and contacts bear.
+    PAYLOAD: the largest payload at a point of the base (``payload_limit``).
     """
 
     UTILISATION = "utilisation"
@@ -56,11 +62,10 @@ class BestStance(Result):
     Attributes:
         objective: What it is the best in.
         stand: How the robot stands in it.
-        value: The objective's value there: peak torque / effort limit, margin (m), or the payload
-            that motors and contacts bear (kg): not what the servos' stiffness does.
+        value: The objective's value there: peak torque / effort limit, margin (m), or payload (kg).
         nominal_value: That of the task as it was given (by default the nominal stand).
         nominal: The stand of the task as it was given.
-        payload: All limits of the payload of ``stand``, if that is the objective.
+        payload: Of ``stand``, with what binds it, if that is the objective.
         coordinates: {``height`` of the base (m); ``x``, ``y`` of the base from the centre of the
             feet (m); ``roll``, ``pitch``, ``yaw`` (rad); ``FR x``, ``FR y`` ...: each foot's way
             from where the task has it (m)} of the best stance, in world axes.
@@ -112,9 +117,12 @@ def best_stance(
     best of these ends it goes on with all coordinates free. It is the same every time, and never
     worse than the nominal stand.
 
-    Payload: what is sought is the least of what motors bear with the contact forces that last, and
-    the mass at which a foot lets go. Both are closed forms (``Loads``), on slopes to first order.
-    All limits of the stance found are in ``payload``: servos may bear less.
+    Payload: the search goes by first order (``FirstOrder``): the least of the masses at which a
+    motor saturates, a foot lets go, the servos buckle, and feet have sunk so deep that another part
+    touches the ground, all in closed form. The stance found and the task's own then have their true
+    limit found (``payload_limit``), and the better one is returned. Legs that are almost stretched
+    need little torque, and buckle: for v3 the stance that the motors like best bears 3.7 kg, the
+    nominal one 6.1.
 
     Args:
         robot: A robot with a floating base.
@@ -135,21 +143,25 @@ def best_stance(
         ModelError: If the payload is sought, and the model has no position servos.
         StanceUnreachableError: If the task itself is out of reach.
         StaticsInfeasibleError: If the task itself cannot be held.
+        NoEquilibriumError: If the payload is sought, and servos do not hold the task itself.
     """
     search = StanceSearch(robot, _objective(objective), task, point, sharing)
     search.run()
-    space, best = search.space, search.best
+    space, best, payload = search.space, search.best, None
+    if search.objective is Objective.PAYLOAD:
+        nominal, payload = (payload_limit(robot, stand, point) for stand in (space.nominal, best.stand))
+        if payload.mass < nominal.mass:  # first order was wrong about it
+            best, payload = search.nominal, nominal
+        value, nominal_value = payload.mass, nominal.mass
+    else:
+        value, nominal_value = (search.value(stand) for stand in (best.stand, space.nominal))
     return BestStance(
         objective=search.objective,
         stand=best.stand,
-        value=search.value(best.stand),
-        nominal_value=search.value(space.nominal),
+        value=value,
+        nominal_value=nominal_value,
         nominal=space.nominal,
-        payload=(
-            payload_limit(robot, best.stand, point)
-            if search.objective is Objective.PAYLOAD
-            else None
-        ),
+        payload=payload,
         coordinates=dict(zip(space.names, best.coordinates.tolist(), strict=True)),
         bounds={
             name: Interval(float(low), float(high))
@@ -208,11 +220,14 @@ class StanceSearch:
         if objective is not Objective.MARGIN:
             self._check_limits()
         self.mass = robot.total_mass
-        self.loaded = with_payload(robot, self.mass, self.point.tolist())
+        if objective is Objective.PAYLOAD:
+            # Small: with one that tips the robot there is no line to follow.
+            self.loaded = with_payload(robot, robot.total_mass / 10, self.point.tolist())
+            self.kp = servos(robot).kp
         self.scale = 1.0
-        nominal = self.stance(self.space.start, self.space.nominal)
-        self.scale = abs(nominal.level) or robot.stand_height
-        self.best = self.stance(self.space.start, self.space.nominal)
+        first = self.stance(self.space.start, self.space.nominal)
+        self.scale = abs(first.level) or robot.stand_height
+        self.nominal = self.best = self.stance(self.space.start, self.space.nominal)
         self.known: dict[bytes, _Stance | None] = {}
 
     def _check_limits(self) -> None:
@@ -228,11 +243,7 @@ class StanceSearch:
             )
 
     def value(self, stand: Stand) -> float:
-        """Returns the objective's value of a stand, exactly."""
-        if self.objective is Objective.PAYLOAD:
-            contacts = contact_limit(self.robot, stand, self.point).mass
-            motors = motor_limit(self.robot, stand, self.point, most=contacts).mass
-            return min(motors, contacts)
+        """Returns the utilisation, or the margin (m), of a stand."""
         statics = stand_statics(self.robot, stand, sharing=self.sharing)
         assert statics.com_margin is not None
         if self.objective is Objective.MARGIN:
@@ -249,7 +260,12 @@ class StanceSearch:
             try:
                 stand = solve_stand(self.robot, self.space.task(coordinates), explain=False)
                 self.known[key] = self.stance(coordinates, stand)
-            except (StanceUnreachableError, StaticsInfeasibleError, ConfigurationError):
+            except (
+                StanceUnreachableError,
+                StaticsInfeasibleError,
+                NoEquilibriumError,
+                ConfigurationError,
+            ):
                 self.known[key] = None
         found = self.known[key]
         if found is not None and found.allowed and found.level < self.best.level:
@@ -272,34 +288,36 @@ class StanceSearch:
 
     def _level(self, stand: Stand, room: Room) -> tuple[float, Array]:
         """Returns the level, and the rows (k, 2) of which it is the least that satisfies all."""
-        statics = stand_statics(self.robot, stand, sharing=self.sharing)
+        if self.objective is Objective.PAYLOAD:
+            return self._payload_level(stand)
         if self.objective is Objective.MARGIN:
             inside = (room.edges + stand.task.com_margin) / self.scale
             return -float(inside.min()), np.column_stack([inside, np.ones(len(inside))])
-        if self.objective is Objective.UTILISATION:
-            use = (statics.joint_torques[self.bears] / self.limits[self.bears]) / self.scale
-            both = np.concatenate([use, -use])
-            return float(both.max()), np.column_stack([-both, np.ones(len(both))])
-        loads = self.loads(stand)
-        level = -min(loads.motor_limit(self.limits), loads.contact_limit()) / self.scale
-        limits = self.limits[self.bears]
-        torque = loads.torques[self.bears] / limits
-        rate = loads.torque_rates[self.bears] / limits * -self.scale  # the mass is -scale level
+        torques = stand_statics(self.robot, stand, sharing=self.sharing).joint_torques
+        use = torques[self.bears] / self.limits[self.bears] / self.scale
+        both = np.concatenate([use, -use])
+        return float(both.max()), np.column_stack([-both, np.ones(len(both))])
+
+    def _payload_level(self, stand: Stand) -> tuple[float, Array]:
+        """Returns the same for a payload, of mass -scale * level."""
+        first = FirstOrder.of(self.robot, self.loaded, stand, self.kp)
+        if first is None:
+            raise NoEquilibriumError(0.0, "the servos are too soft for the stand without payload")
+        loads, limits = first.loads, self.limits[self.bears]
+        torque, rate = loads.torques[self.bears] / limits, loads.torque_rates[self.bears] / limits
         weight = self.mass * float(np.linalg.norm(self.robot.gravity))
+        light = np.isfinite(first.strongest)
+        sinking = first.strongest[light] - loads.normals[light]
+        # Rows room + slope * mass >= 0.
         rows = [
             np.column_stack([1 - torque, -rate]),
             np.column_stack([1 + torque, rate]),
-            np.column_stack([loads.normals, -self.scale * loads.normal_rates]) / weight,
+            np.column_stack([loads.normals, loads.normal_rates]) / weight,
+            np.column_stack([sinking, -loads.normal_rates[light]]) / weight,
+            np.column_stack([np.ones(len(first.modes)), -first.modes]),
         ]
-        return level, np.concatenate(rows)
-
-    def loads(self, stand: Stand) -> Loads:
-        """Returns torques and loads as functions of the payload's mass."""
-        empty, laden = (
-            stand_statics(robot, stand, sharing=LoadSharing.EVEN)
-            for robot in (self.robot, self.loaded)
-        )
-        return Loads.of(empty, laden, self.mass, stand)
+        level = -first.limit(self.limits) / self.scale
+        return level, np.concatenate(rows) * (1.0, -self.scale)
 
     # ---------------------------------------------------------------------------- the search
 
@@ -315,17 +333,21 @@ class StanceSearch:
         tried = [self.evaluate(together.at(sample)) for sample in samples]
         order = np.argsort([self.merit(stance) for stance in tried], kind="stable")
         for start in (together.start, *samples[order[:_STARTS]]):
-            self._descend(together, start)
-        apart = Subspace(space, self.best.coordinates, np.eye(len(space.start)))
-        self._descend(apart, apart.start)
+            self._descend(together, start, _DESCENT)
+        # Where symmetry makes the best, nothing is to be gained apart: a look tells.
+        before = np.inf
+        while before - self.best.level > _WORTHWHILE * abs(self.best.level):
+            before = self.best.level
+            apart = Subspace(space, self.best.coordinates, np.eye(len(space.start)))
+            self._descend(apart, apart.start, _LOOK)
 
     def merit(self, stance: _Stance | None) -> float:
         if stance is None:
             return np.inf
-        room = stance.rows[stance.rows[:, 1] == 0, 0]
+        room = stance.rows[stance.rows[:, 1] == 0, 0]  # rows that do not depend on the level
         return stance.level - _UNREACHED * float(np.minimum(room, 0).sum())
 
-    def _descend(self, subspace: Subspace, start: Array) -> None:
+    def _descend(self, subspace: Subspace, start: Array, iterations: int) -> None:
         """Goes down to a local best in (shares, level), as SLSQP finds it."""
         from scipy import optimize  # slow to import
 
@@ -364,7 +386,7 @@ class StanceSearch:
                 "fun": lambda values: rows(values[:-1]) @ (1.0, values[-1]),
                 "jac": derivative,
             },
-            options={"maxiter": _DESCENT, "ftol": 1e-6},
+            options={"maxiter": iterations, "ftol": _CONVERGED},
         )
 
 

@@ -14,6 +14,7 @@ from scipy import sparse
 from pupper_analysis.configuration import Configuration
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.loaded import point_on_base, with_payload
+from pupper_analysis.payload_lines import Loads
 from pupper_analysis.payload_servos import (
     Bound,
     Command,
@@ -220,55 +221,6 @@ def motor_limit(
     with np.errstate(invalid="ignore"):
         near = over > -1e-3 * limits - 2 * slack
     return Bound(mass, Failure.MOTOR, _names(robot, near & np.isfinite(limits)))
-
-
-@dataclass(frozen=True, eq=False)
-class Loads:
-    """Torques and contact forces that last, as linear functions of a payload's mass m.
-
-    tau = torques + m torque_rates, f_n = normals + m normal_rates: exact on level ground, steps or
-    not, for as long as every f_n > 0. There the forces are vertical, and their least sum of squares
-    under three equations of balance, in which m stands on the right, is linear in m.
-
-    Attributes:
-        torques: (nu,) without payload (N m).
-        torque_rates: (nu,) (N m/kg).
-        normals: (n,) of the feet that carry, without payload (N).
-        normal_rates: (n,) (N/kg).
-    """
-
-    torques: Array
-    torque_rates: Array
-    normals: Array
-    normal_rates: Array
-
-    @staticmethod
-    def of(
-        empty: GravityCompensation, laden: GravityCompensation, mass: float, stand: Stand
-    ) -> Loads:
-        """Returns the line through two equilibria, without and with a mass (kg)."""
-        one, two = (
-            np.array([held.contact_forces[foot] @ stand.normals[foot] for foot in stand.carrying])
-            for held in (empty, laden)
-        )
-        return Loads(
-            torques=empty.joint_torques,
-            torque_rates=(laden.joint_torques - empty.joint_torques) / mass,
-            normals=one,
-            normal_rates=(two - one) / mass,
-        )
-
-    def motor_limit(self, limits: Array) -> float:
-        """Returns the greatest mass (kg) with |tau| <= limits (nu,) (N m); 0 if none has."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = (np.copysign(limits, self.torque_rates) - self.torques) / self.torque_rates
-        return float(np.min(np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)))
-
-    def contact_limit(self) -> float:
-        """Returns the mass (kg) at which the first foot lets go; infinite if none does."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(self.normal_rates < 0, -self.normals / self.normal_rates, math.inf)
-        return float(np.min(room))
 
 
 def _even(

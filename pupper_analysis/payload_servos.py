@@ -18,6 +18,7 @@ from pupper_analysis.errors import (
     StaticsInfeasibleError,
 )
 from pupper_analysis.loaded import loaded_stand, with_payload
+from pupper_analysis.payload_lines import FirstOrder
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot, on_ground
 from pupper_analysis.settle import SettledPose, _Equilibrium, settled_pose
@@ -30,11 +31,11 @@ Array = NDArray[np.float64]
 RESOLUTION = 1e-3
 """To what part of itself a limit is found by bisection; it is rounded down."""
 
-GROWTH = 1.25
+GROWTH = 1.5
 """Factor from one mass tried to the next: a window of failure narrower than this may be missed."""
 
 LEAST = 1e-3
-"""The least payload looked at, in parts of the robot's mass."""
+"""The least payload looked at, in parts of the first one tried."""
 
 COLLAPSED = 0.5
 """A robot that sags below this part of its stand's height no longer stands (as ``least_kp``)."""
@@ -128,8 +129,9 @@ def servo_limit(
 
     It stands if the equilibrium under the load exists and is stable (``settled_pose``, feet
     pinned), no foot slips or would have to pull, no motor saturates, no joint is at its limit, no
-    other part is on the ground, and it keeps half of its height. Masses are tried from below, in
-    steps of ``GROWTH``, and the first interval in which it stops standing is bisected.
+    other part is on the ground, and it keeps half of its height. Masses are tried from a quarter of
+    what first order says on (``FirstOrder``), in steps of ``GROWTH``, and the first interval in
+    which it stops standing is bisected.
 
     Args:
         robot: The robot.
@@ -156,14 +158,26 @@ def servo_limit(
         return isinstance(found, Bound) or found.failure is not None
 
     ceiling = 2 * most if math.isfinite(most) else 1e4 * robot.total_mass
-    start = min(robot.total_mass, most) / 8
-    mass = 0.0 if fails(0.0) else first_failing(fails, max(start, 1e-6), ceiling)
+    start = _guess(robot, stand, point, servos(robot, kp, None if kp is None else 0.0).kp) / 4
+    mass = 0.0 if fails(0.0) else first_failing(fails, min(start, most), ceiling)
     if mass >= ceiling:
         return Bound(math.inf, Failure.NOTHING, ())
     above = judge(mass * (1 + 2 * RESOLUTION) if mass else 0.0)
     failure = above.failure
     assert failure is not None
     return Bound(mass, failure, above.where)
+
+
+def _guess(robot: Robot, stand: Stand, point: ArrayLike, kp: Array) -> float:
+    """Returns about what a stand bears (kg), to begin the search at."""
+    mass = robot.total_mass / 10  # small: one that tips would tell nothing
+    loaded = with_payload(robot, mass, np.asarray(point, dtype=float).tolist())
+    try:
+        first = FirstOrder.of(robot, loaded, stand, kp)
+    except StaticsInfeasibleError:
+        return mass
+    guess = mass if first is None else first.limit(strengths(robot))
+    return guess if 0 < guess < math.inf else mass
 
 
 def first_failing(fails: Callable[[float], bool], start: float, ceiling: float) -> float:
