@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.best_space import JOINT_RESERVE, Room, StanceSpace
 from pupper_analysis.envelope import Interval
@@ -95,6 +95,7 @@ def best_stance(
     task: StandTask | None = None,
     point: tuple[float, float, float] = (0.0, 0.0, 0.0),
     sharing: LoadSharing = LoadSharing.EVEN,
+    kp: ArrayLike | None = None,
 ) -> BestStance:
     """Searches for the best stance: the base's height, place and turn, and where each foot is.
 
@@ -133,6 +134,7 @@ def best_stance(
         sharing: Which contact forces the motors' utilisation is that of: ``EVEN``, what a simulator
             holds for good, or those of least torque (least in the sum of squares: not always of
             least peak).
+        kp: Servo stiffness for the payload (N m/rad), one or (nu,); the model's own by default.
 
     Returns:
         The best stance found.
@@ -140,16 +142,18 @@ def best_stance(
     Raises:
         ConfigurationError: If an argument is out of its range, or the robot cannot stand, or no
             motor has an effort limit that it could use, or one has a limit of zero.
-        ModelError: If the payload is sought, and the model has no position servos.
+        ModelError: If the payload is sought, the model has no position servos, and no kp is given.
         StanceUnreachableError: If the task itself is out of reach.
         StaticsInfeasibleError: If the task itself cannot be held.
         NoEquilibriumError: If the payload is sought, and servos do not hold the task itself.
     """
-    search = StanceSearch(robot, _objective(objective), task, point, sharing)
+    search = StanceSearch(robot, _objective(objective), task, point, sharing, kp)
     search.run()
     space, best, payload = search.space, search.best, None
     if search.objective is Objective.PAYLOAD:
-        nominal, payload = (payload_limit(robot, stand, point) for stand in (space.nominal, best.stand))
+        nominal, payload = (
+            payload_limit(robot, stand, point, kp=kp) for stand in (space.nominal, best.stand)
+        )
         if payload.mass < nominal.mass:  # first order was wrong about it
             best, payload = search.nominal, nominal
         value, nominal_value = payload.mass, nominal.mass
@@ -210,6 +214,7 @@ class StanceSearch:
         task: StandTask | None = None,
         point: Sequence[float] = (0.0, 0.0, 0.0),
         sharing: LoadSharing = LoadSharing.EVEN,
+        kp: ArrayLike | None = None,
     ) -> None:
         self.robot, self.objective, self.sharing = robot, objective, sharing
         self.point = point_on_base(point)
@@ -223,7 +228,7 @@ class StanceSearch:
         if objective is Objective.PAYLOAD:
             # Small: with one that tips the robot there is no line to follow.
             self.loaded = with_payload(robot, robot.total_mass / 10, self.point.tolist())
-            self.kp = servos(robot).kp
+            self.kp = servos(robot, kp, None if kp is None else 0.0).kp
         self.scale = 1.0
         first = self.stance(self.space.start, self.space.nominal)
         self.scale = abs(first.level) or robot.stand_height

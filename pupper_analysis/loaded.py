@@ -43,9 +43,10 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
     place = point_on_base(point)
     if not robot.floating:
         raise ConfigurationError("robot", f"{robot.name} has a fixed base: no motor carries it")
-    if isinstance(mass, bool) or not isinstance(mass, Real) or not 0 <= mass < math.inf:
-        raise ConfigurationError("mass", f"{mass!r} kg is not a finite number >= 0")
-    mass = float(mass)
+    given: object = mass
+    if isinstance(given, bool) or not isinstance(given, Real) or not 0 <= given < math.inf:
+        raise ConfigurationError("mass", f"{given!r} kg is not a finite number >= 0")
+    mass = float(given)
     if mass == 0.0:
         return robot
     before = robot.description
@@ -110,8 +111,11 @@ def loaded_stand(loaded: Robot, stand: Stand) -> Stand:
         stand.task,
         offset=(x, y),
         com="centre",
-        com_margin=0.0,  # demands of the unloaded stance; what a load breaks is judged elsewhere
+        # Margins are demands of the unloaded stance; what a load breaks is judged elsewhere.
+        com_margin=0.0,
         joint_margin=0.0,
+        ground_clearance=0.0,
+        self_clearance=None,
         posture=tuple(stand.joint_positions(loaded).tolist()),
     )
     return sunk_stand(loaded, task, explain=False)

@@ -295,7 +295,8 @@ class _Problem:
         weight = float(np.abs(self.gravity).max())
         equal = np.column_stack([self.contacts, -self.load / weight])
         mass = np.eye(1, size, size - 1)
-        blocks, bounds = [equal, mass, -mass], [self.gravity / weight, [self.ceiling], [0.0]]
+        blocks = [equal, mass, -mass]
+        bounds = [self.gravity / weight, np.array([self.ceiling]), np.zeros(1)]
         cones = [clarabel.ZeroConeT(6), clarabel.NonnegativeConeT(2)]
         for index, (normal, mu) in enumerate(zip(self.normals, self.friction, strict=True)):
             cone = np.zeros((4 if friction else 1, size))

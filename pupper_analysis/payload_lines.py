@@ -116,6 +116,4 @@ class FirstOrder:
             sinking = (self.strongest - loads.normals) / loads.normal_rates
         sinking = np.where(loads.normal_rates > 0, np.maximum(sinking, 0.0), math.inf)
         buckling = 1 / self.modes[0] if self.modes[0] > 0 else math.inf
-        return min(
-            loads.motor_limit(limits), loads.contact_limit(), float(sinking.min()), buckling
-        )
+        return min(loads.motor_limit(limits), loads.contact_limit(), float(sinking.min()), buckling)

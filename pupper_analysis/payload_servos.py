@@ -259,8 +259,8 @@ def loaded_pose(
             if names:
                 return LoadedPose(loaded, sunk, target, sunk.qpos, None, Failure.MOTOR, names)
         return LoadedPose(loaded, sunk, target, sunk.qpos, None, Failure.BUCKLING, ())
-    failure, where = _judge(loaded, sunk, pose, target)
-    return LoadedPose(loaded, sunk, target, start, pose, failure, where)
+    why, where = _judge(loaded, sunk, pose, target)
+    return LoadedPose(loaded, sunk, target, start, pose, why, where)
 
 
 def _settled_at(

@@ -14,9 +14,9 @@ from pupper_analysis import contact
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.loaded import point_on_base, with_payload
 from pupper_analysis.payload_servos import (
+    LASTING,
     Bound,
     Command,
-    LASTING,
     Failure,
     LoadedPose,
     first_failing,
@@ -36,8 +36,8 @@ for a turn). An equilibrium that is not stable needs a reason to be left; one th
 percent, survives this."""
 
 LEFT = 0.1
-"""A joint that is further from where it began has left it (rad): robots that buckle go on to 0.3 and
-more; creep under a surprise moves those that stay by 0.05."""
+"""A joint that is further from where it began has left it (rad): robots that buckle go on to 0.3
+and more; creep under a surprise moves those that stay by 0.05."""
 
 SLIPPED = 5e-3
 """A foot that is further from its place has slid (m); in 12 s creep and rolling give 1 mm."""
