@@ -347,6 +347,7 @@ class StanceSearch:
             self._descend(apart, apart.start, _LOOK)
 
     def merit(self, stance: _Stance | None) -> float:
+        """Returns the level, worse by what is used up more than there is; infinite for none."""
         if stance is None:
             return np.inf
         room = stance.rows[stance.rows[:, 1] == 0, 0]  # rows that do not depend on the level

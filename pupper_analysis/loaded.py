@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from numbers import Real
 
 import numpy as np
 import pinocchio as pin
@@ -43,10 +42,13 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
     place = point_on_base(point)
     if not robot.floating:
         raise ConfigurationError("robot", f"{robot.name} has a fixed base: no motor carries it")
-    given: object = mass
-    if isinstance(given, bool) or not isinstance(given, Real) or not 0 <= given < math.inf:
-        raise ConfigurationError("mass", f"{given!r} kg is not a finite number >= 0")
-    mass = float(given)
+    try:
+        weighed = float(mass)
+    except (TypeError, ValueError):
+        weighed = math.nan
+    if isinstance(mass, bool) or not 0 <= weighed < math.inf:
+        raise ConfigurationError("mass", f"{mass!r} kg is not a finite number >= 0")
+    mass = weighed
     if mass == 0.0:
         return robot
     before = robot.description

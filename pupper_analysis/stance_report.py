@@ -233,8 +233,9 @@ def print_stance(out: Console, stance: Stance) -> None:
         )
     if verification.passed:
         out.print(
-            f"[bold green]HOLDS[/] in MuJoCo, without payload: torques within {verification.torque_error:.2%}, "
-            f"vertical forces within {verification.force_error:.2%} of the prediction"
+            f"[bold green]HOLDS[/] in MuJoCo, without payload: "
+            f"torques within {verification.torque_error:.2%}, "
+            f"forces within {verification.force_error:.2%} of the prediction"
         )
     else:
         out.print(f"[bold red]FAILS[/] in MuJoCo: {escape('; '.join(verification.failures))}")
