@@ -50,7 +50,9 @@ def test_its_weight_is_the_slope_of_its_potential_energy(name: str) -> None:
 def test_all_else_stays() -> None:
     robot = load("v3")
     model = robot.pin_model.copy()
-    model.effortLimit = 2 * model.effortLimit
+    efforts = np.array(model.effortLimit)
+    efforts[6:] *= 2
+    model.effortLimit = efforts
     strong = replace(robot, pin_model=model)
     loaded = with_payload(strong, 1.0, POINT)
     np.testing.assert_array_equal(loaded.effort_limits, 2 * robot.effort_limits)
