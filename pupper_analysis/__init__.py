@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from pupper_analysis.path import StancePath, stance_path
     from pupper_analysis.payload import PayloadLimit, payload_limit
     from pupper_analysis.payload_servos import Command
-    from pupper_analysis.payload_trial import PayloadTrial, payload_trial
+    from pupper_analysis.payload_simulation import PayloadTrial, payload_trial
     from pupper_analysis.push import PushRecovery, push_recovery
     from pupper_analysis.results import to_json
     from pupper_analysis.robot import Robot, load_robot, load_variant
@@ -87,8 +87,8 @@ _HOME = {
     "PayloadLimit": "payload",
     "payload_limit": "payload",
     "Command": "payload_servos",
-    "PayloadTrial": "payload_trial",
-    "payload_trial": "payload_trial",
+    "PayloadTrial": "payload_simulation",
+    "payload_trial": "payload_simulation",
     "with_payload": "loaded",
     "NoEquilibriumError": "errors",
     "PushRecovery": "push",

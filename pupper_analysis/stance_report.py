@@ -17,7 +17,7 @@ from pupper_analysis.envelope import PoseEnvelope, pose_envelope
 from pupper_analysis.errors import NoEquilibriumError, StanceUnreachableError
 from pupper_analysis.path import StancePath, stance_path
 from pupper_analysis.payload import PayloadLimit, payload_limit
-from pupper_analysis.payload_trial import PayloadTrial, payload_trial
+from pupper_analysis.payload_simulation import PayloadTrial, payload_trial
 from pupper_analysis.push import PushRecovery, push_recovery
 from pupper_analysis.push_report import print_pushes
 from pupper_analysis.report import print_loads, titled_table

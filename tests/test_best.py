@@ -13,7 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.best import Objective, StanceSearch, Subspace, best_stance
 from pupper_analysis.best_space import BASE, LEAST_MOBILITY, StanceSpace
 from pupper_analysis.payload_lines import FirstOrder
-from pupper_analysis.payload_trial import payload_trial
+from pupper_analysis.payload_simulation import payload_trial
 from pupper_analysis.simulation import servos
 from pupper_analysis.stand import stand_statics
 

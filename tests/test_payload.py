@@ -14,7 +14,7 @@ from pupper_analysis.loaded import loaded_stand, with_payload
 from pupper_analysis.payload import _problem, contact_limit, motor_limit, payload_limit
 from pupper_analysis.payload_lines import FirstOrder
 from pupper_analysis.payload_servos import Command, Failure, first_failing, servo_limit
-from pupper_analysis.payload_trial import payload_trial
+from pupper_analysis.payload_simulation import payload_trial
 from pupper_analysis.simulation import servos
 
 EVEN = pa.LoadSharing.EVEN
