@@ -46,8 +46,11 @@ if TYPE_CHECKING:
         VariantError,
     )
     from pupper_analysis.explain import Tolerances
+    from pupper_analysis.loaded import with_payload
     from pupper_analysis.path import StancePath, stance_path
     from pupper_analysis.payload import PayloadLimit, payload_limit
+    from pupper_analysis.payload_servos import Command
+    from pupper_analysis.payload_simulation import PayloadTrial, payload_trial
     from pupper_analysis.push import PushRecovery, push_recovery
     from pupper_analysis.results import to_json
     from pupper_analysis.robot import Robot, load_robot, load_variant
@@ -86,6 +89,10 @@ _HOME = {
     "track_path": "tracking",
     "PayloadLimit": "payload",
     "payload_limit": "payload",
+    "Command": "payload_servos",
+    "PayloadTrial": "payload_simulation",
+    "payload_trial": "payload_simulation",
+    "with_payload": "loaded",
     "NoEquilibriumError": "errors",
     "NoStiffnessError": "errors",
     "NotSettlingError": "errors",
@@ -137,6 +144,7 @@ __all__ = [
     "Analysis",
     "Audit",
     "BestStance",
+    "Command",
     "Comparison",
     "Configuration",
     "ConfigurationError",
@@ -155,6 +163,7 @@ __all__ = [
     "OutputError",
     "PathTracking",
     "PayloadLimit",
+    "PayloadTrial",
     "PoseEnvelope",
     "PupperAnalysisError",
     "PushRecovery",
@@ -181,6 +190,7 @@ __all__ = [
     "load_robot",
     "load_variant",
     "payload_limit",
+    "payload_trial",
     "pose_envelope",
     "push_recovery",
     "reachable_heights",
@@ -194,6 +204,7 @@ __all__ = [
     "to_json",
     "track_path",
     "verify_stand",
+    "with_payload",
     "write_variant",
 ]
 

@@ -21,6 +21,7 @@ from pupper_analysis.errors import (
 )
 from pupper_analysis.path import StancePath, stance_path
 from pupper_analysis.payload import PayloadLimit, payload_limit
+from pupper_analysis.payload_simulation import PayloadTrial, payload_trial
 from pupper_analysis.push import PushRecovery, push_recovery
 from pupper_analysis.push_report import print_pushes
 from pupper_analysis.report import print_loads, titled_table
@@ -35,6 +36,10 @@ from pupper_analysis.task import StandTask
 from pupper_analysis.tracking import PathTracking, track_path
 
 Array = NDArray[np.float64]
+
+TRIED = 0.95
+"""The part of the payload's limit with which the loaded robot is simulated: below it, as no servo,
+floor or hand is exact to a percent."""
 
 DISAGREEMENT = 1e-4
 """What a stand may leave of the balance in MuJoCo's terms before it is remarked upon (N, N m)."""
@@ -53,6 +58,7 @@ class Stance(Result):
         least_peak: The same of least peak motor utilisation.
         point: Where the payload is, in the base's frame (m).
         payload: The greatest mass there.
+        trial: The simulation with ``TRIED`` of that mass on the robot; None if there is no such.
         sunk: The stance with its feet sunk into MuJoCo's ground; None where that is out of reach.
         verification: The simulation, with feed-forward, of ``sunk``, or else of ``stand``.
         settled: Where it settles without feed-forward; None where that is not predicted.
@@ -74,6 +80,7 @@ class Stance(Result):
     least_peak: GravityCompensation
     point: tuple[float, float, float]
     payload: PayloadLimit
+    trial: PayloadTrial | None
     sunk: Stand | None
     verification: StandVerification
     settled: SettledPose | None
@@ -87,9 +94,7 @@ class Stance(Result):
 
     @property
     def overloaded(self) -> tuple[str, ...]:
-        """Motors above their limits, however the feet share the load."""
-        if not (self.least_peak.motor_utilisation > 1).any():
-            return ()
+        """Motors above their limits with the contact forces that last, without any payload."""
         used = zip(self.statics.joint_names, self.statics.motor_utilisation, strict=True)
         return tuple(name for name, share in used if share > 1)
 
@@ -132,8 +137,15 @@ def study(
         ConfigurationError: If the task, or another argument, makes no sense for the robot.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
-    best = None if objective is None else best_stance(robot, objective, task=task, point=point)
+    best = None
+    if objective is not None:
+        best = best_stance(robot, objective, task=task, point=point, kp=kp)
     stand = solve_stand(robot, task) if best is None else best.stand
+    payload = None if best is None else best.payload
+    payload = payload or payload_limit(robot, stand, point, kp=kp)
+    trial = None
+    if 0 < payload.mass < math.inf:
+        trial = payload_trial(robot, stand, TRIED * payload.mass, point, kp=kp, kd=kd)
     settled, unsettled, sunk, softness = None, "", None, None
     try:
         settled = settled_pose(robot, stand, kp=kp)
@@ -153,7 +165,8 @@ def study(
         statics=stand_statics(robot, held),
         least_peak=stand_statics(robot, held, sharing=LoadSharing.LEAST_PEAK),
         point=point,
-        payload=payload_limit(robot, stand, point),
+        payload=payload,
+        trial=trial,
         sunk=sunk,
         verification=verify_stand(robot, held, kp=kp, kd=kd),
         settled=settled,
@@ -190,17 +203,15 @@ def print_stance(out: Console, stance: Stance) -> None:
     more = {"position (rad)": stance.joint_positions}
     print_loads(out, stance.statics, stance.least_peak, verification, stance.limits.tolist(), more)
     if stance.overloaded:
+        how = "with the contact forces that last"
+        if stance.least_peak.motor_utilisation.max() > 1:
+            how = "however the feet share the load"
         out.print(
-            "[bold red]OVERLOADED[/]: the motors cannot hold it, however the feet share the load: "
+            f"[bold red]OVERLOADED[/]: the motors cannot hold it {how}: "
             f"{', '.join(stance.overloaded)}",
             soft_wrap=True,
         )
-    where = f" ({', '.join(stance.payload.where)})" if stance.payload.where else ""
-    out.print(
-        f"payload at ({', '.join(f'{1e3 * value:.0f}' for value in stance.point)}) mm of the base: "
-        f"{stance.payload.mass:.2f} kg, then {stance.payload.failure.value}{where}",
-        soft_wrap=True,
-    )
+    _print_payload(out, stance)
     _print_clearance(out, stand)
     _print_settled(out, stance)
     if stance.least_kp is not None:
@@ -233,15 +244,16 @@ def print_stance(out: Console, stance: Stance) -> None:
         )
     if verification.passed:
         out.print(
-            f"[bold green]HOLDS[/] in MuJoCo: torques within {verification.torque_error:.2%}, "
-            f"vertical forces within {verification.force_error:.2%} of the prediction"
+            f"[bold green]HOLDS[/] in MuJoCo, without payload: "
+            f"torques within {verification.torque_error:.2%}, "
+            f"forces within {verification.force_error:.2%} of the prediction"
         )
     else:
         out.print(f"[bold red]FAILS[/] in MuJoCo: {escape('; '.join(verification.failures))}")
 
 
 def _print_best(out: Console, best: BestStance) -> None:
-    unit = {Objective.UTILISATION: "", Objective.MARGIN: " m", Objective.PAYLOAD: " kg"}
+    unit = " m" if best.objective is Objective.MARGIN else ""
     what = {
         Objective.UTILISATION: "peak motor utilisation",
         Objective.MARGIN: "distance of the com from the support polygon's edge",
@@ -249,16 +261,50 @@ def _print_best(out: Console, best: BestStance) -> None:
     }[best.objective]
     coordinates = ", ".join(
         f"{name} {math.degrees(value):+.1f} deg"
-        if name == "pitch"
+        if name in ("roll", "pitch", "yaw")
         else f"{name} {1e3 * value:.1f} mm"
         for name, value in best.coordinates.items()
     )
+    values = [f"{value:.4g}{unit}" for value in (best.value, best.nominal_value)]
+    if best.objective is Objective.PAYLOAD:
+        values = [kilograms(value) for value in (best.value, best.nominal_value)]
     out.print(
-        f"best of {best.evaluations} stances: {what} {best.value:.4g}{unit[best.objective]}, "
-        f"against {best.nominal_value:.4g} as asked; {coordinates}"
+        f"best of {best.evaluations} stances: {what} {values[0]}, "
+        f"against {values[1]} as asked; {coordinates}"
         + (f"; at its limit: {', '.join(best.active)}" if best.active else ""),
         soft_wrap=True,
     )
+
+
+def _print_payload(out: Console, stance: Stance) -> None:
+    payload, trial = stance.payload, stance.trial
+    place = ", ".join(f"{1e3 * value:.0f}" for value in payload.point)
+    where = f" ({', '.join(payload.where)})" if payload.where else ""
+    bounds = (
+        ("motors", payload.motors),
+        ("servos' stiffness", payload.servos),
+        ("contacts", payload.contacts),
+    )
+    each = ", ".join(f"{name} {kilograms(bound.mass)}" for name, bound in bounds)
+    text = (
+        f"payload at ({place}) mm of the base: {kilograms(payload.mass)}, then "
+        f"{payload.failure.value}{where}; {each}"
+    )
+    if payload.unlimited:
+        text += f"; {len(payload.unlimited)} motors have no effort limit, and set no payload"
+    if trial is not None:
+        text += f"\nsimulated with {kilograms(trial.mass)} on it, {trial.duration:g} s, nudged: "
+        text += (
+            "it stays up"
+            if trial.failure is None
+            else f"at {trial.time:.2f} s {trial.failure.value} ({', '.join(trial.where)})"
+        )
+    out.print(escape(text), soft_wrap=True)
+
+
+def kilograms(mass: float) -> str:
+    """Returns a mass that can be borne (kg) in words, rounded down: what is printed is borne."""
+    return "no limit" if math.isinf(mass) else f"{math.floor(100 * mass) / 100:.2f} kg"
 
 
 def _print_clearance(out: Console, stand: Stand) -> None:

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 @click.option(
     "--best",
     type=click.Choice(["utilisation", "margin", "payload"]),
-    help="Search for the best: the height, x, pitch and spread of the feet are free.",
+    help="Search for the best: the base's pose and the place of each foot are free.",
 )
 @click.option("--payload-at", default="0,0,0", metavar="X,Y,Z", help="In the base's frame (m).")
 @click.option("--least-kp", is_flag=True, help="Also the softest servos that carry it.")

@@ -1,0 +1,100 @@
+"""The best stance against differential evolution: `python benchmarks/best.py` prints a table.
+
+Differential evolution sees one number per stance, and nothing of how `best_stance` searches: no
+gradients, no starts of its own. Each line takes a minute or two for 20,000 evaluations.
+"""
+
+from __future__ import annotations
+
+import time
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy import optimize
+
+import pupper_analysis as pa
+from pupper_analysis.best import Objective, StanceSearch, Subspace
+
+REFUSED = 1e3
+"""A value worse than any of a stance that is allowed; how far off it is, is added."""
+
+POPULATION = 15  # per coordinate, as scipy has it
+
+
+def evolved(search: StanceSearch, subspace: Subspace, evaluations: int, seed: int) -> int:
+    """Lets differential evolution search; the search keeps the best. Returns its evaluations."""
+    count = 0
+
+    def cost(share: np.ndarray) -> float:
+        nonlocal count
+        count += 1
+        search.known.clear()  # of no use here, and it grows
+        stance = search.evaluate(subspace.at(share))
+        if stance is None:
+            return 2 * REFUSED
+        if stance.allowed:
+            return stance.level
+        return REFUSED + search.merit(stance)
+
+    size = POPULATION * subspace.size
+    optimize.differential_evolution(
+        cost,
+        [(0.0, 1.0)] * subspace.size,
+        popsize=POPULATION,
+        maxiter=max(1, evaluations // size - 1),
+        tol=0.0,
+        atol=0.0,
+        polish=False,
+        rng=np.random.default_rng(seed),
+    )
+    return count
+
+
+@click.command()
+@click.argument("names", nargs=-1)
+@click.option("--objective", type=click.Choice([kind.value for kind in Objective]), multiple=True)
+@click.option("--evaluations", default=20_000, show_default=True, help="Of differential evolution.")
+@click.option("--apart", is_flag=True, help="With each coordinate free, not the feet together.")
+@click.option("--seed", default=0, show_default=True)
+def main(
+    names: tuple[str, ...],
+    objective: tuple[str, ...],
+    evaluations: int,
+    apart: bool,
+    seed: int,
+) -> None:
+    """Compare the best stance with what differential evolution finds."""
+    table = Table("variant", "objective", "nominal", "best_stance", "stances", "CPU s")
+    for column in ("evolution", "stances", "CPU s", "better by"):
+        table.add_column(column, justify="right")
+    for name in names or pa.VARIANTS:
+        robot = pa.load_variant(name)
+        for what in objective or Objective:
+            ours, theirs = (StanceSearch(robot, Objective(what)) for _ in range(2))
+            began = time.process_time()
+            ours.run()
+            between = time.process_time()
+            space = theirs.space
+            free = np.eye(len(space.start)) if apart else space.directions()
+            count = evolved(theirs, Subspace(space, space.start, free), evaluations, seed)
+            ended = time.process_time()
+            one, two = -ours.best.level, -theirs.best.level
+            table.add_row(
+                name,
+                Objective(what).value,
+                f"{ours.value(space.nominal):.5g}",
+                f"{ours.scale * abs(one):.5g}",
+                f"{ours.evaluations}",
+                f"{between - began:.1f}",
+                f"{theirs.scale * abs(two):.5g}",
+                f"{count}",
+                f"{ended - between:.0f}",
+                f"{(two - one) / abs(one):+.2%}",  # positive: evolution's is the better one
+            )
+    Console(width=130).print(table)
+
+
+if __name__ == "__main__":
+    main()
