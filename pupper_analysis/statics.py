@@ -125,6 +125,57 @@ def gravity_compensation(
             a fixed base is given contacts.
         StaticsInfeasibleError: If no forces do; it says why.
     """
+    return equilibrium(
+        config,
+        config.gravity(),
+        config.center_of_mass(),
+        contacts,
+        friction=friction,
+        normals=normals,
+        depths=depths,
+        sharing=sharing,
+    )
+
+
+def equilibrium(
+    config: Configuration,
+    load: Array,
+    point: Array,
+    contacts: Iterable[str] | None = None,
+    *,
+    friction: float | Mapping[str, float] | None = None,
+    normals: Mapping[str, ArrayLike] | None = None,
+    depths: Mapping[str, float] | None = None,
+    levers: Mapping[str, Array] | None = None,
+    sharing: LoadSharing = LoadSharing.LEAST_TORQUE,
+    tipping: Infeasibility = Infeasibility.COM_OUTSIDE,
+    held: bool = False,
+) -> GravityCompensation:
+    """Balances any generalised force, as ``gravity_compensation`` balances gravity.
+
+    With M qacc + h for g it is inverse dynamics (``pupper_analysis.dynamics``).
+
+    Args:
+        config: Where the robot is.
+        load: (nv,) what motors and contacts must add up to (N, N m).
+        point: (3,) whose vertical projection must be inside the support polygon: the com at rest,
+            the zero-moment point in motion (m). ``com_margin`` is this point's.
+        contacts: As in ``gravity_compensation``, like the next three and ``sharing``.
+        friction: Likewise.
+        normals: Likewise.
+        depths: Likewise.
+        levers: {foot: (3,) moment of the ground on the foot per normal force, world axes (m)}:
+            resistance to rolling; zero where not given.
+        sharing: Likewise.
+        tipping: What it is called if ``point`` is outside the polygon.
+        held: Let feet pull and slip, as if they were held to the ground: what the motion would
+            need, feasible or not.
+
+    Raises:
+        UnknownNameError: As ``gravity_compensation``; so are the other two.
+        ConfigurationError: Likewise.
+        StaticsInfeasibleError: Likewise.
+    """
     robot = config.robot
     feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
     for foot in feet:
@@ -133,40 +184,54 @@ def gravity_compensation(
         raise ConfigurationError("contacts", f"a foot is named twice in {', '.join(feet)}")
     if feet and not robot.floating:
         raise ConfigurationError("contacts", f"{robot.name} has a fixed base, which carries it")
-    gravity = config.gravity()
     base_rows = robot.nv - robot.nu
     if not feet:
-        return _result(config, {}, {}, {}, {}, gravity[:base_rows])
+        return _result(config, load, point, {}, {}, {}, {}, {}, load[:base_rows])
 
     for given in (normals, depths, friction):
         for foot in given if isinstance(given, Mapping) else ():
             robot.check_foot(foot)
     directions = {foot: _normal(foot, (normals or {}).get(foot, UP)) for foot in feet}
     coefficients = {foot: _friction(config, foot, friction) for foot in feet}
-    points, jacobians = {}, []
+    points, columns = {}, {}
     for foot in feet:
         depth = (depths or {}).get(foot, 0.0)
         offset = -(robot.foot_radius[foot] - depth / 2) * directions[foot]
         frame = robot.foot_frames[foot]
         points[foot] = config.frame_position(frame) + offset
-        jacobians.append(config.frame_jacobian(frame, offset)[:3])
-    stacked = np.concatenate(jacobians).T  # (nv, 3 n)
+        jacobian = config.frame_jacobian(frame, offset)
+        columns[foot] = jacobian[:3].T
+        if levers and foot in levers:  # a moment in proportion to the normal force
+            columns[foot] = columns[foot] + np.outer(
+                jacobian[3:].T @ levers[foot], directions[foot]
+            )
+    stacked = np.concatenate(list(columns.values()), axis=1)  # (nv, 3 n)
     problem = _Balance(
         base=stacked[:base_rows],
-        weight=gravity[:base_rows],
+        weight=load[:base_rows],
         joints=stacked[base_rows:],
-        torques=gravity[base_rows:],
+        torques=load[base_rows:],
         normals=np.array(list(directions.values())),
         grip=np.ones(len(feet)) if sharing is LoadSharing.EVEN else None,
     )
     limits = np.array(list(coefficients.values()))
-    forces = problem.solve(limits)
-    if forces is not None and sharing is LoadSharing.EVEN and robot.contacts:
+    forces = problem.solve(None if held else limits)
+    if forces is not None and sharing is LoadSharing.EVEN and robot.contacts and not held:
         forces = _creeping(problem, forces, limits, [GroundLaw.of(robot, foot) for foot in feet])
     if forces is None:
-        raise _explain(config, problem, points, coefficients)
+        raise _explain(point, problem, points, coefficients, tipping)
     per_foot = dict(zip(feet, forces.reshape(-1, 3), strict=True))
-    return _result(config, per_foot, points, directions, coefficients, np.zeros(base_rows))
+    return _result(
+        config,
+        load,
+        point,
+        columns,
+        per_foot,
+        points,
+        directions,
+        coefficients,
+        np.zeros(base_rows),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +249,8 @@ class _Balance:
     normals: Array
     grip: Array | None
 
-    def solve(self, friction: Array) -> Array | None:
-        """Returns the best f (3 n,), or None if there is none."""
+    def solve(self, friction: Array | None) -> Array | None:
+        """Returns the best f (3 n,), or None if there is none; without friction feet are held."""
         particular = np.asarray(np.linalg.lstsq(self.base, self.weight, rcond=1e-12)[0], float)
         if not self._balances(particular):
             return None
@@ -197,7 +262,7 @@ class _Balance:
             metric = self._metric(self.grip)
             cost, target = metric @ free, -metric @ particular
         forces: Array = particular + free @ np.linalg.lstsq(cost, target)[0]
-        if self._violation(forces, friction) > 0:
+        if friction is not None and self._violation(forces, friction) > 0:
             coordinates = self._solve_cones(particular, free, cost, target, friction)
             if coordinates is None:
                 return None
@@ -231,7 +296,7 @@ class _Balance:
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
     ) -> Array | None:
         """Minimises |cost z - target|^2 over the z with particular + free z in the cones."""
-        scale = np.linalg.norm(self.weight[:3])
+        scale = np.linalg.norm(self.weight[:3]) or 1.0  # nothing to carry: a robot in free fall
         n_feet = len(self.normals)
         rows = np.zeros((4 * n_feet, 3 * n_feet))  # (mu f_n, f_t) per foot, to be in the cone
         for index, (normal, coefficient) in enumerate(zip(self.normals, friction, strict=True)):
@@ -283,14 +348,15 @@ def _creeping(
 
 
 def _explain(
-    config: Configuration,
+    point: Array,
     problem: _Balance,
     points: Mapping[str, Array],
     friction: Mapping[str, float],
+    tipping: Infeasibility,
 ) -> StaticsInfeasibleError:
     """Finds out why no forces do."""
     feet = tuple(points)
-    margin = com_margin(config.center_of_mass(), points)
+    margin = com_margin(point, points)
     if problem.solve(np.full(len(feet), _NO_SLIDING)) is not None:
         low, high = 0.0, _NO_SLIDING
         while high - low > 1e-6 * high:
@@ -321,7 +387,7 @@ def _explain(
         if pulls:
             detail += f"; {pulling} would have to pull"
         return StaticsInfeasibleError(
-            Infeasibility.COM_OUTSIDE, detail, margin=margin, feet=pulls or feet
+            tipping, detail, margin=margin, feet=pulls or feet
         )
     return StaticsInfeasibleError(
         Infeasibility.PULL, pulling or ", ".join(feet), margin=margin, feet=pulls or feet
@@ -348,6 +414,9 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
 
 def _result(
     config: Configuration,
+    load: Array,
+    point: Array,
+    columns: Mapping[str, Array],
     forces: dict[str, Array],
     points: dict[str, Array],
     normals: Mapping[str, Array],
@@ -356,11 +425,9 @@ def _result(
 ) -> GravityCompensation:
     robot = config.robot
     base_rows = robot.nv - robot.nu
-    remainder = config.gravity()
+    remainder = load.copy()
     for foot, force in forces.items():
-        frame = robot.foot_frames[foot]
-        offset = points[foot] - config.frame_position(frame)
-        remainder -= config.frame_jacobian(frame, offset)[:3].T @ force
+        remainder -= columns[foot] @ force
     torques = remainder[base_rows:].copy()
     remainder[base_rows:] -= torques
     remainder[:base_rows] -= base_wrench
@@ -370,11 +437,10 @@ def _result(
     for foot, force in forces.items():
         normal = float(force @ normals[foot])
         tangential = float(np.linalg.norm(force - normal * normals[foot]))
-        if tangential < BALANCE_TOLERANCE * np.linalg.norm(config.gravity()[:3]):
+        if tangential < BALANCE_TOLERANCE * np.linalg.norm(load[:3]):
             sliding[foot] = 0.0
         else:
             sliding[foot] = tangential / (friction[foot] * normal)
-    com = config.center_of_mass()
     return GravityCompensation(
         joint_names=robot.joint_names,
         joint_torques=torques,
@@ -383,8 +449,8 @@ def _result(
         contact_points=points,
         friction_utilisation=sliding,
         base_wrench=base_wrench,
-        center_of_mass=com,
-        com_margin=com_margin(com, points) if points else None,
+        center_of_mass=config.center_of_mass(),
+        com_margin=com_margin(point, points) if points else None,
         residual_force=float(np.linalg.norm(remainder[:3])) if base_rows else 0.0,
         residual_torque=float(np.linalg.norm(remainder[3:])),
     )
