@@ -250,23 +250,22 @@ class Configuration:
         qacc: Array = self._map.T @ (acceleration - drift)
         return qacc
 
-    def frame_acceleration(self, name: str, qacc: ArrayLike) -> Array:
-        """Returns the acceleration (6,) of a frame's origin: the derivative of J qvel.
+    def foot_accelerations(self, qacc: ArrayLike) -> dict[str, Array]:
+        """Returns the acceleration of each foot, {foot: (6,)}, in world axes.
 
-        Linear (m/s^2) and angular (rad/s^2), in world axes.
+        Linear (m/s^2), of the centre of its sphere, and angular (rad/s^2): the derivative of J qvel
+        with J of ``frame_jacobian``.
 
         Args:
-            name: The frame.
             qacc: (nv,) generalised acceleration.
-
-        Raises:
-            UnknownNameError: If the URDF has no such frame.
         """
-        index, data = self._frame(name), self._accelerated(qacc)
-        found = pin.getFrameClassicalAcceleration(
-            self._model, data, index, pin.LOCAL_WORLD_ALIGNED
-        )
-        return np.concatenate([found.linear, found.angular])
+        data, found = self._accelerated(qacc), {}
+        for foot, frame in self.robot.foot_frames.items():
+            motion = pin.getFrameClassicalAcceleration(
+                self._model, data, self._frame(frame), pin.LOCAL_WORLD_ALIGNED
+            )
+            found[foot] = np.concatenate([motion.linear, motion.angular])
+        return found
 
     def com_acceleration(self, qacc: ArrayLike) -> Array:
         """Returns the acceleration (3,) of the centre of mass in the world (m/s^2).

@@ -19,6 +19,10 @@ from pupper_analysis.statics import LoadSharing, equilibrium
 
 Array = NDArray[np.float64]
 
+_ROUNDS = 3
+"""Of normal forces and the moments in proportion to them. Each makes the error smaller by about
+rolling friction / distance of the feet, a tenth."""
+
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics(Result):
@@ -33,7 +37,9 @@ class InverseDynamics(Result):
             world axes (N m): resistance to rolling and spinning.
         contact_points: {foot: (3,)} where the force acts, in the world (m).
         friction_utilisation: {foot: tangential force / (friction coefficient x normal force)}.
-        zero_moment_point: (3,) on the ground, in the world (m); see ``zero_moment_point``.
+        zero_moment_point: (3,) on the ground, in the world (m): where the contact forces have no
+            tangential moment (``contact_moments`` apart). Not a number for a fixed base, or where
+            the ground would have to pull.
         zmp_margin: Distance of its vertical projection from the edge of the support polygon (m),
             positive inside; None without contacts, not a number where the ground would have to pull.
         residual_force: Norm of what is left of the balance of forces (N).
@@ -102,29 +108,28 @@ def inverse_dynamics(
     if resistance:
         load += joint_resistance(robot, config.qvel, acceleration)
         levers = rolling_levers(config, acceleration, ground)
-    point = np.full(3, math.nan)
-    if feet:
-        lowest = [config.frame_position(robot.foot_frames[foot]) for foot in feet]
-        lowest = [p - robot.foot_radius[f] * ground[f] for f, p in zip(feet, lowest, strict=True)]
-        normal = np.mean(list(ground.values()), axis=0)
-        point = zero_moment_point(config, load, np.mean(lowest, axis=0), normal)
-    found = equilibrium(
-        config,
-        load,
-        point,
-        feet,
-        friction=friction,
-        normals=normals,
-        depths=depths,
-        levers=levers,
-        sharing=sharing,
-        tipping=Infeasibility.ZMP_OUTSIDE,
-        held=held,
-    )
-    moments = {
-        foot: float(force @ ground[foot]) * levers.get(foot, np.zeros(3))
-        for foot, force in found.contact_forces.items()
-    }
+    origin, normal = _ground_under(config, ground)
+    pressed = {foot: max(0.0, float(load[:3] @ normal)) / len(feet) for foot in feet}
+    for _ in range(_ROUNDS if levers else 1):
+        moments = {foot: pressed[foot] * lever for foot, lever in levers.items()}
+        rest = load.copy()
+        for foot, moment in moments.items():
+            rest -= config.frame_jacobian(robot.foot_frames[foot])[3:].T @ moment
+        point = zero_moment_point(config, rest, origin, normal)
+        found = equilibrium(
+            config,
+            rest,
+            point,
+            feet,
+            friction=friction,
+            normals=normals,
+            depths=depths,
+            sharing=sharing,
+            tipping=Infeasibility.ZMP_OUTSIDE,
+            held=held,
+        )
+        forces = found.contact_forces
+        pressed = {foot: max(0.0, float(forces[foot] @ ground[foot])) for foot in feet}
     return InverseDynamics(
         joint_names=found.joint_names,
         joint_torques=found.joint_torques,
@@ -140,23 +145,38 @@ def inverse_dynamics(
     )
 
 
+def _ground_under(config: Configuration, normals: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Returns the mean of the points that touch the ground (3,), and its normal there (3,)."""
+    robot = config.robot
+    points = [
+        config.frame_position(robot.foot_frames[foot]) - robot.foot_radius[foot] * normal
+        for foot, normal in normals.items()
+    ]
+    if not points:
+        return np.zeros(3), UP
+    normal: Array = np.mean(list(normals.values()), axis=0)
+    return np.mean(points, axis=0), normal / np.linalg.norm(normal)
+
+
 def zero_moment_point(config: Configuration, load: Array, origin: Array, normal: Array) -> Array:
     """Returns where on the ground the contact forces have no tangential moment, (3,) (m).
 
-    With F the total contact force and M its moment about ``origin``, both from the six base rows of
+    A robot tips where it leaves the support polygon. With F the total contact force and M its moment about ``origin``, both from the six base rows of
     the load, it is origin + normal x M / (F . normal). At rest it is under the com.
 
     Source: Vukobratovic and Borovac, "Zero-moment point - thirty five years of its life" (2004).
 
     Args:
         config: Where the robot is.
-        load: (nv,) what motors and contacts must add up to.
+        load: (nv,) what motors and contact forces must add up to.
         origin: (3,) a point of the ground (m).
         normal: (3,) out of the ground.
 
     Returns:
         The point; not a number where the ground would have to pull, or to give nothing.
     """
+    if not config.robot.floating:
+        return np.full(3, math.nan)
     force, moment = load[:3], config.base_rotation() @ load[3:6]
     pressing = float(force @ normal)
     if pressing <= 0:
@@ -220,6 +240,7 @@ def rolling_levers(
     """
     robot, found = config.robot, {}
     share = robot.total_mass * float(np.linalg.norm(robot.gravity)) / max(1, len(normals))
+    accelerations = config.foot_accelerations(qacc)
     for foot, normal in normals.items():
         parameters = robot.contacts.get(foot)
         if parameters is None or parameters.condim < 4 or not parameters.sliding_friction:
@@ -227,9 +248,8 @@ def rolling_levers(
         law = GroundLaw.of(robot, foot)
         impedance = law.impedance(law.depth(share))
         softness = (1 - impedance) / impedance * law.tangential
-        frame = robot.foot_frames[foot]
-        turning = config.frame_jacobian(frame)[3:] @ config.qvel
-        asked = config.frame_acceleration(frame, qacc)[3:] + law.damping * turning
+        turning = config.frame_jacobian(robot.foot_frames[foot])[3:] @ config.qvel
+        asked = accelerations[foot][3:] + law.damping * turning
         along = np.outer(normal, normal)
         slide, _, spin, roll, _ = parameters.friction
         limits = spin * along  # (3, 3): the coefficient of each direction

@@ -146,7 +146,6 @@ def equilibrium(
     friction: float | Mapping[str, float] | None = None,
     normals: Mapping[str, ArrayLike] | None = None,
     depths: Mapping[str, float] | None = None,
-    levers: Mapping[str, Array] | None = None,
     sharing: LoadSharing = LoadSharing.LEAST_TORQUE,
     tipping: Infeasibility = Infeasibility.COM_OUTSIDE,
     held: bool = False,
@@ -164,8 +163,6 @@ def equilibrium(
         friction: Likewise.
         normals: Likewise.
         depths: Likewise.
-        levers: {foot: (3,) moment of the ground on the foot per normal force, world axes (m)}:
-            resistance to rolling; zero where not given.
         sharing: Likewise.
         tipping: What it is called if ``point`` is outside the polygon.
         held: Let feet pull and slip, as if they were held to the ground: what the motion would
@@ -199,12 +196,7 @@ def equilibrium(
         offset = -(robot.foot_radius[foot] - depth / 2) * directions[foot]
         frame = robot.foot_frames[foot]
         points[foot] = config.frame_position(frame) + offset
-        jacobian = config.frame_jacobian(frame, offset)
-        columns[foot] = jacobian[:3].T
-        if levers and foot in levers:  # a moment in proportion to the normal force
-            columns[foot] = columns[foot] + np.outer(
-                jacobian[3:].T @ levers[foot], directions[foot]
-            )
+        columns[foot] = config.frame_jacobian(frame, offset)[:3].T
     stacked = np.concatenate(list(columns.values()), axis=1)  # (nv, 3 n)
     problem = _Balance(
         base=stacked[:base_rows],

@@ -94,8 +94,8 @@ class PathCommands:
         drive: Its MuJoCo model, with servos.
         start: The full physics state at rest in the first stance.
         time: (n,) after each step (s).
-        qpos: (n, nq) of the path, the legs longer by what their feet sink into the ground.
-        torques: (n, nu) of the path (N m).
+        qpos: (n, nq) of the path after each step, the legs longer by what their feet sink into the ground.
+        torques: (n, nu) of the path, at the start of each step (N m).
         ctrl: (n, nu) during each step: q* + (tau + kd dq*/dt) / kp, in the actuators' units.
     """
 
@@ -132,20 +132,20 @@ def path_commands(
     times = timestep * np.arange(1, max(1, round(path.time[-1] / timestep)) + 1)
     sunk = sunk_path(robot, path)
     first = replace(first, qpos=sunk[0])
-    spline, held = (
-        CubicSpline(path.time, sunk, bc_type="clamped"),
-        np.minimum(times, path.time[-1]),
-    )
-    qpos, joints = spline(held), slice(robot.nq - robot.nu, None)
-    torques = np.column_stack([np.interp(times, path.time, tau) for tau in path.torques.T])
-    ahead = qpos[:, joints] + spline(held, 1)[:, joints] * drive.kd / drive.kp
+    spline, starts = CubicSpline(path.time, sunk, bc_type="clamped"), times - timestep
+    joints, end = slice(robot.nq - robot.nu, None), path.time[-1]
+    torques = CubicSpline(path.time, path.torques)(np.minimum(starts, end))
+    # The servo's damping acts on the velocity at a step's start or, implicit, at its end.
+    damped = times if drive.implicit else starts
+    ahead = spline(np.minimum(starts, end))[:, joints]
+    ahead = ahead + spline(np.minimum(damped, end), 1)[:, joints] * drive.kd / drive.kp
     return PathCommands(
         path=path,
         robot=robot,
         drive=drive,
         start=place_on_ground(robot, drive, first, path.torques[0]),
         time=times,
-        qpos=qpos,
+        qpos=spline(np.minimum(times, end)),
         torques=torques,
         ctrl=np.array([drive.command(robot, *row) for row in zip(ahead, torques, strict=True)]),
     )
