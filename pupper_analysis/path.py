@@ -194,8 +194,8 @@ def timed_path(
     time = np.linspace(0.0, seconds, len(efforts))
     torques = np.array([effort.torques for effort in efforts])
     qvel = np.array([effort.qvel for effort in efforts])
-    used = _shares(torques, robot.effort_limits)
-    speeds = _shares(qvel[:, robot.nv - robot.nu :], robot.velocity_limits)
+    used = shares_of(torques, robot.effort_limits)
+    speeds = shares_of(qvel[:, robot.nv - robot.nu :], robot.velocity_limits)
     peak, fastest = (np.unravel_index(int(table.argmax()), table.shape) for table in (used, speeds))
     forces = np.array([_rows(robot, effort) for effort in efforts])
     return StancePath(
@@ -230,7 +230,7 @@ def _rows(robot: Robot, effort: Effort) -> Array:
     return np.array([effort.forces.get(foot, np.zeros(3)) for foot in robot.feet])
 
 
-def _shares(values: Array, limits: Array) -> Array:
+def shares_of(values: Array, limits: Array) -> Array:
     """Returns |values| / limits; of a joint without a limit 0, and of one that can do nothing inf.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -238,13 +238,22 @@ def _shares(values: Array, limits: Array) -> Array:
     return shares
 
 
-def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
-    """Checks the arguments' kinds; returns how many samples a leg has."""
+def checked_stances(stances: Sequence[StandTask]) -> None:
+    """Checks that stances are at least two, and such.
+
+    Raises:
+        ConfigurationError: If they are not.
+    """
     if isinstance(stances, StandTask) or len(stances) < 2:
         raise ConfigurationError("stances", "a path goes through at least 2")
     for task in stances:
         if not isinstance(task, StandTask):
             raise ConfigurationError("stances", f"{task!r} is not a StandTask")
+
+
+def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
+    """Checks the arguments' kinds; returns how many samples a leg has."""
+    checked_stances(stances)
     given: dict[str, object] = {"seconds": seconds, "rate": rate}
     for name, value in given.items():
         number = float(value) if isinstance(value, Real) else math.nan

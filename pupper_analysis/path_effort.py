@@ -17,6 +17,10 @@ from pupper_analysis.statics import com_margin
 
 Array = NDArray[np.float64]
 
+FAINT = 1e-3
+"""Share of the load that is too small to pass on: where it begins, the zero-moment point is so near
+the edge that moments of resistance decide whether fewer feet can carry."""
+
 
 @dataclass(frozen=True, eq=False)
 class Effort:
@@ -45,7 +49,14 @@ class Effort:
     infeasible: StaticsInfeasibleError | None
 
 
-def path_effort(robot: Robot, place: Place, seconds: float, *, beyond: bool = False) -> Effort:
+def path_effort(
+    robot: Robot,
+    place: Place,
+    seconds: float,
+    *,
+    friction: Mapping[str, float] | None = None,
+    beyond: bool = False,
+) -> Effort:
     """Returns what a sample of a path takes, the feet sharing the load evenly.
 
     Towards a leg of the path on which fewer feet carry, the load passes to those: a mean of two
@@ -55,6 +66,7 @@ def path_effort(robot: Robot, place: Place, seconds: float, *, beyond: bool = Fa
         robot: The robot.
         place: The sample.
         seconds: The time of its leg (s).
+        friction: {foot: coefficient}; by default those of MuJoCo's contacts.
         beyond: Where no contact forces do, return those of feet that are held to the ground.
 
     Raises:
@@ -64,7 +76,8 @@ def path_effort(robot: Robot, place: Place, seconds: float, *, beyond: bool = Fa
     config, stand = Configuration(robot, place.qpos, qvel), place.stand
 
     def balance(feet: Sequence[str], *, held: bool = False) -> InverseDynamics:
-        return inverse_dynamics(config, qacc, feet, normals=stand.normals, held=held)
+        normals = stand.normals
+        return inverse_dynamics(config, qacc, feet, friction=friction, normals=normals, held=held)
 
     infeasible = None
     try:
@@ -77,9 +90,10 @@ def path_effort(robot: Robot, place: Place, seconds: float, *, beyond: bool = Fa
     for feet, near, full in _fading(place) if infeasible is None else ():
         # Fewer feet can carry only where the zero-moment point is between them; so their share
         # grows with its distance from the edge, and with the way.
-        inside = balance(feet, held=True).zmp_margin or 0.0
-        if min(inside, full) > 0:
-            parts.append((near * minimum_jerk(min(1.0, inside / full))[0], balance(feet)))
+        inside = max(0.0, balance(feet, held=True).zmp_margin or 0.0)
+        share = near * minimum_jerk(min(1.0, inside / full))[0] if full > 0 else 0.0
+        if share > FAINT:
+            parts.append((share, balance(feet)))
     parts[0] = (1.0 - sum(share for share, _ in parts[1:]), whole)
     forces = {
         foot: np.sum([w * p.contact_forces.get(foot, np.zeros(3)) for w, p in parts], axis=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from numbers import Real
 
 import mujoco
 import mujoco.rollout
@@ -40,6 +41,11 @@ LIFT_CLEARANCE = 2e-3
 
 LOADED = 0.05
 """A foot that shall carry more than this share of the weight must not lose the ground."""
+
+TIMESTEP = 1e-3
+"""The longest time step of a simulation of a path (s). An implicit integrator moves joints as if
+they had kd x the time step more inertia, and its contacts do not know: with 4 ms the skeleton's
+torques are off by up to 15 % from that alone."""
 
 _SAMPLE = 0.02  # s between the states that are looked at closely
 
@@ -116,6 +122,7 @@ def path_commands(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     integrator: str | None = None,
+    timestep: float | None = None,
 ) -> PathCommands:
     """Returns what the servos are told, step by step; the arguments are those of ``track_path``.
 
@@ -128,17 +135,20 @@ def path_commands(
     first = path.stances[0]
     robot = on_ground(robot, first.task.ground, first.foot_targets)
     drive = servos(robot, kp, kd, integrator)
-    timestep = float(drive.model.opt.timestep)
+    drive.model.opt.timestep = timestep = _timestep(drive.model, timestep)
+    robot = replace(robot, mj_model=drive.model)  # a contact may depend on the time step
     times = timestep * np.arange(1, max(1, round(path.time[-1] / timestep)) + 1)
     sunk = sunk_path(robot, path)
     first = replace(first, qpos=sunk[0])
     spline, starts = CubicSpline(path.time, sunk, bc_type="clamped"), times - timestep
     joints, end = slice(robot.nq - robot.nu, None), path.time[-1]
     torques = CubicSpline(path.time, path.torques)(np.minimum(starts, end))
-    # The servo's damping acts on the velocity at a step's start or, implicit, at its end.
+    # MuJoCo's velocity is the difference of positions over a step. The servo's damping acts on the
+    # one that leads to the step's start or, implicit, to its end.
     damped = times if drive.implicit else starts
-    ahead = spline(np.minimum(starts, end))[:, joints]
-    ahead = ahead + spline(np.minimum(damped, end), 1)[:, joints] * drive.kd / drive.kp
+    places = [np.clip(moments, 0.0, end) for moments in (damped - timestep, damped)]
+    rates = (spline(places[1]) - spline(places[0]))[:, joints] / timestep
+    ahead = spline(np.minimum(starts, end))[:, joints] + rates * drive.kd / drive.kp
     return PathCommands(
         path=path,
         robot=robot,
@@ -158,6 +168,7 @@ def track_path(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     integrator: str | None = None,
+    timestep: float | None = None,
 ) -> PathTracking:
     """Simulates a path on the floating base: servos commanded ctrl = q* + (tau + kd dq*/dt) / kp.
 
@@ -256,3 +267,13 @@ def _watch(
             events.setdefault(event, float(data.time))
     failures = [f"{event} at {moment:.2f} s" for event, moment in events.items()]
     return failures, tilt, torque_error / float(np.abs(path.torques).max()), slip
+
+
+def _timestep(model: mujoco.MjModel, given: float | None) -> float:
+    """Returns the time step of the simulation (s)."""
+    if given is None:
+        return min(float(model.opt.timestep), TIMESTEP)
+    number = float(given) if isinstance(given, Real) else math.nan
+    if isinstance(given, bool) or not 0 < number < math.inf:
+        raise ConfigurationError("timestep", f"{given!r} is not a finite number above 0")
+    return number
