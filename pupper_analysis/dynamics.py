@@ -189,7 +189,7 @@ def zero_moment_point(config: Configuration, load: Array, origin: Array, normal:
 def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
     """Returns what dampers and dry friction take (nv,), to be overcome by the motors (N m).
 
-    Dampers are MuJoCo's (``qfrc_damper``). Dry friction is its constraint (``frictionloss``): with
+    Dampers are linear (``damping``). Dry friction is MuJoCo's constraint (``frictionloss``): with
     R = (1 - d)/d A, d the impedance of ``solimpfriction`` and b the damping of ``solreffriction``,
     it takes (qacc + b qvel)/R, and at most the friction loss. So it is the Coulomb friction of the
     direction of motion but for the first and last millimetres per second.
@@ -202,11 +202,7 @@ def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
         qacc: (nv,) generalised acceleration.
     """
     model, index = robot.mj_model, robot.mj_convention.qvel_index
-    data = mujoco.MjData(model)
-    data.qvel[index] = qvel
-    mujoco.mj_fwdPosition(model, data)
-    mujoco.mj_fwdVelocity(model, data)
-    resistance = -data.qfrc_damper[index]
+    resistance = model.dof_damping[index] * qvel
     loss = model.dof_frictionloss[index]
     dry = np.flatnonzero(loss)
     low, high = np.clip(model.dof_solimp[index, :2].T, mujoco.mjMINIMP, mujoco.mjMAXIMP)
@@ -217,7 +213,7 @@ def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
     softness = (1 - low) / low * model.dof_invweight0[index]
     asked = (qacc + damping * qvel)[dry] / softness[dry]
     resistance[dry] += np.clip(asked, -loss[dry], loss[dry])
-    return np.array(resistance)
+    return np.asarray(resistance, dtype=float)
 
 
 def rolling_levers(

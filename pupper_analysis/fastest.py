@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
 from pupper_analysis.path import StancePath, checked_stances, shares_of, timed_path
 from pupper_analysis.path_effort import path_effort
-from pupper_analysis.path_geometry import Place, path_geometry
+from pupper_analysis.path_geometry import Place, minimum_jerk, path_geometry
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
 from pupper_analysis.task import StandTask
@@ -79,8 +79,8 @@ class FastestPath(Result):
         leg_seconds: (legs,) the least time of each leg alone (s). A path whose legs took these
             times, each its own, would be as feasible.
         leg_bindings: What binds each; None where nothing moves.
-        reserve: Share of motors and friction that is left unused.
-        path: The path at ``seconds``.
+        reserve: Share of every limit that is left unused.
+        path: The path at ``seconds``; its forces leave the reserve of friction.
     """
 
     seconds: float
@@ -104,8 +104,9 @@ def fastest_path(
     Where a path goes does not depend on its time, so its configurations and their derivatives are
     solved once. With qvel as 1/T and qacc as 1/T^2, a time T of a leg is feasible if in each sample
     contact forces inside the friction cones, which nowhere pull, balance M qacc + h + r, and the
-    motors' torques and velocities are within the limits of the URDF. The least T is found by
-    bisection, from the slow side: every slower time that was looked at is feasible.
+    motors' torques and velocities are within the limits of the URDF. Each sample's least T is found
+    from the slow side, by halving and bisection; the leg's is the greatest, and is feasible in every
+    sample.
 
     The contact forces are the even ones (``LoadSharing.EVEN``). Others can need less of the motors,
     so where a motor's torque binds, the time is that of this choice. Where friction, tipping or
@@ -116,7 +117,9 @@ def fastest_path(
         robot: A robot with a floating base and a ground.
         stances: The tasks, at least two; see ``stance_path``.
         reserve: Share of torque limits, velocity limits and friction coefficients to be left
-            unused, from 0 to below 1.
+            unused, and of its load at rest that each foot shall at least keep, if it carries before
+            and after; from 0 to below 1. Without reserve a foot's load just comes to zero, and so
+            does its grip: the path is at the limit, but no robot will follow it to a few percent.
         rate: Least number of samples per second of the path that is returned (Hz).
         rolling: Whether the feet roll.
 
@@ -153,7 +156,7 @@ def fastest_path(
         leg_seconds=np.array(times),
         leg_bindings=tuple(bindings),
         reserve=float(reserve),
-        path=timed_path(robot, geometry, seconds),
+        path=timed_path(robot, geometry, seconds, friction=limits.friction),
     )
 
 
@@ -221,29 +224,44 @@ _LIMITS = {
 
 
 def _least_time(limits: _Limits, places: Sequence[Place]) -> tuple[float, Binding | None]:
-    """Returns the least time of a leg (s), and what is violated a little below it."""
+    """Returns the least time of a leg (s), and what is violated a little below it.
 
-    def violated(seconds: float, first: Binding | None = None) -> Binding | None:
-        # What was violated last is likely to be so again.
-        order = sorted(places, key=lambda place: abs(place.progress - (first.progress if first else 0)))
-        return next(filter(None, (limits.violated(place, seconds) for place in order)), None)
+    The least time of the sample that binds is the leg's. So each sample that is violated at the
+    time found so far gives a greater one, until none is.
+    """
+    # The largest accelerations, and so likely the least times, are at 21 % and 79 %.
+    order = sorted(places, key=lambda place: -abs(minimum_jerk(place.progress)[2]))
+    for place in order:
+        binding = limits.violated(place, SLOWEST)
+        if binding is not None:
+            motor = binding.limit in (Limit.TORQUE, Limit.VELOCITY)
+            raise StaticsInfeasibleError(
+                Infeasibility.MOTOR if motor else Infeasibility.PULL,
+                f"{binding}: {binding.detail}, however slow",
+                margin=place.leg.start.margin(place.stand.carrying),
+                feet=() if motor else binding.names,
+            )
+    time, binding = QUICKEST, None
+    while True:
+        place = next((p for p in order if limits.violated(p, time) is not None), None)
+        if place is None:
+            return time, binding
+        time, binding = _least_time_at(limits, place)
+        order.remove(place)
+        order.insert(0, place)  # that it holds now is seen at once
 
-    time, binding = SLOWEST, violated(SLOWEST)
-    if binding is not None:
-        raise StaticsInfeasibleError(
-            Infeasibility.MOTOR if binding.limit is Limit.TORQUE else Infeasibility.PULL,
-            f"{binding}: {binding.detail}, however slow",
-            margin=places[0].leg.start.margin(places[0].stand.carrying),
-        )
+
+def _least_time_at(limits: _Limits, place: Place) -> tuple[float, Binding]:
+    """Returns the least time of a leg (s) by one sample, and what it violates a little below it."""
+    feasible, binding = SLOWEST, None
     while binding is None:
-        feasible, time = time, time / 2
-        if time < QUICKEST:
-            return QUICKEST, None
-        binding = violated(time)
-    infeasible = time
+        infeasible = feasible / 2
+        binding = limits.violated(place, infeasible)
+        if binding is None:
+            feasible = infeasible
     while feasible > (1 + RESOLUTION) * infeasible:
         time = (feasible * infeasible) ** 0.5
-        found = violated(time, binding)
+        found = limits.violated(place, time)
         if found is None:
             feasible = time
         else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -176,18 +176,30 @@ def stance_path(
 
 
 def timed_path(
-    robot: Robot, geometry: Geometry, seconds: float, *, beyond: bool = False
+    robot: Robot,
+    geometry: Geometry,
+    seconds: float,
+    *,
+    friction: Mapping[str, float] | None = None,
+    beyond: bool = False,
 ) -> StancePath:
     """Returns the path of a geometry that takes ``seconds`` (s); see ``stance_path``.
+
+    Args:
+        robot: The robot.
+        geometry: Where the path goes.
+        seconds: Time for all (s).
+        friction: {foot: coefficient}; by default those of MuJoCo's contacts.
+        beyond: As in ``stance_path``.
 
     Raises:
         StaticsInfeasibleError: If a sample cannot be held at this speed; says when.
     """
-    efforts = []
+    efforts, per_leg = [], seconds / len(geometry.legs)
     for index, place in enumerate(geometry.places):
         try:
             efforts.append(
-                path_effort(robot, place, seconds / len(geometry.legs), beyond=beyond)
+                path_effort(robot, place, per_leg, friction=friction, beyond=beyond)
             )
         except StaticsInfeasibleError as error:
             raise error.at(geometry.where(index, seconds)) from None
