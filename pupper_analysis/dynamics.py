@@ -41,7 +41,7 @@ class InverseDynamics(Result):
             tangential moment (``contact_moments`` apart). Not a number for a fixed base, or where
             the ground would have to pull.
         zmp_margin: Distance of its vertical projection from the edge of the support polygon (m),
-            positive inside; None without contacts, not a number where the ground would have to pull.
+            positive inside; None without contacts, minus infinity where it is not a number.
         residual_force: Norm of what is left of the balance of forces (N).
         residual_torque: Norm of what is left of the balance of moments and joint torques (N m).
     """
@@ -111,7 +111,7 @@ def inverse_dynamics(
     origin, normal = _ground_under(config, ground)
     pressed = {foot: max(0.0, float(load[:3] @ normal)) / len(feet) for foot in feet}
     for _ in range(_ROUNDS if levers else 1):
-        moments = {foot: pressed[foot] * lever for foot, lever in levers.items()}
+        moments = {foot: pressed[foot] * levers.get(foot, np.zeros(3)) for foot in feet}
         rest = load.copy()
         for foot, moment in moments.items():
             rest -= config.frame_jacobian(robot.foot_frames[foot])[3:].T @ moment
@@ -189,7 +189,7 @@ def zero_moment_point(config: Configuration, load: Array, origin: Array, normal:
 def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
     """Returns what dampers and dry friction take (nv,), to be overcome by the motors (N m).
 
-    Dampers are linear (``damping``). Dry friction is MuJoCo's constraint (``frictionloss``): with
+    Dampers are the linear ones of joints (``damping``). Dry friction is MuJoCo's constraint (``frictionloss``): with
     R = (1 - d)/d A, d the impedance of ``solimpfriction`` and b the damping of ``solreffriction``,
     it takes (qacc + b qvel)/R, and at most the friction loss. So it is the Coulomb friction of the
     direction of motion but for the first and last millimetres per second.

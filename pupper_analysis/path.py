@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.files import whole_file
-from pupper_analysis.path_effort import Effort, path_effort
+from pupper_analysis.path_effort import path_effort
 from pupper_analysis.path_geometry import Geometry, clearance, path_geometry
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot
@@ -48,7 +48,8 @@ class StancePath(Result):
         torques: (n, nu) of the motors, in motion (N m).
         carrying: (n, feet) which feet carry.
         forces: (n, feet, 3) of the ground on each foot, in motion, in world axes (N).
-        loads: (n, feet) their vertical parts (N).
+        moments: (n, feet, 3) with which the ground resists feet that roll and spin (N m).
+        loads: (n, feet) the forces' vertical parts (N).
         friction_utilisation: (n, feet) tangential force / (friction coefficient x normal force);
             zero where a foot does not carry.
         zero_moment_point: (n, 3) on the ground (m); not a number where the ground would have to
@@ -76,6 +77,7 @@ class StancePath(Result):
     torques: Array
     carrying: NDArray[np.bool_]
     forces: Array
+    moments: Array
     loads: Array
     friction_utilisation: Array
     zero_moment_point: Array
@@ -117,7 +119,7 @@ class StancePath(Result):
             OutputError: If the file cannot be written.
         """
         names: tuple[str, ...] = ("joint_names", "feet", "time", "qpos", "qvel", "qacc", "torques", "carrying")
-        names += ("forces", "loads", "friction_utilisation", "zero_moment_point", "zmp_margin")
+        names += ("forces", "moments", "loads", "friction_utilisation", "zero_moment_point", "zmp_margin")
         arrays = {key: np.array(getattr(self, key)) for key in (*names, "clearance", "com_margin")}
         arrays["joints"] = self.joint_positions()
         with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
@@ -209,7 +211,7 @@ def timed_path(
     used = shares_of(torques, robot.effort_limits)
     speeds = shares_of(qvel[:, robot.nv - robot.nu :], robot.velocity_limits)
     peak, fastest = (np.unravel_index(int(table.argmax()), table.shape) for table in (used, speeds))
-    forces = np.array([_rows(robot, effort) for effort in efforts])
+    forces = np.array([_rows(robot, effort.forces) for effort in efforts])
     return StancePath(
         stances=geometry.stances,
         joint_names=robot.joint_names,
@@ -221,6 +223,7 @@ def timed_path(
         torques=torques,
         carrying=np.array([[f in e.forces for f in robot.feet] for e in efforts]),
         forces=forces,
+        moments=np.array([_rows(robot, effort.moments) for effort in efforts]),
         loads=forces[..., 2],
         friction_utilisation=np.array(
             [[effort.friction.get(foot, 0.0) for foot in robot.feet] for effort in efforts]
@@ -238,8 +241,8 @@ def timed_path(
     )
 
 
-def _rows(robot: Robot, effort: Effort) -> Array:
-    return np.array([effort.forces.get(foot, np.zeros(3)) for foot in robot.feet])
+def _rows(robot: Robot, table: Mapping[str, Array]) -> Array:
+    return np.array([table.get(foot, np.zeros(3)) for foot in robot.feet])
 
 
 def shares_of(values: Array, limits: Array) -> Array:

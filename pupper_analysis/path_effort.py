@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ from pupper_analysis.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.errors import StaticsInfeasibleError
 from pupper_analysis.path_geometry import Place, minimum_jerk
 from pupper_analysis.robot import Robot
-from pupper_analysis.statics import com_margin
+from pupper_analysis.statics import BALANCE_TOLERANCE, com_margin
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,7 @@ class Effort:
         qacc: (nv,) generalised acceleration.
         torques: (nu,) of the motors (N m).
         forces: {foot that carries: (3,) of the ground, in world axes (N)}.
+        moments: {foot that carries: (3,) with which the ground resists its turning (N m)}.
         friction: {foot that carries: tangential force / (friction coefficient x normal force)}.
         zero_moment_point: (3,) on the ground (m).
         zmp_margin: Of its projection from the edge of the support polygon (m).
@@ -42,6 +44,7 @@ class Effort:
     qacc: Array
     torques: Array
     forces: dict[str, Array]
+    moments: dict[str, Array]
     friction: dict[str, float]
     zero_moment_point: Array
     zmp_margin: float
@@ -95,16 +98,25 @@ def path_effort(
         if share > FAINT:
             parts.append((share, balance(feet)))
     parts[0] = (1.0 - sum(share for share, _ in parts[1:]), whole)
-    forces = {
-        foot: np.sum([w * p.contact_forces.get(foot, np.zeros(3)) for w, p in parts], axis=0)
-        for foot in stand.carrying
-    }
+
+    def mean(tables: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+        shares = [share for share, _ in parts]
+        return {
+            foot: sum(
+                (share * table.get(foot, np.zeros(3)) for share, table in zip(shares, tables, strict=True)),
+                start=np.zeros(3),
+            )
+            for foot in stand.carrying
+        }
+
+    forces = mean([part.contact_forces for _, part in parts])
     points = whole.contact_points
     return Effort(
         qvel=qvel,
         qacc=qacc,
         torques=np.sum([share * part.joint_torques for share, part in parts], axis=0),
         forces=forces,
+        moments=mean([part.contact_moments for _, part in parts]),
         friction=_friction(robot, forces, stand.normals),
         zero_moment_point=whole.zero_moment_point,
         zmp_margin=com_margin(whole.zero_moment_point, points),
@@ -132,12 +144,15 @@ def _fading(place: Place) -> list[tuple[tuple[str, ...], float, float]]:
 def _friction(
     robot: Robot, forces: Mapping[str, Array], normals: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Returns how much of its friction each foot uses."""
+    """Returns how much of its friction each foot uses; none where it carries none of the load."""
     found = {}
+    nothing = BALANCE_TOLERANCE * sum(float(np.linalg.norm(force)) for force in forces.values())
     for foot, force in forces.items():
         normal = float(force @ normals[foot])
         tangential = float(np.linalg.norm(force - normal * normals[foot]))
         limit = robot.contacts[foot].sliding_friction * abs(normal)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            found[foot] = float(np.nan_to_num(np.float64(tangential) / limit, posinf=np.inf))
+        if tangential <= nothing:
+            found[foot] = 0.0
+        else:
+            found[foot] = tangential / limit if limit else math.inf
     return found

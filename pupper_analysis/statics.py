@@ -374,7 +374,7 @@ def _explain(
         if force @ normal < 0
     }
     pulling = ", ".join(f"{foot} with {-force:.2f} N" for foot, force in pulls.items())
-    if margin < 0:
+    if -math.inf < margin < 0:
         detail = f"its projection is {-1e3 * margin:.1f} mm outside that of {', '.join(feet)}"
         if pulls:
             detail += f"; {pulling} would have to pull"
@@ -395,8 +395,11 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
             vertical projection.
 
     Returns:
-        The distance; positive inside, negative outside.
+        The distance; positive inside, negative outside; minus infinity if the point is not a
+        number, as the zero-moment point of feet that would have to pull.
     """
+    if not np.isfinite(com[:2]).all():
+        return -math.inf
     polygon = shapely.MultiPoint([point[:2] for point in points.values()]).convex_hull
     projection = shapely.Point(com[:2])
     if polygon.geom_type == "Polygon" and polygon.contains(projection):
