@@ -19,9 +19,9 @@ from pupper_analysis.statics import LoadSharing, equilibrium
 
 Array = NDArray[np.float64]
 
-_ROUNDS = 3
+_ROUNDS = 2
 """Of normal forces and the moments in proportion to them. Each makes the error smaller by about
-rolling friction / distance of the feet, a tenth."""
+rolling friction / distance of the feet, a tenth; the balance is exact after any."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,8 +118,24 @@ class StancePath(Result):
         Raises:
             OutputError: If the file cannot be written.
         """
-        names: tuple[str, ...] = ("joint_names", "feet", "time", "qpos", "qvel", "qacc", "torques", "carrying")
-        names += ("forces", "moments", "loads", "friction_utilisation", "zero_moment_point", "zmp_margin")
+        names: tuple[str, ...] = (
+            "joint_names",
+            "feet",
+            "time",
+            "qpos",
+            "qvel",
+            "qacc",
+            "torques",
+            "carrying",
+        )
+        names += (
+            "forces",
+            "moments",
+            "loads",
+            "friction_utilisation",
+            "zero_moment_point",
+            "zmp_margin",
+        )
         arrays = {key: np.array(getattr(self, key)) for key in (*names, "clearance", "com_margin")}
         arrays["joints"] = self.joint_positions()
         with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
@@ -200,9 +216,7 @@ def timed_path(
     efforts, per_leg = [], seconds / len(geometry.legs)
     for index, place in enumerate(geometry.places):
         try:
-            efforts.append(
-                path_effort(robot, place, per_leg, friction=friction, beyond=beyond)
-            )
+            efforts.append(path_effort(robot, place, per_leg, friction=friction, beyond=beyond))
         except StaticsInfeasibleError as error:
             raise error.at(geometry.where(index, seconds)) from None
     time = np.linspace(0.0, seconds, len(efforts))
@@ -246,8 +260,7 @@ def _rows(robot: Robot, table: Mapping[str, Array]) -> Array:
 
 
 def shares_of(values: Array, limits: Array) -> Array:
-    """Returns |values| / limits; of a joint without a limit 0, and of one that can do nothing inf.
-    """
+    """Returns |values| / limits; of a joint without a limit 0, and of one that can do nothing inf."""
     with np.errstate(divide="ignore", invalid="ignore"):
         shares: Array = np.nan_to_num(np.abs(values) / limits, nan=0.0, posinf=np.inf)
     return shares

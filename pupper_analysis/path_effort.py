@@ -103,7 +103,10 @@ def path_effort(
         shares = [share for share, _ in parts]
         return {
             foot: sum(
-                (share * table.get(foot, np.zeros(3)) for share, table in zip(shares, tables, strict=True)),
+                (
+                    share * table.get(foot, np.zeros(3))
+                    for share, table in zip(shares, tables, strict=True)
+                ),
                 start=np.zeros(3),
             )
             for foot in stand.carrying

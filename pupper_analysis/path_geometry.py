@@ -234,9 +234,7 @@ def _derivatives(
         rows.append(still.com_jacobian()[:2])
         wanted.append((two.com - one.com)[:2])
     offsets = {
-        foot: -robot.foot_radius[foot] * normal
-        if rolling and foot in leg.carrying
-        else np.zeros(3)
+        foot: -robot.foot_radius[foot] * normal if rolling and foot in leg.carrying else np.zeros(3)
         for foot in robot.feet
     }
     for foot, offset in offsets.items():

@@ -77,6 +77,8 @@ def sunk_path(robot: Robot, path: StancePath) -> Array:
 
     The base stays. (The com moves with the legs, by a hundredth of the depths.) The depths are
     those under the path's forces in motion, which the ground follows with a delay (``depths_of``).
+    MuJoCo has the contact half way down, so that a foot that rolls, rolls on a radius that is
+    shorter by half its depth: by a tenth for v3.
 
     Args:
         robot: The robot.
@@ -89,12 +91,18 @@ def sunk_path(robot: Robot, path: StancePath) -> Array:
             for column, foot in enumerate(path.feet)
         ]
     )
+    centres = np.array(
+        [list(Configuration(robot, qpos).foot_positions().values()) for qpos in path.qpos]
+    )
+    radius = np.array([robot.foot_radius[foot] for foot in path.feet])
+    shorter = (depths[1:] + depths[:-1]) / (4 * radius)
+    rolled = np.diff(centres, axis=0) * (path.carrying[1:] & path.carrying[:-1])[..., None]
+    back = np.cumsum(shorter[..., None] * rolled, axis=0)
+    goals = centres - depths[..., None] * normal
+    goals[1:] -= back
     rows = []
-    for qpos, sinks in zip(path.qpos, depths, strict=True):
-        feet = Configuration(robot, qpos).foot_positions()
-        targets = {
-            foot: feet[foot] - depth * normal for foot, depth in zip(path.feet, sinks, strict=True)
-        }
+    for qpos, places in zip(path.qpos, goals, strict=True):
+        targets = dict(zip(path.feet, places, strict=True))
         sunk = qpos.copy()
         for _ in range(_STEPS):
             config = Configuration(robot, sunk)

@@ -378,9 +378,7 @@ def _explain(
         detail = f"its projection is {-1e3 * margin:.1f} mm outside that of {', '.join(feet)}"
         if pulls:
             detail += f"; {pulling} would have to pull"
-        return StaticsInfeasibleError(
-            tipping, detail, margin=margin, feet=pulls or feet
-        )
+        return StaticsInfeasibleError(tipping, detail, margin=margin, feet=pulls or feet)
     return StaticsInfeasibleError(
         Infeasibility.PULL, pulling or ", ".join(feet), margin=margin, feet=pulls or feet
     )
