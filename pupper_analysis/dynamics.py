@@ -161,8 +161,9 @@ def _ground_under(config: Configuration, normals: Mapping[str, Array]) -> tuple[
 def zero_moment_point(config: Configuration, load: Array, origin: Array, normal: Array) -> Array:
     """Returns where on the ground the contact forces have no tangential moment, (3,) (m).
 
-    A robot tips where it leaves the support polygon. With F the total contact force and M its moment about ``origin``, both from the six base rows of
-    the load, it is origin + normal x M / (F . normal). At rest it is under the com.
+    A robot tips where it leaves the support polygon. With F the total contact force and M its
+    moment about ``origin``, both from the six base rows of the load, it is
+    origin + normal x M / (F . normal). At rest it is under the com.
 
     Source: Vukobratovic and Borovac, "Zero-moment point - thirty five years of its life" (2004).
 
@@ -189,7 +190,8 @@ def zero_moment_point(config: Configuration, load: Array, origin: Array, normal:
 def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
     """Returns what dampers and dry friction take (nv,), to be overcome by the motors (N m).
 
-    Dampers are the linear ones of joints (``damping``). Dry friction is MuJoCo's constraint (``frictionloss``): with
+    Dampers are the linear ones of joints (``damping``). Dry friction is MuJoCo's constraint
+    (``frictionloss``): with
     R = (1 - d)/d A, d the impedance of ``solimpfriction`` and b the damping of ``solreffriction``,
     it takes (qacc + b qvel)/R, and at most the friction loss. So it is the Coulomb friction of the
     direction of motion but for the first and last millimetres per second.

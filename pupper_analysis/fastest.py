@@ -105,7 +105,7 @@ def fastest_path(
     solved once. With qvel as 1/T and qacc as 1/T^2, a time T of a leg is feasible if in each sample
     contact forces inside the friction cones, which nowhere pull, balance M qacc + h + r, and the
     motors' torques and velocities are within the limits of the URDF. Each sample's least T is found
-    from the slow side, by halving and bisection; the leg's is the greatest, and is feasible in every
+    from the slow side, by halving and bisection; the leg's is the greatest, and feasible in every
     sample.
 
     The contact forces are the even ones (``LoadSharing.EVEN``). Others can need less of the motors,
@@ -131,11 +131,13 @@ def fastest_path(
         NoEquilibriumError: If feet roll away.
         UnknownNameError: If a task names a foot that the robot does not have.
     """
-    if isinstance(reserve, bool) or not isinstance(reserve, Real) or not 0 <= reserve < 1:
+    value: object = reserve
+    number = float(value) if isinstance(value, Real) else math.nan
+    if isinstance(value, bool) or not 0 <= number < 1:
         raise ConfigurationError("reserve", f"{reserve!r} is not from 0 to below 1")
     checked_stances(stances)
     geometry = path_geometry(robot, stances, SAMPLES, rolling=rolling)
-    limits = _Limits(robot, float(reserve))
+    limits = _Limits(robot, number)
     times, bindings = [], []
     for number in range(len(geometry.legs)):
         places = geometry.places[number * SAMPLES : (number + 1) * SAMPLES + 1]
@@ -155,7 +157,7 @@ def fastest_path(
         binding=binding,
         leg_seconds=np.array(times),
         leg_bindings=tuple(bindings),
-        reserve=float(reserve),
+        reserve=number,
         path=timed_path(robot, geometry, seconds, friction=limits.friction),
     )
 
@@ -241,24 +243,35 @@ def _least_time(limits: _Limits, places: Sequence[Place]) -> tuple[float, Bindin
                 margin=place.leg.start.margin(place.stand.carrying),
                 feet=() if motor else binding.names,
             )
-    time, binding = QUICKEST, None
-    while True:
-        place = next((p for p in order if limits.violated(p, time) is not None), None)
-        if place is None:
-            return time, binding
-        time, binding = _least_time_at(limits, place)
-        order.remove(place)
-        order.insert(0, place)  # that it holds now is seen at once
+    time, binding, search = QUICKEST, None, True
+    while search:
+        search = False
+        for place in order:
+            violated = limits.violated(place, time)
+            if violated is not None:
+                time, binding = _least_time_at(limits, place, time, violated)
+                search = True
+    return time, binding
 
 
-def _least_time_at(limits: _Limits, place: Place) -> tuple[float, Binding]:
-    """Returns the least time of a leg (s) by one sample, and what it violates a little below it."""
-    feasible, binding = SLOWEST, None
-    while binding is None:
-        infeasible = feasible / 2
-        binding = limits.violated(place, infeasible)
-        if binding is None:
-            feasible = infeasible
+def _least_time_at(
+    limits: _Limits, place: Place, infeasible: float, binding: Binding
+) -> tuple[float, Binding]:
+    """Returns the least time of a leg (s) by one sample, and what it violates a little below it.
+
+    Args:
+        limits: The limits.
+        place: The sample.
+        infeasible: A time at which it violates one (s).
+        binding: Which.
+    """
+    feasible, found = SLOWEST, None
+    while found is None and feasible / 2 > infeasible:
+        found = limits.violated(place, feasible / 2)
+        if found is None:
+            feasible /= 2
+        else:
+            infeasible, binding = feasible / 2, found
     while feasible > (1 + RESOLUTION) * infeasible:
         time = (feasible * infeasible) ** 0.5
         found = limits.violated(place, time)

@@ -260,7 +260,7 @@ def _rows(robot: Robot, table: Mapping[str, Array]) -> Array:
 
 
 def shares_of(values: Array, limits: Array) -> Array:
-    """Returns |values| / limits; of a joint without a limit 0, and of one that can do nothing inf."""
+    """Returns |values| / limits: 0 for 0 of nothing, and inf for more than nothing."""
     with np.errstate(divide="ignore", invalid="ignore"):
         shares: Array = np.nan_to_num(np.abs(values) / limits, nan=0.0, posinf=np.inf)
     return shares

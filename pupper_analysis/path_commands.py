@@ -122,7 +122,8 @@ def _timestep(model: mujoco.MjModel, given: float | None) -> float:
     """Returns the time step of the simulation (s)."""
     if given is None:
         return min(float(model.opt.timestep), TIMESTEP)
-    number = float(given) if isinstance(given, Real) else math.nan
-    if isinstance(given, bool) or not 0 < number < math.inf:
+    value: object = given
+    number = float(value) if isinstance(value, Real) else math.nan
+    if isinstance(value, bool) or not 0 < number < math.inf:
         raise ConfigurationError("timestep", f"{given!r} is not a finite number above 0")
     return number

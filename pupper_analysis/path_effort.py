@@ -100,15 +100,10 @@ def path_effort(
     parts[0] = (1.0 - sum(share for share, _ in parts[1:]), whole)
 
     def mean(tables: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
-        shares = [share for share, _ in parts]
+        weighted = list(zip([share for share, _ in parts], tables, strict=True))
+        none = np.zeros(3)
         return {
-            foot: sum(
-                (
-                    share * table.get(foot, np.zeros(3))
-                    for share, table in zip(shares, tables, strict=True)
-                ),
-                start=np.zeros(3),
-            )
+            foot: np.sum([share * table.get(foot, none) for share, table in weighted], axis=0)
             for foot in stand.carrying
         }
 

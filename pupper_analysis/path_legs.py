@@ -29,7 +29,14 @@ TOUCHING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """A stance in world coordinates; ``base`` and ``com`` are (3,), ``feet`` are targets (m)."""
+    """A stance in world coordinates.
+
+    Attributes:
+        task: The task, with its height filled in.
+        base: (3,) place of the base (m).
+        com: (3,) centre of mass (m).
+        feet: {foot: (3,) centre of its sphere (m)}.
+    """
 
     task: StandTask
     base: Array
@@ -37,12 +44,21 @@ class Key:
     feet: dict[str, Array]
 
     def margin(self, feet: Sequence[str]) -> float:
+        """Returns how far inside these feet the com's projection is (m)."""
         return com_margin(self.com, {foot: self.feet[foot] for foot in feet})
 
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """From one stance to the next; ``before`` and ``after`` carry in the legs beside it."""
+    """From one stance to the next.
+
+    Attributes:
+        start: Where it begins.
+        end: Where it ends.
+        carrying: The feet that carry all along it.
+        before: Those that carry on the leg before.
+        after: Those that carry on the leg after.
+    """
 
     start: Key
     end: Key
@@ -52,7 +68,13 @@ class Leg:
 
 
 def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tuple[Stand, ...]]:
-    """Solves the stances, and checks that they can follow each other."""
+    """Solves the stances, and checks that they can follow each other.
+
+    Raises:
+        ConfigurationError: If they cannot; says which.
+        StanceUnreachableError: If one is out of reach; says which.
+        UnknownNameError: If a task names a foot that the robot does not have.
+    """
     if any(task.ground != stances[0].ground for task in stances):
         raise ConfigurationError("stances", "they are on different grounds; a path is on one")
     fixed = any(task.offset is not None or not isinstance(task.com, str) for task in stances)
@@ -100,7 +122,19 @@ def task_between(
     posture: Array,
     away: Mapping[str, Array],
 ) -> StandTask:
-    """Returns the task of a moment, in world coordinates; the feet are beside their places."""
+    """Returns the task of a moment, in world coordinates.
+
+    Args:
+        robot: The robot.
+        leg: The leg of the path.
+        carrying: The feet that carry.
+        share: Of the leg's way, from 0 to 1.
+        posture: (nu,) joint positions to start from (rad).
+        away: {foot: (2,) how far it has rolled from its place (m)}.
+
+    Raises:
+        StaticsInfeasibleError: If the com is less inside the feet than the tasks demand.
+    """
     one, two = leg.start.task, leg.end.task
 
     def between(start: float, end: float) -> float:
