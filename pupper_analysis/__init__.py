@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pupper_analysis.configuration import Configuration
     from pupper_analysis.crosscheck import CrossCheck, cross_check
     from pupper_analysis.description import write_variant
+    from pupper_analysis.dynamics import InverseDynamics, inverse_dynamics
     from pupper_analysis.envelope import (
         Interval,
         PoseEnvelope,
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
         VariantError,
     )
     from pupper_analysis.explain import Tolerances
+    from pupper_analysis.fastest import Binding, FastestPath, Limit, fastest_path
     from pupper_analysis.loaded import with_payload
     from pupper_analysis.path import StancePath, stance_path
     from pupper_analysis.payload import PayloadLimit, payload_limit
@@ -83,6 +85,12 @@ _HOME = {
     "PoseEnvelope": "envelope",
     "pose_envelope": "envelope",
     "reachable_heights": "envelope",
+    "InverseDynamics": "dynamics",
+    "inverse_dynamics": "dynamics",
+    "Binding": "fastest",
+    "FastestPath": "fastest",
+    "Limit": "fastest",
+    "fastest_path": "fastest",
     "StancePath": "path",
     "stance_path": "path",
     "PathTracking": "tracking",
@@ -144,16 +152,20 @@ __all__ = [
     "Analysis",
     "Audit",
     "BestStance",
+    "Binding",
     "Command",
     "Comparison",
     "Configuration",
     "ConfigurationError",
     "CrossCheck",
+    "FastestPath",
     "GainSweep",
     "GravityCompensation",
     "Ground",
     "Infeasibility",
     "Interval",
+    "InverseDynamics",
+    "Limit",
     "LoadSharing",
     "ModelError",
     "NoEquilibriumError",
@@ -185,7 +197,9 @@ __all__ = [
     "best_stance",
     "compare_models",
     "cross_check",
+    "fastest_path",
     "gravity_compensation",
+    "inverse_dynamics",
     "least_kp",
     "load_robot",
     "load_variant",

@@ -250,6 +250,43 @@ class Configuration:
         qacc: Array = self._map.T @ (acceleration - drift)
         return qacc
 
+    def foot_accelerations(self, qacc: ArrayLike) -> dict[str, Array]:
+        """Returns the acceleration of each foot, {foot: (6,)}, in world axes.
+
+        Linear (m/s^2), of the centre of its sphere, and angular (rad/s^2): the derivative of J qvel
+        with J of ``frame_jacobian``.
+
+        Args:
+            qacc: (nv,) generalised acceleration.
+        """
+        data, found = self._accelerated(qacc), {}
+        for foot, frame in self.robot.foot_frames.items():
+            motion = pin.getFrameClassicalAcceleration(
+                self._model, data, self._frame(frame), pin.LOCAL_WORLD_ALIGNED
+            )
+            found[foot] = np.concatenate([motion.linear, motion.angular])
+        return found
+
+    def com_acceleration(self, qacc: ArrayLike) -> Array:
+        """Returns the acceleration (3,) of the centre of mass in the world (m/s^2).
+
+        Args:
+            qacc: (nv,) generalised acceleration.
+        """
+        data = self._accelerated(qacc)
+        pin.centerOfMass(self._model, data, pin.ACCELERATION, False)
+        moving: Array = np.array(data.acom[0])
+        return (1 - self._fixed_share) * moving
+
+    def _accelerated(self, qacc: ArrayLike) -> pin.Data:
+        """Returns Pinocchio's data with this acceleration."""
+        drift = self.robot.pin_convention.velocity_map_rate(self.qpos, self.qvel)
+        a = self._map @ _vector("qacc", qacc, self.robot.nv) + drift
+        data = self._model.createData()
+        pin.forwardKinematics(self._model, data, self._q, self._v, a)
+        pin.updateFramePlacements(self._model, data)
+        return data
+
     def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:
         """Returns what a gyro and an accelerometer at a frame read.
 
@@ -270,11 +307,7 @@ class Configuration:
         if frame is None:
             raise ConfigurationError("name", f"{self.robot.name} has no IMU; name a frame")
         index = self._frame(frame)
-        drift = self.robot.pin_convention.velocity_map_rate(self.qpos, self.qvel)
-        a = self._map @ _vector("qacc", qacc, self.robot.nv) + drift
-        data = self._model.createData()
-        pin.forwardKinematics(self._model, data, self._q, self._v, a)
-        pin.updateFramePlacements(self._model, data)
+        data = self._accelerated(qacc)
         gyro = pin.getFrameVelocity(self._model, data, index, pin.LOCAL).angular
         linear = pin.getFrameClassicalAcceleration(self._model, data, index, pin.LOCAL).linear
         gravity = data.oMf[index].rotation.T @ self.robot.gravity

@@ -9,12 +9,13 @@ import numpy as np
 
 from pupper_analysis.configuration import Configuration
 from pupper_analysis.path import StancePath, stance_path
+from pupper_analysis.path_commands import path_commands
 from pupper_analysis.report import console
 from pupper_analysis.robot import Robot, load_variant
 from pupper_analysis.simulation import STATE
 from pupper_analysis.stance_report import print_tracking
 from pupper_analysis.task import StandTask
-from pupper_analysis.tracking import path_commands, track_path
+from pupper_analysis.tracking import track_path
 from pupper_analysis.viewer import check_display, show
 
 DEMOS = {
@@ -38,20 +39,27 @@ def demo_path(robot: Robot, name: str) -> StancePath:
         StanceUnreachableError: If this robot cannot do it; says when.
         StaticsInfeasibleError: If it would fall; says when.
     """
+    return stance_path(robot, demo_stances(robot, name), _SECONDS[name])
+
+
+def demo_stances(robot: Robot, name: str, *, depth: float = 0.2) -> list[StandTask]:
+    """Returns the stances of a demo.
+
+    Args:
+        robot: Where it shall move.
+        name: One of ``DEMOS``.
+        depth: Of the squat, as a share of the height.
+    """
     stand = StandTask()
     if name == "squat":
-        low = StandTask(height=0.8 * robot.stand_height)
-        tasks = [stand, low, stand]
-    elif name == "sway":
-        sides = [StandTask(offset=(0.0, y)) for y in (0.02, -0.02)]
-        tasks = [stand, *sides, stand]
-    else:
-        feet = Configuration(robot, robot.neutral()).foot_positions()
-        x, y = np.mean([feet[foot][:2] for foot in robot.feet if foot != "FL"], axis=0)
-        over = StandTask(com=(float(x), float(y)))
-        up = StandTask(com=(float(x), float(y)), lifted={"FL": 0.02})
-        tasks = [stand, over, up, up, over, stand]
-    return stance_path(robot, tasks, _SECONDS[name])
+        return [stand, StandTask(height=(1 - depth) * robot.stand_height), stand]
+    if name == "sway":
+        return [stand, *(StandTask(offset=(0.0, y)) for y in (0.02, -0.02)), stand]
+    feet = Configuration(robot, robot.neutral()).foot_positions()
+    x, y = np.mean([feet[foot][:2] for foot in robot.feet if foot != "FL"], axis=0)
+    over = StandTask(com=(float(x), float(y)))
+    up = StandTask(com=(float(x), float(y)), lifted={"FL": 0.02})
+    return [stand, over, up, up, over, stand]
 
 
 def demo(name: str, *, headless: bool, csv: Path | None = None) -> bool:

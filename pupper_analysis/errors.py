@@ -5,11 +5,38 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from os import PathLike
-from typing import Any
+from typing import Any, Self, TypeVar
+
+_E = TypeVar("_E", bound="PupperAnalysisError")
 
 
 class PupperAnalysisError(Exception):
-    """Base class of every error that the package raises on purpose."""
+    """Base class of every error that the package raises on purpose.
+
+    Errors survive pickling, whatever arguments their classes take, so that they come back whole
+    from other processes.
+
+    Attributes:
+        where: In which part of a longer task it happened ("at 0.50 s, ..."); empty otherwise.
+    """
+
+    where: str = ""
+
+    def at(self, where: str) -> Self:
+        """Returns the same error, with all it carries, whose message begins with where it was."""
+        error = _restore(type(self), (f"{where}: {self}",), vars(self))
+        error.where = where
+        return error
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (type(self), self.args, vars(self))
+
+
+def _restore(kind: type[_E], args: tuple[Any, ...], data: dict[str, Any]) -> _E:
+    """Makes an error of what it carries, without its constructor, which makes up the message."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(data)
+    return error
 
 
 class VariantError(PupperAnalysisError):
@@ -128,8 +155,10 @@ class Infeasibility(StrEnum):
 
     NO_CONTACT = "no contact"
     COM_OUTSIDE = "com outside the support polygon"
+    ZMP_OUTSIDE = "zero-moment point outside the support polygon"
     FRICTION = "friction too low"
     PULL = "a foot would have to pull"
+    MOTOR = "a motor is too weak"
 
 
 class StaticsInfeasibleError(PupperAnalysisError):

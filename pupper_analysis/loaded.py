@@ -75,7 +75,13 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
     frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
     welded = frame.placement.act(pin.Inertia(mass, place, np.zeros((3, 3))))
     model.inertias[frame.parentJoint] = model.inertias[frame.parentJoint] + welded
-    return replace(built, pin_model=model, stand_height=robot.stand_height, notes=robot.notes)
+    return replace(
+        built,
+        pin_model=model,
+        stand_height=robot.stand_height,
+        fingerprint=robot.fingerprint,  # the unloaded robot's stands are its own
+        notes=robot.notes,
+    )
 
 
 def point_on_base(point: Sequence[float]) -> Array:

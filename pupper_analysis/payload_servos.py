@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis import contact
+from pupper_analysis.equilibrium import Equilibrium
 from pupper_analysis.errors import (
     NoEquilibriumError,
     StanceUnreachableError,
@@ -21,10 +22,11 @@ from pupper_analysis.loaded import loaded_stand, with_payload
 from pupper_analysis.payload_lines import FirstOrder
 from pupper_analysis.results import Result
 from pupper_analysis.robot import Robot, on_ground
-from pupper_analysis.settle import SettledPose, _Equilibrium, settled_pose
+from pupper_analysis.settle import SettledPose, pose_at, settled_pose
 from pupper_analysis.simulation import servos
 from pupper_analysis.stand import Stand, stand_statics
 from pupper_analysis.statics import LoadSharing
+from pupper_analysis.way import Way
 
 Array = NDArray[np.float64]
 
@@ -46,9 +48,6 @@ each other, and MuJoCo's friction lets them creep: where they are after this tim
 
 GRIPLESS = 10.0
 """A friction coefficient that no foot has: where more is needed, it is not friction that lacks."""
-
-_CREEP_STEPS = 4  # within 2 % of the creep of 20 steps
-_LEAST_SHARE = 1 / 64  # of the change of command that is made in one step
 
 
 class Failure(StrEnum):
@@ -271,39 +270,11 @@ def _settled_at(
     Returns the qpos (nq,) there, and the equilibrium after ``LASTING`` of creep.
     """
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    balance = stand_statics(robot, stand, sharing=LoadSharing.EVEN)
-    system = _Equilibrium(robot, stand, kp, "pinned")
-    forces = np.array(
-        [
-            turn @ balance.contact_forces[foot]
-            for foot, turn in zip(stand.carrying, system.frames, strict=True)
-        ]
-    )
-    full = stand.joint_positions(robot) + balance.joint_torques / system.kp
-    qpos, share, step, iterations = stand.qpos.copy(), 0.0, 1.0, 0
-    while True:
-        wanted = min(share + step, 1.0)
-        system.target = full + wanted * (target - full)
-        solution = system.solve(qpos, forces)
-        if solution is not None:
-            qpos, forces, residuals = solution
-            iterations += len(residuals) - 1
-            share = wanted
-            if share == 1.0:
-                break
-        elif step > _LEAST_SHARE:
-            step /= 2
-        else:
-            raise NoEquilibriumError(share, "it ends under the load")
-    start = qpos
-    for _ in range(_CREEP_STEPS):
-        system.creep(qpos, forces, LASTING / _CREEP_STEPS)
-        solution = system.solve(qpos, forces)
-        if solution is None:
-            raise NoEquilibriumError(1.0, "it ends as the feet creep under the load")
-        qpos, forces, residuals = solution
-        iterations += len(residuals) - 1
-    return start, system.result(qpos, forces, residuals, iterations, math.nan)
+    way = Way(Equilibrium(robot, stand, kp, "pinned"), target)
+    way.follow(1.0)
+    start = way.solution.qpos
+    way.creep(LASTING)
+    return start, pose_at(way, math.nan)
 
 
 def strengths(robot: Robot) -> Array:

@@ -120,6 +120,11 @@ class Robot:
         """(nu,) effort limits of the URDF (N m)."""
         return np.array(self.pin_model.effortLimit[self.pin_convention.v_index])
 
+    @property
+    def velocity_limits(self) -> Array:
+        """(nu,) velocity limits of the URDF (rad/s)."""
+        return np.array(self.pin_model.velocityLimit[self.pin_convention.v_index])
+
     def _positional(self, values: Array, unbounded: float) -> Array:
         limits = np.array(values[self.pin_convention.q_index])
         limits[self.pin_convention.unbounded] = unbounded

@@ -84,6 +84,11 @@ class Servos:
     gear: Array
     integrator: str
 
+    @property
+    def implicit(self) -> bool:
+        """Whether the servos' damping acts on the velocity at the end of a time step."""
+        return self.integrator.startswith("implicit")
+
     def command(self, robot: Robot, positions: Array, torques: Array | None = None) -> Array:
         """Returns the ctrl (model.nu,) that asks for joint positions, with a feed-forward torque.
 

@@ -322,15 +322,17 @@ def print_tracking(out: Console, path: StancePath, tracking: PathTracking) -> No
     lowest = path.loads.min(axis=0)
     loads = ", ".join(f"{foot} {low:.2f}" for foot, low in zip(path.feet, lowest, strict=True))
     out.print(
-        f"path of {path.time[-1]:g} s, {len(path.time)} samples: motors at most "
-        f"{path.peak_utilisation:.1%} of their limit at rest; com at least "
-        f"{1e3 * path.com_margin.min():.1f} mm inside the support polygon",
+        f"path of {path.time[-1]:g} s, {len(path.time)} samples: motors in motion at most "
+        f"{path.peak_utilisation:.1%} of their torque limit ({path.peak_joint} at "
+        f"{path.peak_time:.2f} s), {path.peak_speed_utilisation:.1%} of their velocity limit; com "
+        f"at least {1e3 * path.com_margin.min():.1f} mm inside the support polygon, zero-moment "
+        f"point {1e3 * path.zmp_margin.min():.1f} mm",
         soft_wrap=True,
     )
     out.print(f"least load of the feet (N): {loads}", soft_wrap=True)
     out.print(
-        f"in MuJoCo: joints within {tracking.joint_error:.3f} rad "
-        f"({tracking.joint_error_rms:.3f} rms), base height within "
+        f"in MuJoCo: torques within {tracking.torque_error:.1%} of the largest, joints within "
+        f"{tracking.joint_error:.3f} rad ({tracking.joint_error_rms:.3f} rms), base height within "
         f"{1e3 * tracking.height_error:.1f} mm, orientation within "
         f"{tracking.orientation_error:.3f} rad, feet within "
         f"{1e3 * max(tracking.foot_slip.values()):.1f} mm of their places",

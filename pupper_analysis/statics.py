@@ -134,6 +134,54 @@ def gravity_compensation(
             a robot with a fixed base is given contacts.
         StaticsInfeasibleError: If no forces do; it says why.
     """
+    return equilibrium(
+        config,
+        config.gravity(),
+        config.center_of_mass(),
+        contacts,
+        friction=friction,
+        normals=normals,
+        depths=depths,
+        sharing=sharing,
+    )
+
+
+def equilibrium(
+    config: Configuration,
+    load: Array,
+    point: Array,
+    contacts: Iterable[str] | None = None,
+    *,
+    friction: float | Mapping[str, float] | None = None,
+    normals: Mapping[str, ArrayLike] | None = None,
+    depths: Mapping[str, float] | None = None,
+    sharing: LoadSharing | str = LoadSharing.EVEN,
+    tipping: Infeasibility = Infeasibility.COM_OUTSIDE,
+    held: bool = False,
+) -> GravityCompensation:
+    """Balances any generalised force, as ``gravity_compensation`` balances gravity.
+
+    With M qacc + h for g it is inverse dynamics (``pupper_analysis.dynamics``).
+
+    Args:
+        config: Where the robot is.
+        load: (nv,) what motors and contacts must add up to (N, N m).
+        point: (3,) whose vertical projection must be inside the support polygon: the com at rest,
+            the zero-moment point in motion (m). ``com_margin`` is this point's.
+        contacts: As in ``gravity_compensation``, like the next three and ``sharing``.
+        friction: Likewise.
+        normals: Likewise.
+        depths: Likewise.
+        sharing: Likewise.
+        tipping: What it is called if ``point`` is outside the polygon.
+        held: Let feet pull and slip, as if they were held to the ground: what the motion would
+            need, feasible or not.
+
+    Raises:
+        UnknownNameError: As ``gravity_compensation``; so are the other two.
+        ConfigurationError: Likewise.
+        StaticsInfeasibleError: Likewise.
+    """
     robot, wanted = config.robot, _sharing(sharing)
     feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
     for foot in feet:
@@ -142,45 +190,54 @@ def gravity_compensation(
         raise ConfigurationError("contacts", f"a foot is named twice in {', '.join(feet)}")
     if feet and not robot.floating:
         raise ConfigurationError("contacts", f"{robot.name} has a fixed base, which carries it")
-    gravity = config.gravity()
     base_rows = robot.nv - robot.nu
     if not feet:
-        return _result(config, {}, {}, {}, {}, gravity[:base_rows])
+        return _result(config, load, point, {}, {}, {}, {}, {}, load[:base_rows])
 
     for given in (normals, depths, friction):
         for foot in given if isinstance(given, Mapping) else ():
             robot.check_foot(foot)
     directions = {foot: _normal(foot, (normals or {}).get(foot, UP)) for foot in feet}
     coefficients = {foot: _friction(config, foot, friction) for foot in feet}
-    points, jacobians = {}, []
+    points, columns = {}, {}
     for foot in feet:
         depth = (depths or {}).get(foot, 0.0)
         offset = -(robot.foot_radius[foot] - depth / 2) * directions[foot]
         frame = robot.foot_frames[foot]
         points[foot] = config.frame_position(frame) + offset
-        jacobians.append(config.frame_jacobian(frame, offset)[:3])
-    stacked = np.concatenate(jacobians).T  # (nv, 3 n)
+        columns[foot] = config.frame_jacobian(frame, offset)[:3].T
+    stacked = np.concatenate(list(columns.values()), axis=1)  # (nv, 3 n)
     problem = _Balance(
         base=stacked[:base_rows],
-        weight=gravity[:base_rows],
+        weight=load[:base_rows],
         joints=stacked[base_rows:],
-        torques=gravity[base_rows:],
+        torques=load[base_rows:],
         normals=np.array(list(directions.values())),
     )
-    limits = np.array(list(coefficients.values()))
+    limits = None if held else np.array(list(coefficients.values()))
     if wanted is LoadSharing.LEAST_PEAK:
         forces = problem.least_peak(limits, robot.effort_limits)
     elif wanted is LoadSharing.LEAST_TORQUE:
         forces = problem.solve(limits, problem.joints, problem.torques)
     else:
         forces = problem.even(limits, np.ones(len(feet)))
-        if forces is not None and robot.contacts:
+        if forces is not None and robot.contacts and limits is not None:
             laws = [GroundLaw.of(robot, foot) for foot in feet]
             forces = _creeping(problem, forces, limits, laws)
     if forces is None:
-        raise _explain(config, problem, points, coefficients)
+        raise _explain(point, problem, points, coefficients, tipping)
     per_foot = dict(zip(feet, forces.reshape(-1, 3), strict=True))
-    return _result(config, per_foot, points, directions, coefficients, np.zeros(base_rows))
+    return _result(
+        config,
+        load,
+        point,
+        columns,
+        per_foot,
+        points,
+        directions,
+        coefficients,
+        np.zeros(base_rows),
+    )
 
 
 def _sharing(value: str) -> LoadSharing:
@@ -201,7 +258,7 @@ class _Balance:
     torques: Array
     normals: Array
 
-    def even(self, friction: Array, grip: Array) -> Array | None:
+    def even(self, friction: Array | None, grip: Array) -> Array | None:
         """Returns the least tangential f (3 n,), or None if there is none.
 
         Args:
@@ -211,7 +268,7 @@ class _Balance:
         metric = self._metric(grip)
         return self.solve(friction, metric, np.zeros(len(metric)))
 
-    def least_peak(self, friction: Array, limits: Array) -> Array | None:
+    def least_peak(self, friction: Array | None, limits: Array) -> Array | None:
         """Returns the f (3 n,) of least peak |tau| / limit, or None if there is none.
 
         A motor without a limit, or with none of its own strength (0), does not count, but where no
@@ -224,12 +281,12 @@ class _Balance:
         return self.solve(friction, cost, target, peak=True)
 
     def solve(
-        self, friction: Array, cost: Array, target: Array, *, peak: bool = False
+        self, friction: Array | None, cost: Array, target: Array, *, peak: bool = False
     ) -> Array | None:
         """Returns the f (3 n,) with the least |cost f - target|, or None if there is none.
 
         Args:
-            friction: (n,) coefficients.
+            friction: (n,) coefficients; None if feet are held to the ground and may pull and slip.
             cost: (m, 3 n).
             target: (m,).
             peak: The least greatest element comes first.
@@ -240,11 +297,11 @@ class _Balance:
         # Over f = particular + free z.
         free = linalg.null_space(self.base, rcond=1e-12)
         cost, target = cost @ free, target - cost @ particular
-        if peak:
+        if peak and friction is not None:
             coordinates = self._solve_peak(particular, free, cost, target, friction)
             return None if coordinates is None else particular + free @ coordinates
         forces: Array = particular + free @ np.linalg.lstsq(cost, target)[0]
-        if self._violation(forces, friction) > 0:
+        if friction is not None and self._violation(forces, friction) > 0:
             coordinates = self._solve_cones(particular, free, cost, target, friction)
             if coordinates is None:
                 return None
@@ -334,7 +391,7 @@ class _Balance:
 
         ``bounds`` are rows A and b of A z <= b.
         """
-        scale = np.linalg.norm(self.weight[:3])
+        scale = np.linalg.norm(self.weight[:3]) or 1.0  # nothing to carry: a robot in free fall
         rows = self._cones(friction)
         matrix, right = [-rows @ free], [rows @ particular / scale]
         cones: list[object] = [clarabel.SecondOrderConeT(4)] * len(self.normals)
@@ -383,14 +440,15 @@ def _creeping(
 
 
 def _explain(
-    config: Configuration,
+    point: Array,
     problem: _Balance,
     points: Mapping[str, Array],
     friction: Mapping[str, float],
+    tipping: Infeasibility,
 ) -> StaticsInfeasibleError:
     """Finds out why no forces do."""
     feet = tuple(points)
-    margin = com_margin(config.center_of_mass(), points)
+    margin = com_margin(point, points)
     even = np.ones(len(feet))
     if problem.even(np.full(len(feet), _NO_SLIDING), even) is not None:
         low, high = 0.0, _NO_SLIDING
@@ -417,13 +475,11 @@ def _explain(
         if force @ normal < 0
     }
     pulling = ", ".join(f"{foot} with {-force:.2f} N" for foot, force in pulls.items())
-    if margin < 0:
+    if -math.inf < margin < 0:
         detail = f"its projection is {-1e3 * margin:.1f} mm outside that of {', '.join(feet)}"
         if pulls:
             detail += f"; {pulling} would have to pull"
-        return StaticsInfeasibleError(
-            Infeasibility.COM_OUTSIDE, detail, margin=margin, feet=pulls or feet
-        )
+        return StaticsInfeasibleError(tipping, detail, margin=margin, feet=pulls or feet)
     return StaticsInfeasibleError(
         Infeasibility.PULL, pulling or ", ".join(feet), margin=margin, feet=pulls or feet
     )
@@ -438,8 +494,11 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
             vertical projection.
 
     Returns:
-        The distance; positive inside, negative outside.
+        The distance; positive inside, negative outside; minus infinity if the point is not a
+        number, as the zero-moment point of feet that would have to pull.
     """
+    if not np.isfinite(com[:2]).all():
+        return -math.inf
     polygon = shapely.MultiPoint([point[:2] for point in points.values()]).convex_hull
     projection = shapely.Point(com[:2])
     if polygon.geom_type == "Polygon" and polygon.contains(projection):
@@ -449,6 +508,9 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
 
 def _result(
     config: Configuration,
+    load: Array,
+    point: Array,
+    columns: Mapping[str, Array],
     forces: dict[str, Array],
     points: dict[str, Array],
     normals: Mapping[str, Array],
@@ -457,11 +519,9 @@ def _result(
 ) -> GravityCompensation:
     robot = config.robot
     base_rows = robot.nv - robot.nu
-    remainder = config.gravity()
+    remainder = load.copy()
     for foot, force in forces.items():
-        frame = robot.foot_frames[foot]
-        offset = points[foot] - config.frame_position(frame)
-        remainder -= config.frame_jacobian(frame, offset)[:3].T @ force
+        remainder -= columns[foot] @ force
     torques = remainder[base_rows:].copy()
     remainder[base_rows:] -= torques
     remainder[:base_rows] -= base_wrench
@@ -471,11 +531,10 @@ def _result(
     for foot, force in forces.items():
         normal = float(force @ normals[foot])
         tangential = float(np.linalg.norm(force - normal * normals[foot]))
-        if tangential < BALANCE_TOLERANCE * np.linalg.norm(config.gravity()[:3]):
+        if tangential < BALANCE_TOLERANCE * np.linalg.norm(load[:3]):
             sliding[foot] = 0.0
         else:
             sliding[foot] = tangential / (friction[foot] * normal)
-    com = config.center_of_mass()
     return GravityCompensation(
         joint_names=robot.joint_names,
         joint_torques=torques,
@@ -484,8 +543,8 @@ def _result(
         contact_points=points,
         friction_utilisation=sliding,
         base_wrench=base_wrench,
-        center_of_mass=com,
-        com_margin=com_margin(com, points) if points else None,
+        center_of_mass=config.center_of_mass(),
+        com_margin=com_margin(point, points) if points else None,
         residual_force=float(np.linalg.norm(remainder[:3])) if base_rows else 0.0,
         residual_torque=float(np.linalg.norm(remainder[3:])),
     )

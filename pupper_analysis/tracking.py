@@ -3,37 +3,30 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import mujoco.rollout
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from pupper_analysis import contact
 from pupper_analysis.configuration import Configuration
 from pupper_analysis.convention import rotation_from_quaternion
-from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.path import StancePath
+from pupper_analysis.path_commands import PathCommands, path_commands
 from pupper_analysis.results import Result
-from pupper_analysis.robot import Robot, on_ground
-from pupper_analysis.simulation import (
-    FALLEN_TILT,
-    STATE,
-    Servos,
-    diverged,
-    lean,
-    place_on_ground,
-    servos,
-)
-from pupper_analysis.sink import sunk_path
+from pupper_analysis.robot import Robot
+from pupper_analysis.simulation import FALLEN_TILT, STATE, diverged, lean
 
 Array = NDArray[np.float64]
 
 TRACKING_TOLERANCE = 0.1
 """Joint error up to which a path counts as tracked (rad)."""
+
+TORQUE_TOLERANCE = 0.05
+"""Deviation of a motor's torque up to which a path counts as tracked, relative to the largest."""
 
 LIFT_CLEARANCE = 2e-3
 """A foot must not touch if it shall be higher than this (m)."""
@@ -41,7 +34,9 @@ LIFT_CLEARANCE = 2e-3
 LOADED = 0.05
 """A foot that shall carry more than this share of the weight must not lose the ground."""
 
-_SAMPLE = 0.02  # s between the states that are looked at closely
+_LOOKS = 400
+"""Of a simulation: states that are looked at closely, evenly spaced by 1 to 20 ms. A foot that an
+impossible path loses is off the ground for some hundredths of the path's time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +54,8 @@ class PathTracking(Result):
         joint_error_rms: Root mean square over joints and time (rad).
         height_error: The largest deviation of the base's height (m).
         orientation_error: The largest angle between the base's orientation and the path's (rad).
-        torque_error: The largest deviation of a motor's torque / the largest of the path.
+        torque_error: The largest deviation of a motor's torque from the commanded feed-forward, in
+            any step of time / the largest torque of the path.
         foot_slip: {foot: the largest horizontal distance of its centre from the path's, while it
             carries (m)}. A foot is a sphere and rolls, so this is not zero without sliding.
         time: (n,) moments of the next (s).
@@ -84,73 +80,6 @@ class PathTracking(Result):
     height: Array
 
 
-@dataclass(frozen=True, eq=False)
-class PathCommands:
-    """A path at the time steps of a simulation, and what the servos are told.
-
-    Attributes:
-        path: The path.
-        robot: The robot on the path's ground.
-        drive: Its MuJoCo model, with servos.
-        start: The full physics state at rest in the first stance.
-        time: (n,) after each step (s).
-        qpos: (n, nq) of the path, the legs longer by what their feet sink into the ground.
-        torques: (n, nu) of the path (N m).
-        ctrl: (n, nu) during each step: q* + (tau + kd dq*/dt) / kp, in the actuators' units.
-    """
-
-    path: StancePath
-    robot: Robot
-    drive: Servos
-    start: Array
-    time: Array
-    qpos: Array
-    torques: Array
-    ctrl: Array
-
-
-def path_commands(
-    robot: Robot,
-    path: StancePath,
-    *,
-    kp: ArrayLike | None = None,
-    kd: ArrayLike | None = None,
-    integrator: str | None = None,
-) -> PathCommands:
-    """Returns what the servos are told, step by step; the arguments are those of ``track_path``.
-
-    Raises:
-        ConfigurationError: If an argument is out of its range, or the path is another robot's.
-        ModelError: If the model has no servos and no gains are given.
-    """
-    if path.joint_names != robot.joint_names or path.qpos.shape[1] != robot.nq:
-        raise ConfigurationError("path", f"it is not a path of {robot.name}")
-    first = path.stances[0]
-    robot = on_ground(robot, first.task.ground, first.foot_targets)
-    drive = servos(robot, kp, kd, integrator)
-    timestep = float(drive.model.opt.timestep)
-    times = timestep * np.arange(1, max(1, round(path.time[-1] / timestep)) + 1)
-    sunk = sunk_path(robot, path)
-    first = replace(first, qpos=sunk[0])
-    spline, held = (
-        CubicSpline(path.time, sunk, bc_type="clamped"),
-        np.minimum(times, path.time[-1]),
-    )
-    qpos, joints = spline(held), slice(robot.nq - robot.nu, None)
-    torques = np.column_stack([np.interp(times, path.time, tau) for tau in path.torques.T])
-    ahead = qpos[:, joints] + spline(held, 1)[:, joints] * drive.kd / drive.kp
-    return PathCommands(
-        path=path,
-        robot=robot,
-        drive=drive,
-        start=place_on_ground(robot, drive, first, path.torques[0]),
-        time=times,
-        qpos=qpos,
-        torques=torques,
-        ctrl=np.array([drive.command(robot, *row) for row in zip(ahead, torques, strict=True)]),
-    )
-
-
 def track_path(
     robot: Robot,
     path: StancePath,
@@ -158,13 +87,18 @@ def track_path(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     integrator: str | None = None,
+    timestep: float | None = None,
 ) -> PathTracking:
     """Simulates a path on the floating base: servos commanded ctrl = q* + (tau + kd dq*/dt) / kp.
 
     The velocity's part makes up for the servos' damping, which knows no wanted velocity: without it
     they lag by kd / kp (20 ms for v3). The legs are longer by what the feet sink into MuJoCo's soft
-    ground (``sunk_path``). The torques are those at rest; inertia, and the ground's resistance to
-    feet that roll (v3's, of 0.01 m), are not in them.
+    ground under the loads in motion (``sunk_path``), and the torques are the path's, in motion,
+    plus those that make the legs longer.
+
+    A path is tracked if joints and torques stay within ``TRACKING_TOLERANCE`` and
+    ``TORQUE_TOLERANCE``, no motor is at its limit, feet that carry stay on the ground, lifted ones
+    off it, and nothing else touches it.
 
     Args:
         robot: The robot.
@@ -172,12 +106,14 @@ def track_path(
         kp: Servo stiffness (N m/rad); the model's own by default.
         kd: Servo damping (N m s/rad); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
+        timestep: Of the simulation (s); the model's own by default, or ``TIMESTEP``, if that is
+            shorter.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the path is another robot's.
         ModelError: If the model has no servos and no gains are given.
     """
-    plan = path_commands(robot, path, kp=kp, kd=kd, integrator=integrator)
+    plan = path_commands(robot, path, kp=kp, kd=kd, integrator=integrator, timestep=timestep)
     robot, model, joints = plan.robot, plan.drive.model, slice(robot.nq - robot.nu, None)
     states = mujoco.rollout.rollout(model, mujoco.MjData(model), plan.start, plan.ctrl[None])[0][0]
     simulated = states[:, 1 + robot.mj_convention.qpos_index]
@@ -185,15 +121,26 @@ def track_path(
     joint_error = float(np.abs(deviation).max())
 
     timestep = float(model.opt.timestep)
-    step = max(1, round(_SAMPLE / timestep))
+    apart = min(max(float(path.time[-1]) / _LOOKS, 1e-3), 0.02)
+    step = max(1, round(apart / timestep))
     looks = np.arange(step - 1, len(states), step)
     tilt, torque_error, slip = math.inf, math.inf, dict.fromkeys(path.feet, math.inf)
     if diverged(states, timestep):
         failures = [f"the simulation diverged ({plan.drive.integrator}, {1e3 * timestep:g} ms)"]
     else:
-        failures, tilt, torque_error, slip = _watch(plan, states, looks)
+        failures, tilt, slip = _watch(plan, states, looks)
+        saturated, torque_error = _torques(plan, states)
+        failures += saturated
+    if path.infeasible.any():
+        moment = path.time[int(np.argmax(path.infeasible))]
+        failures.append(f"no contact forces do from {moment:.2f} s on")
     if path.peak_utilisation > 1:
         failures.append(f"a motor would have to give {path.peak_utilisation:.0%} of its limit")
+    if path.peak_speed_utilisation > 1:
+        share = f"{path.peak_speed_utilisation:.0%} of its velocity limit"
+        failures.append(f"joint {path.fastest_joint} would have to turn at {share}")
+    if not torque_error <= TORQUE_TOLERANCE:
+        failures.append(f"a motor's torque is off by {torque_error:.1%} of the path's largest")
     if not joint_error < TRACKING_TOLERANCE:
         failures.append(f"a joint is off by {joint_error:.2f} rad")
     return PathTracking(
@@ -215,18 +162,47 @@ def track_path(
     )
 
 
+def _torques(plan: PathCommands, states: Array) -> tuple[list[str], float]:
+    """Returns which motors are at their limits, and the largest relative error of a torque.
+
+    By the servos' law, with the velocity that the integrator has it act on: an implicit one's at a
+    step's end, of which ``qfrc_actuator`` does not know.
+    """
+    drive, robot, model = plan.drive, plan.robot, plan.drive.model
+    public = robot.mj_convention
+    before = np.vstack([plan.start, states[:-1]])
+    joints = slice(robot.nq - robot.nu, None)
+    dofs = 1 + model.nq + public.qvel_index[robot.nv - robot.nu :]
+    target = plan.ctrl[:, public.actuator_index] / drive.gear
+    position = before[:, 1 + public.qpos_index[joints]]
+    velocity = (states if drive.implicit else before)[:, dofs]
+    asked = drive.kp * (target - position) - drive.kd * velocity
+    limited = model.actuator_forcelimited[public.actuator_index].astype(bool)
+    limits = np.abs(model.actuator_forcerange[public.actuator_index] * drive.gear[:, None])
+    limit = np.where(limited, limits.min(axis=1), np.inf)
+    given = np.clip(asked, -limit, limit)
+    events = []
+    for column in np.flatnonzero((np.abs(asked) > limit).any(axis=0)):
+        moment = plan.time[int(np.argmax(np.abs(asked[:, column]) > limit[column]))]
+        name = robot.joint_names[int(column)]
+        events.append(f"the motor of {name} is at its limit at {moment:.2f} s")
+    largest = float(np.abs(plan.path.torques).max())
+    return events, float(np.abs(given - plan.torques).max()) / largest
+
+
 def _watch(
     plan: PathCommands, states: Array, looks: NDArray[np.int64]
-) -> tuple[list[str], float, float, dict[str, float]]:
-    """Looks at states; returns failures, tilt (rad), torque error and the feet's slip (m)."""
+) -> tuple[list[str], float, dict[str, float]]:
+    """Looks at states; returns failures, tilt (rad) and the feet's slip (m)."""
     path, robot, model = plan.path, plan.robot, plan.drive.model
     data = mujoco.MjData(model)
     events: dict[str, float] = {}
     slip = dict.fromkeys(path.feet, 0.0)
-    tilt = torque_error = 0.0
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    tilt = 0.0
     for index in looks:
         mujoco.mj_setState(model, data, states[index], STATE)
-        data.ctrl[:] = plan.ctrl[index]
+        data.ctrl[:] = plan.ctrl[min(index + 1, len(plan.ctrl) - 1)]  # what comes next
         mujoco.mj_forward(model, data)
         forces, others = contact.ground_forces(model, data, robot.soles)
         seen = [f"{body} touches the ground" for body in sorted(others)]
@@ -237,13 +213,12 @@ def _watch(
         tilt = max(tilt, float(np.linalg.norm(pin.log3(turn))))
         if lean(robot, rotation, states[index]) > FALLEN_TILT or base[2] < 0.5 * goal[2]:
             seen.append("it fell over")
-        torque = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
-        torque_error = max(torque_error, float(np.abs(torque - plan.torques[index]).max()))
+        targets = Configuration(robot, goal).foot_positions()
         sample = min(len(path.time) - 1, round(float(data.time) / path.time[1]))
-        targets = Configuration(robot, path.qpos[sample]).foot_positions()
         for column, foot in enumerate(path.feet):
-            load = path.loads[sample, column] / path.loads[sample].sum()
-            if load > LOADED and (foot not in forces or forces[foot][2] <= 0):
+            load = path.loads[sample, column] / weight
+            # A load below zero is that of a foot which would have to be held to the ground.
+            if (load > LOADED or load < 0) and (foot not in forces or forces[foot][2] <= 0):
                 seen.append(f"foot {foot} carries nothing")
             if path.clearance[sample, column] > LIFT_CLEARANCE and foot in forces:
                 seen.append(f"foot {foot} is lifted, and touches the ground")
@@ -255,4 +230,4 @@ def _watch(
         for event in seen:
             events.setdefault(event, float(data.time))
     failures = [f"{event} at {moment:.2f} s" for event, moment in events.items()]
-    return failures, tilt, torque_error / float(np.abs(path.torques).max()), slip
+    return failures, tilt, slip

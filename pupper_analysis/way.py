@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import optimize
 
 from pupper_analysis.equilibrium import Equilibrium, Solution
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.stand import stand_statics
 from pupper_analysis.statics import GravityCompensation, LoadSharing
+
+Array = NDArray[np.float64]
 
 _LEAST_STEP = 1 / 64  # of the feed-forward, or of friction, in one step
 _SHARE_TOLERANCE = 1e-7  # of the feed-forward: when a foot touches or lets go, to nanometres
@@ -21,6 +24,11 @@ _CREEP_STEPS = 20
 
 class Way:
     """The way of an equilibrium from the stand: feed-forward is taken away, then the feet creep.
+
+    Args:
+        system: The equations.
+        end: (nu,) what the servos are commanded at its end (rad); by default the stand's joint
+            positions, without any feed-forward.
 
     Attributes:
         system: The equations; their feet touch as they do where the way has come to.
@@ -34,8 +42,9 @@ class Way:
         NoEquilibriumError: If it is no equilibrium on soft ground.
     """
 
-    def __init__(self, system: Equilibrium) -> None:
+    def __init__(self, system: Equilibrium, end: Array | None = None) -> None:
         self.system, stand = system, system.stand
+        self.end: Array = stand.qpos[7:] if end is None else end
         self.balance: GravityCompensation = stand_statics(
             system.robot, stand, sharing=LoadSharing.EVEN
         )
@@ -120,8 +129,8 @@ class Way:
 
     def _command(self, share: float) -> None:
         system = self.system
-        feedforward = self.balance.joint_torques / system.kp
-        system.target = system.stand.qpos[7:] + (1 - share) * feedforward
+        full = system.stand.qpos[7:] + self.balance.joint_torques / system.kp
+        system.target = full + share * (self.end - full)
 
     def _at(self, share: float) -> Solution | None:
         """Returns the equilibrium at a share, the feet touching as they do; None if none."""

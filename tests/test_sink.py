@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from conftest import NAMES, load
+from scipy.interpolate import make_interp_spline
 
 import pupper_analysis as pa
 from pupper_analysis.ground import GroundLaw
 from pupper_analysis.simulation import FORCE_TOLERANCE
-from pupper_analysis.sink import sunk_stand
+from pupper_analysis.sink import depths_of, sunk_stand
 from pupper_analysis.stand import stand_statics
 
 TASKS = {
@@ -86,3 +87,24 @@ def test_at_full_stretch_the_sunk_feet_are_out_of_reach() -> None:
     pa.solve_stand(robot, task)
     with pytest.raises(pa.StanceUnreachableError):
         sunk_stand(robot, task)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_depth_follows_the_force_as_in_mujoco(name: str) -> None:
+    """Of a body alone on the ground's law: R f = k d r + b dr/dt + d2r/dt2, by a spline of r."""
+    law, time = GroundLaw.of(load(name), "FL"), np.linspace(0, 0.4, 401)
+    force = 8.0 * (1 - 0.8 * np.sin(2 * np.pi * time / 0.4) ** 2)
+    depths = depths_of(law, time, force)
+    assert depths[0] == pytest.approx(law.depth(force[0]))
+    spline = make_interp_spline(time, depths, k=5)
+    for moment, pressed in list(zip(time, force, strict=True))[10:-10:20]:
+        depth, rate, acceleration = (float(spline(moment, order)) for order in range(3))
+        d = law.impedance(depth)
+        softness = (1 - d) / d * law.normal
+        found = law.stiffness * d * depth + law.damping * rate + acceleration
+        assert found / softness == pytest.approx(pressed, rel=5e-3)
+    quasi_static = np.array([law.depth(f) for f in force])
+    late = np.abs(depths - quasi_static).max() / np.ptp(quasi_static)
+    assert late > 0.05  # it lags
+    slow = depths_of(law, 100 * time, force)
+    np.testing.assert_allclose(slow, quasi_static, rtol=2e-2)

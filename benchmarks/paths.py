@@ -1,0 +1,70 @@
+"""How fast robots squat, sway and lift: `python benchmarks/paths.py` prints a table, as Markdown.
+
+For each variant and demo the least time by the models (`fastest_path`), what binds there, what
+MuJoCo makes of the path at that time, and at 0.8 times that time. Nothing here is asserted;
+`tests/test_fastest.py` does so for some of them.
+"""
+
+from __future__ import annotations
+
+import click
+
+import pupper_analysis as pa
+from pupper_analysis.demo import DEMOS, demo_stances
+
+FASTER = 0.8
+"""The share of the least time at which a path is expected to fail."""
+
+
+def row(name: str, demo: str, reserve: float) -> str:
+    robot = pa.load_variant(name)
+    # The skeleton's hips come to their limit a seventh down.
+    tasks = demo_stances(robot, demo, depth=0.2 if pa.VARIANTS[name].base == "v3" else 0.1)
+    found = pa.fastest_path(robot, tasks, reserve=reserve)
+    binding = found.binding
+    at_least = pa.track_path(robot, found.path)
+    rate = (len(found.path.time) - 1) / found.seconds
+    faster = pa.stance_path(robot, tasks, FASTER * found.seconds, rate=rate, beyond=True)
+    failed = pa.track_path(robot, faster)
+    cells = [
+        name,
+        demo,
+        f"{found.seconds:.3f}",
+        f"{binding.limit.value} ({', '.join(binding.names)}), {binding.progress:.0%} of leg "
+        f"{binding.leg}",
+        f"{found.path.peak_utilisation:.0%}",
+        f"{found.path.peak_speed_utilisation:.0%}",
+        f"{found.path.friction_utilisation.max():.0%}",
+        "tracked" if at_least.passed else "; ".join(at_least.failures),
+        f"{at_least.torque_error:.1%}",
+        f"{at_least.joint_error:.4f}",
+        "tracked" if failed.passed else failed.failures[0],
+        f"{failed.torque_error:.1%}",
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+@click.command()
+@click.argument("names", nargs=-1)
+@click.option("--reserve", default=0.2, show_default=True, help="Share of limits left unused.")
+def main(names: tuple[str, ...], reserve: float) -> None:
+    """Find the least times of variants (all six by default), and simulate them."""
+    titles = ["variant", "demo", "least time (s)", "what binds", "torque", "speed", "friction"]
+    titles += [
+        "in MuJoCo",
+        "torque error",
+        "joints (rad)",
+        f"at {FASTER} x the time",
+        "torque error",
+    ]
+    click.echo(f"| {' | '.join(titles)} |\n|{'---|' * len(titles)}")
+    for name in names or pa.VARIANTS:
+        for demo in DEMOS:
+            try:
+                click.echo(row(name, demo, reserve))
+            except pa.PupperAnalysisError as error:
+                click.echo(f"| {name} | {demo} | {error} |")
+
+
+if __name__ == "__main__":
+    main()
