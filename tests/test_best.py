@@ -145,7 +145,7 @@ def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -
 @pytest.mark.slow
 @pytest.mark.parametrize("objective", [Objective.UTILISATION, Objective.PAYLOAD])
 def test_differential_evolution_finds_no_better_one(objective: Objective) -> None:
-    """With 3000 stances; benchmarks/best.py has the same with 20,000."""
+    """With 3000 stances; benchmarks/best.py does the same with 20,000."""
     robot = load("original")
     ours, theirs = StanceSearch(robot, objective), StanceSearch(robot, objective)
     ours.run()
