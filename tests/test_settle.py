@@ -296,7 +296,7 @@ def test_a_lifted_foot_that_comes_down_carries(
         assert pose.contact_forces[other][2] == pytest.approx(force[2], abs=0.25)
 
 
-@pytest.mark.parametrize("kp", [3.0, 5.0, 8.0, 20.0])
+@pytest.mark.parametrize("kp", [3.0, 5.0, 20.0, 100.0])
 def test_feet_carry_where_they_are_in_the_ground(kp: float) -> None:
     """Complementarity, by MuJoCo's collisions and the law of the ground."""
     robot, stand = load("v3"), lifted("v3", "RR", 0.006)
@@ -305,7 +305,7 @@ def test_feet_carry_where_they_are_in_the_ground(kp: float) -> None:
     for touch in mujoco_at(robot, pose.qpos).contact:
         depths[robot.soles[max(touch.geom)]] = -touch.dist
     assert set(pose.carrying) == set(depths)
-    assert ("RR" in depths) == (kp < 10)
+    assert ("RR" in depths) == (kp < 50)  # on stiff servos only the ground gives
     for foot, force in pose.contact_forces.items():
         if foot in depths:
             assert force[2] == pytest.approx(GroundLaw.of(robot, foot).force(depths[foot]))
