@@ -11,7 +11,7 @@ from conftest import NAMES, load, mujoco_at, random_state, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis.loaded import loaded_stand, with_payload
-from pupper_analysis.settle import move
+from pupper_analysis.equilibrium import move
 
 POINT = (0.05, -0.02, 0.08)
 
