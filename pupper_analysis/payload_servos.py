@@ -308,7 +308,8 @@ def _judge(
     if (beyond := (angles < robot.lower_limits) | (angles > robot.upper_limits)).any():
         return Failure.JOINT, joints(beyond)
     pulling, sliding = [], []
-    for foot, force in pose.contact_forces.items():
+    for foot in stand.carrying:
+        force = pose.contact_forces[foot]
         normal = float(force @ stand.normals[foot])
         tangential = float(np.linalg.norm(force - normal * stand.normals[foot]))
         if normal <= 0:

@@ -356,7 +356,12 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
             rgba=(0.6, 0.62, 0.66, 1.0),
         )
     built = build_robot(replace(robot.description, mjcf=spec))
-    return replace(built, stand_height=robot.stand_height, notes=robot.notes)
+    return replace(
+        built,
+        stand_height=robot.stand_height,
+        fingerprint=robot.fingerprint,
+        notes=robot.notes,
+    )
 
 
 def _floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:

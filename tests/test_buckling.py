@@ -9,8 +9,8 @@ from conftest import NAMES, load, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis.buckling import _geometric, _jacobian, buckling_modes
+from pupper_analysis.equilibrium import move
 from pupper_analysis.loaded import loaded_stand, with_payload
-from pupper_analysis.settle import move
 from pupper_analysis.simulation import servos
 
 EVEN = pa.LoadSharing.EVEN

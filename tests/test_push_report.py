@@ -41,7 +41,7 @@ def test_a_stand_that_does_not_last_is_exit_status_1(
 
 BAD = {
     "no such robot": (["spot"], "'spot'"),
-    "too high": (["v3", "--height", "0.3"], "height 0.192 m"),
+    "too high": (["v3", "--height", "0.3"], "height 0.1919 m"),
     "too few directions": (["v3", "--directions", "2"], "not between 3 and 360"),
     "no resolution": (["v3", "--resolution", "0"], "not positive"),
     "figure in a folder": (["v3", "--figure", "."], "it is a folder"),
