@@ -17,8 +17,9 @@ from rich.table import Table
 from stances import random_task
 
 import pupper_analysis as pa
-from pupper_analysis.simulation import place_on_ground, servos
-from pupper_analysis.stand import stand_statics
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.simulation.rollout import place_on_ground
+from pupper_analysis.stance.stand import stand_statics
 
 SECONDS = 12.0
 JOINTS = 1e-3  # rad

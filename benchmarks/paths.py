@@ -10,7 +10,7 @@ from __future__ import annotations
 import click
 
 import pupper_analysis as pa
-from pupper_analysis.demo import DEMOS, demo_stances
+from pupper_analysis.pupper.demo import DEMOS, demo_stances
 
 FASTER = 0.8
 """The share of the least time at which a path is expected to fail."""

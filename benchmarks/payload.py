@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 import pupper_analysis as pa
-from pupper_analysis.payload_simulation import PayloadTrial
+from pupper_analysis.simulation.payload import PayloadTrial
 
 SHARES = (0.95, 1.05)
 

@@ -21,7 +21,7 @@ from rich.table import Table
 from stances import OTHERS, Demand, other_robot, random_task
 
 import pupper_analysis as pa
-from pupper_analysis.demands import differ, shrunk
+from pupper_analysis.stance.demands import differ, shrunk
 
 NEAR = 5e-3
 """A refused stance whose feet miss by less is within reach's edge (m)."""

@@ -19,7 +19,8 @@ from rich.console import Console
 from rich.table import Table
 
 import pupper_analysis as pa
-from pupper_analysis.simulation import place_on_ground, servos
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.simulation.rollout import place_on_ground
 
 
 def median_seconds(job: Callable[[], object], repeats: int) -> float:

@@ -15,14 +15,15 @@ from rich.console import Console
 from rich.table import Table
 
 import pupper_analysis as pa
-from pupper_analysis import contact
-from pupper_analysis.band import settled_band
 from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.robot import on_ground
-from pupper_analysis.settle import RELEASE_MARGIN, SettledPose, settled_pose
-from pupper_analysis.simulation import STATE, place_on_ground, servos
-from pupper_analysis.stand import stand_statics
-from pupper_analysis.statics import LoadSharing
+from pupper_analysis.robot import contact
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.simulation.rollout import STATE, place_on_ground
+from pupper_analysis.stance.sag.band import settled_band
+from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SettledPose, settled_pose
+from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.statics.equilibrium import LoadSharing
 
 SECONDS = 12.0
 """A simulation's length (s). Its settled height is the mean of the last second."""

@@ -25,10 +25,11 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.errors import NoEquilibriumError
-from pupper_analysis.robot import build_robot, on_ground
-from pupper_analysis.settle import RELEASE_MARGIN, settled_pose
-from pupper_analysis.simulation import servos
-from pupper_analysis.stand import stand_statics
+from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, settled_pose
+from pupper_analysis.stance.stand import stand_statics
 
 EXACT = 1e-9
 """Error that a solved stand may have (m, rad)."""

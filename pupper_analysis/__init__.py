@@ -17,21 +17,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pupper_analysis.analysis import Analysis, analyze_variant
-    from pupper_analysis.audit import Audit, audit_model
-    from pupper_analysis.band import SettledBand, settled_band
-    from pupper_analysis.best import BestStance, Objective, best_stance
-    from pupper_analysis.comparison import Comparison, compare_models
-    from pupper_analysis.configuration import Configuration
-    from pupper_analysis.crosscheck import CrossCheck, cross_check
-    from pupper_analysis.description import write_variant
-    from pupper_analysis.dynamics import InverseDynamics, inverse_dynamics
-    from pupper_analysis.envelope import (
-        Interval,
-        PoseEnvelope,
-        pose_envelope,
-        reachable_heights,
-    )
+    from pupper_analysis.analysis.robot import Analysis, analyze_variant
+    from pupper_analysis.checks.attribution import Tolerances
+    from pupper_analysis.checks.audit import Audit, audit_model
+    from pupper_analysis.checks.compare import Comparison, compare_models
+    from pupper_analysis.checks.engines import CrossCheck, cross_check
     from pupper_analysis.errors import (
         ConfigurationError,
         Infeasibility,
@@ -46,80 +36,93 @@ if TYPE_CHECKING:
         UnknownNameError,
         VariantError,
     )
-    from pupper_analysis.explain import Tolerances
-    from pupper_analysis.fastest import Binding, FastestPath, Limit, fastest_path
-    from pupper_analysis.loaded import with_payload
-    from pupper_analysis.path import StancePath, stance_path
-    from pupper_analysis.payload import PayloadLimit, payload_limit
-    from pupper_analysis.payload_servos import Command
-    from pupper_analysis.payload_simulation import PayloadTrial, payload_trial
-    from pupper_analysis.push import PushRecovery, push_recovery
+    from pupper_analysis.pupper.load import load_variant
+    from pupper_analysis.pupper.variant_files import write_variant
+    from pupper_analysis.pupper.variants import VARIANTS, VariantSpec
     from pupper_analysis.results import to_json
-    from pupper_analysis.robot import Robot, load_robot, load_variant
-    from pupper_analysis.settle import SettledPose, least_kp, settled_pose
-    from pupper_analysis.simulation import (
-        GainSweep,
-        StandVerification,
-        sweep_gains,
-        verify_stand,
+    from pupper_analysis.robot.build import load_robot
+    from pupper_analysis.robot.configuration import Configuration
+    from pupper_analysis.robot.ground import Ground
+    from pupper_analysis.robot.payload import with_payload
+    from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
+    from pupper_analysis.simulation.payload import PayloadTrial, payload_trial
+    from pupper_analysis.simulation.push import PushRecovery, push_recovery
+    from pupper_analysis.simulation.tracking import PathTracking, track_path
+    from pupper_analysis.simulation.verify import StandVerification, verify_stand
+    from pupper_analysis.stance.optimize.best import BestStance, Objective, best_stance
+    from pupper_analysis.stance.path.fastest import Binding, FastestPath, Limit, fastest_path
+    from pupper_analysis.stance.path.stance_path import StancePath, stance_path
+    from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
+    from pupper_analysis.stance.payload.servo_limit import Command
+    from pupper_analysis.stance.sag.band import SettledBand, settled_band
+    from pupper_analysis.stance.sag.steady_state import SettledPose, least_kp, settled_pose
+    from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+    from pupper_analysis.stance.sunk import sunk_stand
+    from pupper_analysis.stance.task import StandTask
+    from pupper_analysis.stance.workspace import (
+        Interval,
+        PoseEnvelope,
+        pose_envelope,
+        reachable_heights,
     )
-    from pupper_analysis.sink import sunk_stand
-    from pupper_analysis.stand import Stand, solve_stand, stand_statics
-    from pupper_analysis.statics import GravityCompensation, LoadSharing, gravity_compensation
-    from pupper_analysis.task import Ground, StandTask
-    from pupper_analysis.tracking import PathTracking, track_path
-    from pupper_analysis.variants import VARIANTS, VariantSpec
+    from pupper_analysis.statics.equilibrium import (
+        GravityCompensation,
+        LoadSharing,
+        gravity_compensation,
+    )
+    from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "Analysis": "analysis",
-    "analyze_variant": "analysis",
-    "Audit": "audit",
-    "audit_model": "audit",
-    "BestStance": "best",
-    "Objective": "best",
-    "best_stance": "best",
-    "Comparison": "comparison",
-    "Interval": "envelope",
-    "PoseEnvelope": "envelope",
-    "pose_envelope": "envelope",
-    "reachable_heights": "envelope",
-    "InverseDynamics": "dynamics",
-    "inverse_dynamics": "dynamics",
-    "Binding": "fastest",
-    "FastestPath": "fastest",
-    "Limit": "fastest",
-    "fastest_path": "fastest",
-    "StancePath": "path",
-    "stance_path": "path",
-    "PathTracking": "tracking",
-    "track_path": "tracking",
-    "PayloadLimit": "payload",
-    "payload_limit": "payload",
-    "Command": "payload_servos",
-    "PayloadTrial": "payload_simulation",
-    "payload_trial": "payload_simulation",
-    "with_payload": "loaded",
+    "Analysis": "analysis.robot",
+    "analyze_variant": "analysis.robot",
+    "Audit": "checks.audit",
+    "audit_model": "checks.audit",
+    "BestStance": "stance.optimize.best",
+    "Objective": "stance.optimize.best",
+    "best_stance": "stance.optimize.best",
+    "Comparison": "checks.compare",
+    "Interval": "stance.workspace",
+    "PoseEnvelope": "stance.workspace",
+    "pose_envelope": "stance.workspace",
+    "reachable_heights": "stance.workspace",
+    "InverseDynamics": "statics.inverse_dynamics",
+    "inverse_dynamics": "statics.inverse_dynamics",
+    "Binding": "stance.path.fastest",
+    "FastestPath": "stance.path.fastest",
+    "Limit": "stance.path.fastest",
+    "fastest_path": "stance.path.fastest",
+    "StancePath": "stance.path.stance_path",
+    "stance_path": "stance.path.stance_path",
+    "PathTracking": "simulation.tracking",
+    "track_path": "simulation.tracking",
+    "PayloadLimit": "stance.payload.limit",
+    "payload_limit": "stance.payload.limit",
+    "Command": "stance.payload.servo_limit",
+    "PayloadTrial": "simulation.payload",
+    "payload_trial": "simulation.payload",
+    "with_payload": "robot.payload",
     "NoEquilibriumError": "errors",
     "NoStiffnessError": "errors",
     "NotSettlingError": "errors",
-    "PushRecovery": "push",
-    "push_recovery": "push",
-    "SettledBand": "band",
-    "settled_band": "band",
-    "SettledPose": "settle",
-    "least_kp": "settle",
-    "settled_pose": "settle",
-    "stand_statics": "stand",
-    "sunk_stand": "sink",
-    "compare_models": "comparison",
-    "Tolerances": "explain",
+    "PushRecovery": "simulation.push",
+    "push_recovery": "simulation.push",
+    "SettledBand": "stance.sag.band",
+    "settled_band": "stance.sag.band",
+    "SettledPose": "stance.sag.steady_state",
+    "least_kp": "stance.sag.steady_state",
+    "settled_pose": "stance.sag.steady_state",
+    "stand_statics": "stance.stand",
+    "sunk_stand": "stance.sunk",
+    "compare_models": "checks.compare",
+    "Tolerances": "checks.attribution",
     "OutputError": "errors",
-    "Configuration": "configuration",
-    "CrossCheck": "crosscheck",
-    "cross_check": "crosscheck",
-    "write_variant": "description",
+    "Configuration": "robot.configuration",
+    "CrossCheck": "checks.engines",
+    "cross_check": "checks.engines",
+    "write_variant": "pupper.variant_files",
     "ConfigurationError": "errors",
     "Infeasibility": "errors",
     "ModelError": "errors",
@@ -129,22 +132,22 @@ _HOME = {
     "UnknownNameError": "errors",
     "VariantError": "errors",
     "to_json": "results",
-    "Robot": "robot",
-    "load_robot": "robot",
-    "load_variant": "robot",
-    "GainSweep": "simulation",
-    "StandVerification": "simulation",
-    "sweep_gains": "simulation",
-    "verify_stand": "simulation",
-    "Stand": "stand",
-    "Ground": "task",
-    "StandTask": "task",
-    "solve_stand": "stand",
-    "GravityCompensation": "statics",
-    "LoadSharing": "statics",
-    "gravity_compensation": "statics",
-    "VARIANTS": "variants",
-    "VariantSpec": "variants",
+    "Robot": "robot.robot",
+    "load_robot": "robot.build",
+    "load_variant": "pupper.load",
+    "GainSweep": "simulation.gain_sweep",
+    "StandVerification": "simulation.verify",
+    "sweep_gains": "simulation.gain_sweep",
+    "verify_stand": "simulation.verify",
+    "Stand": "stance.solver",
+    "Ground": "robot.ground",
+    "StandTask": "stance.task",
+    "solve_stand": "stance.stand",
+    "GravityCompensation": "statics.equilibrium",
+    "LoadSharing": "statics.equilibrium",
+    "gravity_compensation": "statics.equilibrium",
+    "VARIANTS": "pupper.variants",
+    "VariantSpec": "pupper.variants",
 }
 
 __all__ = [

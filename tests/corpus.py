@@ -237,7 +237,7 @@ def _examine(path: Path) -> dict[str, str]:
     import pinocchio as pin
 
     from pupper_analysis.errors import ModelError
-    from pupper_analysis.loading import UrdfFile, read_model
+    from pupper_analysis.models.loading import UrdfFile, read_model
 
     try:
         model = read_model(path)

@@ -14,11 +14,11 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis.comparison import Comparison, compare_models
-from pupper_analysis.explain import Explanation, Tolerances, explain
-from pupper_analysis.loading import read_mjcf, read_urdf
-from pupper_analysis.matching import Match, match
-from pupper_analysis.robot import Robot
+from pupper_analysis.checks.attribution import Explanation, Tolerances, explain
+from pupper_analysis.checks.compare import Comparison, compare_models
+from pupper_analysis.checks.matching import Match, match
+from pupper_analysis.models.loading import read_mjcf, read_urdf
+from pupper_analysis.robot.robot import Robot
 
 NOTHING = (0.0, 0.0, 0.0)
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.analysis import (
+from pupper_analysis.analysis.robot import (
     joint_summaries,
     leg_jacobians,
     leg_joints,

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.audit import RULES, Audit, Finding, Severity, audit_model
-from pupper_analysis.audit.pairs import mirror_name, mirror_pairs
-from pupper_analysis.audit.registry import rules_table
-from pupper_analysis.audit.rules.joints import expected_axis
+from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity, audit_model
+from pupper_analysis.checks.audit.pairs import mirror_name, mirror_pairs
+from pupper_analysis.checks.audit.registry import rules_table
+from pupper_analysis.checks.audit.rules.joints import expected_axis
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN = {

@@ -11,8 +11,9 @@ import pytest
 from conftest import Answer, answer
 from rich.console import Console
 
-from pupper_analysis import audit_report, cli
-from pupper_analysis.audit import RULES, audit_model
+from pupper_analysis import cli
+from pupper_analysis.checks.audit import RULES, audit_model
+from pupper_analysis.report import audit as audit_report
 
 ROOT = Path(__file__).parents[1]
 

@@ -5,9 +5,9 @@ import pytest
 from conftest import V3_NAMES, benchmark, load, stand_of
 
 import pupper_analysis as pa
-from pupper_analysis.band import SettledBand, settled_band
-from pupper_analysis.equilibrium import Equilibrium
-from pupper_analysis.way import Way
+from pupper_analysis.stance.sag.band import SettledBand, settled_band
+from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.way import Way
 
 sag = benchmark("sag")
 STANDING_V3 = tuple(name for name in V3_NAMES if name != "v3-long-leg")

@@ -10,12 +10,12 @@ from conftest import load
 from scipy import optimize
 
 import pupper_analysis as pa
-from pupper_analysis.best import Objective, StanceSearch, Subspace, best_stance
-from pupper_analysis.best_space import BASE, LEAST_MOBILITY, StanceSpace
-from pupper_analysis.payload_lines import FirstOrder
-from pupper_analysis.payload_simulation import payload_trial
-from pupper_analysis.simulation import servos
-from pupper_analysis.stand import stand_statics
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.simulation.payload import payload_trial
+from pupper_analysis.stance.optimize.best import Objective, StanceSearch, Subspace, best_stance
+from pupper_analysis.stance.optimize.space import BASE, LEAST_MOBILITY, StanceSpace
+from pupper_analysis.stance.payload.first_order import FirstOrder
+from pupper_analysis.stance.stand import stand_statics
 
 EVEN = pa.LoadSharing.EVEN
 

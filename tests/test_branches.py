@@ -11,7 +11,7 @@ from conftest import load, mujoco_at
 from scipy import optimize
 
 import pupper_analysis as pa
-from pupper_analysis.branches import Branch, branches, combinations, limbs
+from pupper_analysis.stance.branches import Branch, branches, combinations, limbs
 
 QPOS = {
     name: np.array([0.0, 0.0, height, 1.0, 0.05, -0.1, 0.1, *np.zeros(12)])

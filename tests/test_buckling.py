@@ -8,10 +8,11 @@ import pytest
 from conftest import NAMES, load, stand_of
 
 import pupper_analysis as pa
-from pupper_analysis.buckling import _geometric, _jacobian, buckling_modes
-from pupper_analysis.equilibrium import move
-from pupper_analysis.loaded import loaded_stand, with_payload
-from pupper_analysis.simulation import servos
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.stance.payload.buckling import _geometric, _jacobian, buckling_modes
+from pupper_analysis.stance.sag.equilibrium import move
+from pupper_analysis.stance.sunk import loaded_stand
 
 EVEN = pa.LoadSharing.EVEN
 

@@ -152,7 +152,8 @@ def test_a_place_that_cannot_be_written(option: str, tmp_path: Path) -> None:
 def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
     from click.testing import CliRunner
 
-    from pupper_analysis import cli, simulation
+    from pupper_analysis import cli
+    from pupper_analysis.simulation import verify as simulation
 
     monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)
     result = CliRunner().invoke(cli.analyze, ["original", "--no-figures"])

@@ -14,8 +14,8 @@ import pytest
 from conftest import NAMES, load, mujoco_at, random_state
 
 import pupper_analysis as pa
-from pupper_analysis.collision import Shapes
-from pupper_analysis.robot import on_ground
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.clearance import Shapes
 
 FAR = 10.0  # m
 

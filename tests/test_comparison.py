@@ -25,10 +25,10 @@ from robots import (
     write_parts,
 )
 
-from pupper_analysis import crosscheck
-from pupper_analysis.comparison import Comparison, compare_models
+from pupper_analysis.checks import engines as crosscheck
+from pupper_analysis.checks.attribution import Difference, Tolerances
+from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.errors import ConfigurationError, ModelError
-from pupper_analysis.explain import Difference, Tolerances
 
 SHANK = quadruped()["shank2"]
 

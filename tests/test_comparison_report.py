@@ -23,12 +23,12 @@ from robots import (
     write_parts,
 )
 
-from pupper_analysis import extras
-from pupper_analysis.comparison import Comparison
-from pupper_analysis.comparison_report import SHOWN, cases, print_models, remarks
-from pupper_analysis.crosscheck import EXTRAS
-from pupper_analysis.explain import Tolerances
-from pupper_analysis.formats import github, junit
+from pupper_analysis.checks import passive as extras
+from pupper_analysis.checks.attribution import Tolerances
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.checks.engines import EXTRAS
+from pupper_analysis.report.comparison import SHOWN, cases, print_models, remarks
+from pupper_analysis.report.formats import github, junit
 
 
 def printed(comparison: Comparison, everything: bool = False, width: int = 100) -> str:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from pupper_analysis import contact
+from pupper_analysis.robot import contact
 
 positive = st.floats(0.001, 2.0)
 geoms = st.fixed_dictionaries(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.convention import rotation_from_quaternion
+from pupper_analysis.arrays import rotation_from_quaternion
 
 
 @pytest.fixture(scope="module", params=["v3", "original", "v3 fixed", "tiny"])

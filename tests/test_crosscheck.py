@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.crosscheck import EDGES, cross_check
+from pupper_analysis.checks.engines import EDGES, cross_check
 
 
 @pytest.mark.parametrize("name", pa.VARIANTS)
@@ -58,7 +58,7 @@ def _with_urdf(robot: pa.Robot, old: str, new: str) -> pa.Robot:
     path = robot.description.urdf_source
     text = robot.description.urdf.replace(old, new, 1)
     description = replace(robot.description, urdf=text, urdf_source=path)
-    from pupper_analysis.robot import build_robot
+    from pupper_analysis.robot.build import build_robot
 
     return build_robot(description, fixed_base=False, foot_depth=None)
 

@@ -10,7 +10,7 @@ import pytest
 from conftest import load
 
 import pupper_analysis as pa
-from pupper_analysis.demands import DEMANDS, differ, far_off, in_words, rounded, shrunk
+from pupper_analysis.stance.demands import DEMANDS, differ, far_off, in_words, rounded, shrunk
 
 TASK = pa.StandTask(
     height=0.15,

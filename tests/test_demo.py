@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from conftest import load, run_command
 
-from pupper_analysis import Configuration, demo
-from pupper_analysis.tracking import track_path
+from pupper_analysis import Configuration
+from pupper_analysis.pupper import demo
+from pupper_analysis.simulation.tracking import track_path
 
 
 def test_what_they_do() -> None:
@@ -67,7 +68,7 @@ def test_the_window_shows_what_is_tracked(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_path_that_is_not_tracked_is_exit_status_1(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from pupper_analysis import tracking
+    from pupper_analysis.simulation import tracking
 
     monkeypatch.setattr(tracking, "TRACKING_TOLERANCE", 1e-6)
     status, out, _ = run_command(capfd, "drop", "--headless", "--demo", "squat")

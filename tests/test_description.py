@@ -27,7 +27,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.description import describe, mjcf, urdf
+from pupper_analysis.models import mjcf
+from pupper_analysis.pupper import derive_urdf as urdf
+from pupper_analysis.pupper.variant_files import describe
 
 leg_scales = st.floats(0.3, 3.0)
 torso_scales = st.floats(0.2, 5.0)

@@ -9,9 +9,13 @@ import pytest
 from conftest import NAMES, load, stand_of
 
 import pupper_analysis as pa
-from pupper_analysis.configuration import UP
-from pupper_analysis.dynamics import inverse_dynamics, joint_resistance, rolling_levers
-from pupper_analysis.sink import sunk_stand
+from pupper_analysis.robot.configuration import UP
+from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.statics.inverse_dynamics import (
+    inverse_dynamics,
+    joint_resistance,
+    rolling_levers,
+)
 
 Array = np.ndarray
 

@@ -9,12 +9,8 @@ import pytest
 from conftest import load
 
 import pupper_analysis as pa
-from pupper_analysis.envelope import (
-    pose_envelope,
-    reachable_heights,
-    stand_at,
-)
-from pupper_analysis.statics import com_margin
+from pupper_analysis.stance.workspace import pose_envelope, reachable_heights, stand_at
+from pupper_analysis.statics.support_polygon import com_margin
 
 
 def reached(robot: pa.Robot, task: pa.StandTask) -> bool:

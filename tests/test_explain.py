@@ -32,11 +32,11 @@ from robots import (
 )
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis import explain as explain_module
-from pupper_analysis.convention import rotation_from_quaternion
-from pupper_analysis.crosscheck import random_states
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.checks import attribution as explain_module
+from pupper_analysis.checks.attribution import Difference, Explanation, Tolerances, explain
+from pupper_analysis.checks.engines import random_states
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.explain import Difference, Explanation, Tolerances, explain
 
 GRAVITY = 9.81
 WEIGHT = sum(part.mass for part in quadruped().values()) * GRAVITY

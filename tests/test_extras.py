@@ -29,11 +29,11 @@ from robots import (
     write,
 )
 
-from pupper_analysis import extras as extras_module
-from pupper_analysis.comparison import Comparison
-from pupper_analysis.crosscheck import EXTRAS, cross_check, random_states
-from pupper_analysis.explain import Effect, Tolerances, explain
-from pupper_analysis.extras import Reference, as_it_is, extras, split_mimics, without
+from pupper_analysis.checks import passive as extras_module
+from pupper_analysis.checks.attribution import Effect, Tolerances, explain
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.checks.engines import EXTRAS, cross_check, random_states
+from pupper_analysis.checks.passive import Reference, as_it_is, extras, split_mimics, without
 
 GRAVITY, LENGTH, MASS = 9.81, 0.5, 2.0  # of the pendulum
 ROD = MASS * LENGTH**2 + 1e-3 + 0.01  # its moment of inertia about the hinge, with the rotor

@@ -11,9 +11,9 @@ from conftest import load
 from test_path import Task, stances
 
 import pupper_analysis as pa
-from pupper_analysis.fastest import Limit, fastest_path
-from pupper_analysis.path import stance_path
-from pupper_analysis.tracking import track_path
+from pupper_analysis.simulation.tracking import track_path
+from pupper_analysis.stance.path.fastest import Limit, fastest_path
+from pupper_analysis.stance.path.stance_path import stance_path
 
 
 def test_a_squat_falls_no_faster_than_gravity() -> None:

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis import figures
 from pupper_analysis.errors import ConfigurationError, OutputError
+from pupper_analysis.report import figures
 
 NAMES = ("original", "v3")
 

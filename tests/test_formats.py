@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pupper_analysis.formats import Annotation, Case, github, junit
+from pupper_analysis.report.formats import Annotation, Case, github, junit
 
 
 def read_command(line: str) -> tuple[str, dict[str, str], str]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import NAMES, load
 
-from pupper_analysis.friction import DryFriction
+from pupper_analysis.robot.friction import DryFriction
 
 
 def cone(limits: np.ndarray, mu: float, force: np.ndarray, moment: np.ndarray) -> float:

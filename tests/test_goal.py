@@ -7,7 +7,7 @@ import pytest
 from conftest import NAMES, load
 
 import pupper_analysis as pa
-from pupper_analysis.goal import goal_of
+from pupper_analysis.stance.problem import goal_of
 
 
 @pytest.mark.parametrize("name", NAMES)

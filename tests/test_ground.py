@@ -9,7 +9,7 @@ import pytest
 from conftest import changed, load, mujoco_at, stand_of
 
 import pupper_analysis as pa
-from pupper_analysis.ground import GroundLaw
+from pupper_analysis.robot.compliance import GroundLaw
 
 
 def cone(kind: mujoco.mjtCone) -> Callable[[mujoco.MjModel], None]:

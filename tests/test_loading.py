@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from pupper_analysis.errors import ModelError
-from pupper_analysis.loading import (
+from pupper_analysis.models.loading import (
     MjcfFile,
     Place,
     UrdfFile,
@@ -28,7 +28,7 @@ from pupper_analysis.loading import (
     read_model,
     read_urdf,
 )
-from pupper_analysis.variants import model_folder
+from pupper_analysis.pupper.variants import model_folder
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 EXPLICIT = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'

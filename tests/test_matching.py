@@ -27,9 +27,9 @@ from robots import (
     write_parts,
 )
 
-from pupper_analysis.comparison import Comparison
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.checks.matching import read_mapping
 from pupper_analysis.errors import ModelError, UnknownNameError
-from pupper_analysis.matching import read_mapping
 
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
 JOINTS = {f"{kind}{leg}" for kind in ("hip", "knee") for leg in range(4)}
@@ -594,8 +594,8 @@ def test_continuous_joints(tmp_path: Path) -> None:
 
 def test_nothing_is_changed_in_the_files_that_were_read(tmp_path: Path) -> None:
     """Matching works on copies: the same files can be matched again."""
-    from pupper_analysis.loading import read_mjcf, read_urdf
-    from pupper_analysis.matching import match
+    from pupper_analysis.checks.matching import match
+    from pupper_analysis.models.loading import read_mjcf, read_urdf
 
     files = write_parts(tmp_path, quadruped() | {"tail": light("tail", "base")}, quadruped())
     urdf, mjcf = read_urdf(files.urdf), read_mjcf(files.mjcf)

@@ -14,10 +14,10 @@ from conftest import load
 from scipy.interpolate import make_interp_spline
 
 import pupper_analysis as pa
-from pupper_analysis.configuration import UP
-from pupper_analysis.dynamics import joint_resistance
-from pupper_analysis.path import StancePath, stance_path
-from pupper_analysis.tracking import track_path
+from pupper_analysis.robot.configuration import UP
+from pupper_analysis.simulation.tracking import track_path
+from pupper_analysis.stance.path.stance_path import StancePath, stance_path
+from pupper_analysis.statics.inverse_dynamics import joint_resistance
 
 Task = pa.StandTask
 
@@ -311,7 +311,7 @@ def test_bad_arguments(
 ) -> None:
     if named == "jumps":
         tasks = [Task(height=0.15), Task(height=0.08)]
-        monkeypatch.setattr("pupper_analysis.path.LEAST_PER_LEG", 2)
+        monkeypatch.setattr("pupper_analysis.stance.path.stance_path.LEAST_PER_LEG", 2)
     with pytest.raises(pa.ConfigurationError, match=named) as caught:
         stance_path(load("v3"), tasks, seconds, rate=rate)
     assert "\n" not in str(caught.value)
@@ -361,7 +361,7 @@ def test_a_sample_out_of_reach_names_the_moment(monkeypatch: pytest.MonkeyPatch)
             raise pa.StanceUnreachableError(str(task), {"FL": 0.01}, {})
         return solve(robot, task, explain=explain)
 
-    monkeypatch.setattr("pupper_analysis.path_geometry.solve_stand", refuse)
+    monkeypatch.setattr("pupper_analysis.stance.path.geometry.solve_stand", refuse)
     where = r"^at 1\.44 s, between stances 2 and 3: stance out of reach .*FL by 10\.0 mm"
     with pytest.raises(pa.StanceUnreachableError, match=where) as caught:
         stance_path(load("v3"), [Task(), Task(), Task(roll=0.3)], 2.0, rate=4.0)

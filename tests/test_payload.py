@@ -10,12 +10,13 @@ import pytest
 from conftest import NAMES, load, stand_of
 
 import pupper_analysis as pa
-from pupper_analysis.loaded import loaded_stand, with_payload
-from pupper_analysis.payload import _problem, contact_limit, motor_limit, payload_limit
-from pupper_analysis.payload_lines import FirstOrder
-from pupper_analysis.payload_servos import Command, Failure, first_failing, servo_limit
-from pupper_analysis.payload_simulation import payload_trial
-from pupper_analysis.simulation import servos
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.simulation.payload import payload_trial
+from pupper_analysis.stance.payload.first_order import FirstOrder
+from pupper_analysis.stance.payload.limit import _problem, contact_limit, motor_limit, payload_limit
+from pupper_analysis.stance.payload.servo_limit import Command, Failure, first_failing, servo_limit
+from pupper_analysis.stance.sunk import loaded_stand
 
 EVEN = pa.LoadSharing.EVEN
 ON_TOP, AHEAD = (0.0, 0.0, 0.05), (0.2, 0.0, 0.05)

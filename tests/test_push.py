@@ -14,10 +14,12 @@ from conftest import load, stand_of
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis import figures, push
-from pupper_analysis.push import PushRecovery, push_recovery, tipping_impulses
-from pupper_analysis.push_figure import push_figure
-from pupper_analysis.simulation import place_on_ground, servos
+from pupper_analysis.report import figures
+from pupper_analysis.report.push_figure import push_figure
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.simulation import push
+from pupper_analysis.simulation.push import PushRecovery, push_recovery, tipping_impulses
+from pupper_analysis.simulation.rollout import place_on_ground
 
 COARSE = {"directions": 4, "duration": 3.0, "resolution": 0.05}
 

@@ -9,7 +9,7 @@ import pytest
 from conftest import NAMES, benchmark, load
 
 import pupper_analysis as pa
-from pupper_analysis.stand import stand_statics
+from pupper_analysis.stance.stand import stand_statics
 
 stances = benchmark("stances")
 

@@ -14,8 +14,8 @@ from conftest import load, stand_of
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis import render
 from pupper_analysis.errors import ConfigurationError, OutputError
+from pupper_analysis.report import render
 
 WIDTH = 420
 BACKGROUND = np.array([0xEE, 0xF1, 0xF5]) / 255

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 import pupper_analysis as pa
-from pupper_analysis import report
+from pupper_analysis.report import analysis as report
 
 
 @cache

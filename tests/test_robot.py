@@ -20,7 +20,7 @@ from conftest import (
 )
 
 import pupper_analysis as pa
-from pupper_analysis.robot import on_ground
+from pupper_analysis.robot.terrain import on_ground
 
 
 def write(folder: Path, urdf: str = TINY_URDF, mjcf: str = TINY_MJCF) -> Files:

@@ -8,12 +8,12 @@ import pytest
 from conftest import NAMES, SKELETON_NAMES, changed, load, mujoco_at, stand_of
 
 import pupper_analysis as pa
-from pupper_analysis import settle
-from pupper_analysis.equilibrium import Equilibrium, Feet, move
-from pupper_analysis.ground import GroundLaw
-from pupper_analysis.settle import least_kp, settled_pose
-from pupper_analysis.simulation import servos
-from pupper_analysis.way import Way
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.stance.sag import steady_state as settle
+from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet, move
+from pupper_analysis.stance.sag.steady_state import least_kp, settled_pose
+from pupper_analysis.stance.sag.way import Way
 
 LASTING = 1e-4
 """With less height drift than this, 5 s of creep change the height by less than 0.5 mm (m/s)."""

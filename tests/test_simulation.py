@@ -10,7 +10,8 @@ import pytest
 from conftest import NAMES, SKELETON_NAMES, addresses, load, mujoco_at, stand_of
 
 import pupper_analysis as pa
-from pupper_analysis.simulation import INTEGRATORS, place_on_ground, servos
+from pupper_analysis.robot.servos import INTEGRATORS, servos
+from pupper_analysis.simulation.rollout import place_on_ground
 
 GRAVITY = 9.81
 SERVOS = {"v3": (5.0, 0.1), "skeleton": (60.0, 1.0)}

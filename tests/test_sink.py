@@ -6,10 +6,11 @@ from conftest import NAMES, load
 from scipy.interpolate import make_interp_spline
 
 import pupper_analysis as pa
-from pupper_analysis.ground import GroundLaw
-from pupper_analysis.simulation import FORCE_TOLERANCE
-from pupper_analysis.sink import depths_of, sunk_stand
-from pupper_analysis.stand import stand_statics
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.simulation.verify import FORCE_TOLERANCE
+from pupper_analysis.stance.path.sinking import depths_of
+from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.stance.sunk import sunk_stand
 
 TASKS = {
     "nominal": pa.StandTask(),

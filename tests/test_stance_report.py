@@ -11,15 +11,8 @@ from conftest import check_refusal, run_command
 from matplotlib.image import imread
 from rich.console import Console
 
-from pupper_analysis import (
-    Ground,
-    StandTask,
-    VariantSpec,
-    load_variant,
-    solve_stand,
-    stance_report,
-    write_variant,
-)
+from pupper_analysis import Ground, StandTask, VariantSpec, load_variant, solve_stand, write_variant
+from pupper_analysis.report import stance as stance_report
 
 
 def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -90,7 +83,7 @@ def test_envelope_and_offset(capfd: pytest.CaptureFixture[str], tmp_path: Path) 
 def test_failure_in_simulation_is_exit_status_1(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from pupper_analysis import simulation
+    from pupper_analysis.simulation import verify as simulation
 
     monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)
     status, out, _ = run_command(capfd, "stand", "original")

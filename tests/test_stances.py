@@ -12,8 +12,8 @@ import pytest
 from conftest import NAMES, SKELETON_NAMES, load
 
 import pupper_analysis as pa
-from pupper_analysis.robot import on_ground
-from pupper_analysis.stand import stand_statics
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.stand import stand_statics
 
 TASKS = {
     "offset": pa.StandTask(offset=(0.012, -0.008)),

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy import linalg, optimize
 
 import pupper_analysis as pa
-from pupper_analysis.ground import GroundLaw
-from pupper_analysis.statics import com_margin
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.statics.support_polygon import com_margin
 
 GRAVITY = 9.81  # [m/s^2]
 UP = np.array([0.0, 0.0, 1.0])

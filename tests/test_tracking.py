@@ -8,8 +8,8 @@ from conftest import load
 from test_path import SECONDS, path_of, stances
 
 import pupper_analysis as pa
-from pupper_analysis.path import stance_path
-from pupper_analysis.tracking import track_path
+from pupper_analysis.simulation.tracking import track_path
+from pupper_analysis.stance.path.stance_path import stance_path
 
 # What MuJoCo makes of them, with a margin of about a half: joint (rad), height (m), base (rad).
 # v3's servos are soft (5 N m/rad), and a foot that rolls has no grip left: it creeps.

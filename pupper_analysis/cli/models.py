@@ -89,9 +89,12 @@ def crosscheck(
     \b
     Exit status: 0 they agree within the tolerances, 1 they differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis import comparison_report, formats, matching, report
-    from pupper_analysis.comparison import compare_models
-    from pupper_analysis.explain import Tolerances
+    from pupper_analysis.checks import matching
+    from pupper_analysis.checks.attribution import Tolerances
+    from pupper_analysis.checks.compare import compare_models
+    from pupper_analysis.report import comparison as comparison_report
+    from pupper_analysis.report import formats
+    from pupper_analysis.report.console import console
 
     names = matching.read_mapping(map_file) if map_file is not None else {}
     for text in pairs:
@@ -115,7 +118,7 @@ def crosscheck(
         strict_names=strict,
     )
     if style == "text":
-        comparison_report.print_models(report.console(), comparison, everything=everything)
+        comparison_report.print_models(console(), comparison, everything=everything)
     elif style == "github":
         click.echo(formats.github(comparison_report.remarks(comparison)))
     else:
@@ -168,11 +171,13 @@ def audit_command(
     \b
     Exit status: 0 nothing as bad as --fail-on was found, 1 something was, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis import audit_report, formats, report
-    from pupper_analysis.audit import audit_model
+    from pupper_analysis.checks.audit import audit_model
+    from pupper_analysis.report import audit as audit_report
+    from pupper_analysis.report import formats
+    from pupper_analysis.report.console import console
 
     if list_rules:
-        audit_report.print_rules(report.console())
+        audit_report.print_rules(console())
         return
     if file is None:
         raise ConfigurationError("FILE", "give the URDF or MJCF to audit")
@@ -180,7 +185,7 @@ def audit_command(
     check_outputs(json_path)
     result = audit_model(file, packages=folders, disabled=disabled)
     if style == "text":
-        audit_report.print_audit(report.console(), result)
+        audit_report.print_audit(console(), result)
     elif style == "github":
         click.echo(formats.github(audit_report.remarks(result)))
     else:

@@ -23,7 +23,7 @@ from pupper_analysis.cli.shared import (
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from pupper_analysis.robot import Robot
+    from pupper_analysis.robot.robot import Robot
 
 
 @click.command(context_settings=CONTEXT, short_help="Solve a stance: its cost, and if it holds.")
@@ -129,9 +129,12 @@ def stand(
     Exit status: 0 it holds (and is reached along the path), 1 it fails in simulation,
     2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis import report, stance_report
-    from pupper_analysis.best import Objective
-    from pupper_analysis.task import Ground, StandTask
+    from pupper_analysis.analysis.stance import study
+    from pupper_analysis.report import stance as stance_report
+    from pupper_analysis.report.console import console
+    from pupper_analysis.robot.ground import Ground
+    from pupper_analysis.stance.optimize.best import Objective
+    from pupper_analysis.stance.task import StandTask
 
     task = StandTask(
         height=height,
@@ -153,7 +156,7 @@ def stand(
     x, y, z = point("payload-at", payload_at, 3)
     check_outputs(figure, envelope_figure, csv, npz, json_path)
     robot = _robot(name, urdf, mjcf, feet)
-    result = stance_report.study(
+    result = study(
         robot,
         task,
         kp=kp,
@@ -165,13 +168,13 @@ def stand(
         seconds=seconds,
         push=pushed,
     )
-    stance_report.print_stance(report.console(), result)
+    stance_report.print_stance(console(), result)
     if figure is not None:
-        from pupper_analysis import figures
+        from pupper_analysis.report import figures
 
         figures.pose_figure(robot, result.stand, result.statics, figure)
     if envelope_figure is not None and result.envelope is not None:
-        from pupper_analysis import envelope_figure as drawing
+        from pupper_analysis.report import workspace_figure as drawing
 
         drawing.envelope_figure(robot, result.envelope, envelope_figure)
     if csv is not None and result.path is not None:
@@ -190,7 +193,8 @@ def _place(option: str, text: str) -> tuple[float, float]:
 
 def _robot(name: str | None, urdf: Path | None, mjcf: Path | None, feet: tuple[str, ...]) -> Robot:
     """Returns the variant of that name, or the robot of the two files."""
-    from pupper_analysis.robot import load_robot, load_variant
+    from pupper_analysis.pupper.load import load_variant
+    from pupper_analysis.robot.build import load_robot
 
     if urdf is None and mjcf is None and not feet:
         return load_variant(name or "v3")
@@ -234,12 +238,13 @@ def push(
     \b
     Exit status: 0 done, 1 a stand does not last even unpushed, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis import push_report, report
-    from pupper_analysis.push import push_recovery
-    from pupper_analysis.robot import load_variant
-    from pupper_analysis.stand import solve_stand
-    from pupper_analysis.task import StandTask
-    from pupper_analysis.variants import VARIANTS
+    from pupper_analysis.pupper.load import load_variant
+    from pupper_analysis.pupper.variants import VARIANTS
+    from pupper_analysis.report import push as push_report
+    from pupper_analysis.report.console import console
+    from pupper_analysis.simulation.push import push_recovery
+    from pupper_analysis.stance.stand import solve_stand
+    from pupper_analysis.stance.task import StandTask
 
     check_outputs(figure, json_path)
     robots = [load_variant(name) for name in dict.fromkeys(names or VARIANTS)]
@@ -248,9 +253,9 @@ def push(
         robot.name: push_recovery(robot, stand, directions=directions, resolution=resolution)
         for robot, stand in zip(robots, stands, strict=True)
     }
-    push_report.print_pushes(report.console(), results)
+    push_report.print_pushes(console(), results)
     if figure is not None:
-        from pupper_analysis.push_figure import push_figure
+        from pupper_analysis.report.push_figure import push_figure
 
         push_figure(results, figure)
     write_json(json_path, results)

@@ -10,9 +10,9 @@ import click
 from pupper_analysis.cli.shared import CONTEXT, FAILED, check_outputs, json_option, write_json
 
 if TYPE_CHECKING:
-    from pupper_analysis.analysis import Analysis
-    from pupper_analysis.robot import Robot
-    from pupper_analysis.variants import VariantSpec
+    from pupper_analysis.analysis.robot import Analysis
+    from pupper_analysis.pupper.variants import VariantSpec
+    from pupper_analysis.robot.robot import Robot
 
 
 @click.command(
@@ -78,8 +78,8 @@ def analyze(
     Exit status: 0 all verified, 1 something failed verification or the cross-check,
     2 bad input (an unknown name, a scale that is no scale, a stance out of reach).
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.description import write_variant
-    from pupper_analysis.variants import VARIANTS, VariantSpec, variant_spec
+    from pupper_analysis.pupper.variant_files import write_variant
+    from pupper_analysis.pupper.variants import VARIANTS, VariantSpec, variant_spec
 
     specs = [variant_spec(name) for name in dict.fromkeys(names)]
     if base is not None or leg_scale is not None or torso_mass_scale is not None:
@@ -109,21 +109,22 @@ def _analyze_all(
     specs: list[VariantSpec], height: float | None, roll: float, pitch: float, yaw: float
 ) -> tuple[list[Analysis], list[Robot]]:
     """Analyses the variants and prints each as it is done."""
-    from pupper_analysis import report
-    from pupper_analysis.analysis import analyze_variant
-    from pupper_analysis.robot import load_variant
-    from pupper_analysis.stand import solve_stand
-    from pupper_analysis.task import StandTask
+    from pupper_analysis.analysis.robot import analyze_variant
+    from pupper_analysis.pupper.load import load_variant
+    from pupper_analysis.report.analysis import print_analysis
+    from pupper_analysis.report.console import console
+    from pupper_analysis.stance.stand import solve_stand
+    from pupper_analysis.stance.task import StandTask
 
     task = StandTask(height=height, roll=roll, pitch=pitch, yaw=yaw)
     robots = [load_variant(spec) for spec in specs]
     for robot in robots:  # a stance out of reach is found before anything is printed
         solve_stand(robot, task)
-    out = report.console()
+    out = console()
     analyses = []
     for robot in robots:
         analyses.append(analyze_variant(robot, task, progress=out.is_terminal))
-        report.print_analysis(out, analyses[-1])
+        print_analysis(out, analyses[-1])
     return analyses, robots
 
 
@@ -135,23 +136,24 @@ def _finish(
     json_path: Path | None,
 ) -> None:
     """Compares the variants, and writes figures and JSON."""
-    from pupper_analysis import report
-    from pupper_analysis.analysis import leg_lengths, thigh_shape_length
-    from pupper_analysis.robot import load_variant
-    from pupper_analysis.variants import VariantSpec
+    from pupper_analysis.analysis.robot import leg_lengths, thigh_shape_length
+    from pupper_analysis.pupper import comparison
+    from pupper_analysis.pupper.load import load_variant
+    from pupper_analysis.pupper.variants import VariantSpec
+    from pupper_analysis.report.console import console
 
     references = {}
     for name in {spec.base for spec in specs}:
         robot = load_variant(VariantSpec(base=name))
-        references[name] = report.Reference(
+        references[name] = comparison.Reference(
             robot.total_mass, leg_lengths(robot)[0], thigh_shape_length(robot)
         )
     rows = [
-        report.compare(analysis, spec.base, references[spec.base])
+        comparison.compare(analysis, spec.base, references[spec.base])
         for spec, analysis in zip(specs, analyses, strict=True)
     ]
-    out = report.console()
-    report.print_comparison(out, rows)
+    out = console()
+    comparison.print_comparison(out, rows)
     if folder is not None:
         for line in _draw(robots, analyses, folder):
             out.print(line)
@@ -168,7 +170,7 @@ def _finish(
 
 def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> list[str]:
     """Writes all figures; returns what to say of them."""
-    from pupper_analysis import figures, render
+    from pupper_analysis.report import figures, render
 
     for robot, analysis in zip(robots, analyses, strict=True):
         path = folder / f"pose_{analysis.name}.png"
@@ -187,7 +189,8 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> list[s
 
 
 def _print_list(specs: list[VariantSpec]) -> None:
-    from pupper_analysis import report
-    from pupper_analysis.robot import load_variant
+    from pupper_analysis.pupper import comparison
+    from pupper_analysis.pupper.load import load_variant
+    from pupper_analysis.report.console import console
 
-    report.print_variants(report.console(), [(spec, load_variant(spec)) for spec in specs])
+    comparison.print_variants(console(), [(spec, load_variant(spec)) for spec in specs])

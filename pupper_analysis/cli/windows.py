@@ -15,7 +15,7 @@ from pupper_analysis.errors import ConfigurationError
 @click.option("--headless", is_flag=True, help="Open no window: print the model and its IMU.")
 def view(fixed: bool, headless: bool) -> None:
     """Show Pupper v3 in MuJoCo's viewer (on macOS, run this with mjpython)."""
-    from pupper_analysis import viewer
+    from pupper_analysis.pupper import viewer
 
     viewer.view(fixed=fixed, headless=headless)
 
@@ -37,14 +37,14 @@ def drop(headless: bool, seconds: float | None, demo: str | None, csv: Path | No
     if demo is None:
         if csv is not None:
             raise ConfigurationError("--csv", "only a demo has a path to write; give --demo too")
-        from pupper_analysis import viewer
+        from pupper_analysis.pupper import viewer
 
         seconds = viewer.DEFAULT_SECONDS if seconds is None else seconds
         good = viewer.stand(headless=headless, seconds=seconds)
     else:
         if seconds is not None:
             raise ConfigurationError("--seconds", "a demo has its own duration")
-        from pupper_analysis import demo as demos
+        from pupper_analysis.pupper import demo as demos
 
         check_outputs(csv)
         good = demos.demo(demo, headless=headless, csv=csv)

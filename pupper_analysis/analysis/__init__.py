@@ -1,0 +1,1 @@
+"""All that is found out about one robot, or one of its stances."""

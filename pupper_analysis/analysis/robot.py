@@ -1,0 +1,297 @@
+"""One variant from its two model files to a verified stand: all results in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.checks.engines import CrossCheck, cross_check
+from pupper_analysis.results import Result
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
+from pupper_analysis.simulation.verify import StandVerification, verify_stand
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.equilibrium import (
+    GravityCompensation,
+    LoadSharing,
+    gravity_compensation,
+)
+
+Array = NDArray[np.float64]
+
+SECONDS = 12.0
+"""Simulated time: without feed-forward a robot on soft servos sinks slowly."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointSummary(Result):
+    """What a joint does, and what it can.
+
+    Attributes:
+        name: Its name, in both files.
+        motion: ``roll``, ``pitch`` or ``yaw``, as far as the axis is within 1 degree of x, y or z
+            of the base at zero angles; otherwise ``oblique``.
+        axis: (3,) its axis in the base frame at zero angles.
+        lower: rad.
+        upper: rad.
+        effort: N m.
+        velocity: rad/s.
+        armature: Of the MJCF (kg m^2).
+        damping: N m s/rad.
+        friction: N m.
+    """
+
+    name: str
+    motion: str
+    axis: Array
+    lower: float
+    upper: float
+    effort: float
+    velocity: float
+    armature: float
+    damping: float
+    friction: float
+
+
+@dataclass(frozen=True, eq=False)
+class FootJacobian(Result):
+    """The Jacobian of a foot with respect to the joints of its leg.
+
+    Attributes:
+        joints: The leg's joints.
+        matrix: (3, n) in world axes: velocity of the foot's centre per joint velocity (m/rad).
+        singular_values: (3,) (m/rad).
+        condition: Their ratio, greatest to least: 1 is isotropic, infinity singular.
+    """
+
+    joints: tuple[str, ...]
+    matrix: Array
+    singular_values: Array
+    condition: float
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis(Result):
+    """All that is found out about one robot.
+
+    Attributes:
+        name: The robot's name.
+        nq: Size of qpos.
+        nv: Size of qvel.
+        nu: Number of motors.
+        total_mass: kg.
+        link_masses: {base or joint: mass of the body it moves (kg)}, fixed links included.
+        center_of_mass: (3,) at zero angles in the base frame (m).
+        thigh_length: Distance from the knee's parent joint to the knee, first leg (m).
+        thigh_shape_length: Length of the shape that spans the first leg's thigh in the MJCF: of its
+            capsule between the hemispheres' centres, or else of its mesh along the thigh (m); None
+            where there is neither.
+        calf_length: Distance from the knee to the foot in the plane of the leg, first leg (m).
+        joints: Per joint, in actuator order.
+        notes: What was assumed on loading.
+        stand: The solved stand.
+        statics: Torques and contact forces of the stand: those that last.
+        least_peak: The same of least peak motor utilisation.
+        hanging_torques: (nu,) what the motors hold in the same pose with the base held (N m).
+        foot_jacobians: Per foot.
+        verification: The simulated stand, with feed-forward.
+        sagging: The simulated stand, without.
+        sweep: The gain sweep.
+        check: The cross-check of the two models.
+        verified: Whether verification and cross-check passed.
+        failures: If not, why.
+    """
+
+    name: str
+    nq: int
+    nv: int
+    nu: int
+    total_mass: float
+    link_masses: dict[str, float]
+    center_of_mass: Array
+    thigh_length: float
+    thigh_shape_length: float | None
+    calf_length: float
+    joints: tuple[JointSummary, ...]
+    notes: tuple[str, ...]
+    stand: Stand
+    statics: GravityCompensation
+    least_peak: GravityCompensation
+    hanging_torques: Array
+    foot_jacobians: dict[str, FootJacobian]
+    verification: StandVerification
+    sagging: StandVerification
+    sweep: GainSweep
+    check: CrossCheck
+    verified: bool
+    failures: tuple[str, ...]
+
+
+def analyze_variant(
+    robot: Robot, task: StandTask | None = None, *, progress: bool = False
+) -> Analysis:
+    """Takes a robot through all that the package finds out about it.
+
+    Args:
+        robot: A robot with a floating base.
+        task: How it shall stand; the nominal stand by default.
+        progress: Show a progress bar for what takes longer than a second.
+
+    Returns:
+        All results; ``verified`` is the verdict.
+
+    Raises:
+        StanceUnreachableError: If the stand is out of reach.
+        StaticsInfeasibleError: If no contact forces balance it.
+        ConfigurationError: If the base is fixed.
+        ModelError: If a motor is no position servo, or MuJoCo cannot import the URDF.
+    """
+    stand = solve_stand(robot, task)
+    config = Configuration(robot, stand.qpos)
+    rest = Configuration(robot, robot.neutral())
+    verification = verify_stand(robot, stand, duration=SECONDS)
+    check = cross_check(robot)
+    failures = list(verification.failures)
+    failures += [
+        f"cross-check: {quantity.name} deviate by {quantity.relative:.1e} ({quantity.whose}; "
+        f"{quantity.where})"
+        for quantity in check.quantities
+        if not quantity.passed
+    ]
+    thigh, calf = leg_lengths(robot)
+    return Analysis(
+        name=robot.name,
+        nq=robot.nq,
+        nv=robot.nv,
+        nu=robot.nu,
+        total_mass=robot.total_mass,
+        link_masses=_link_masses(robot),
+        center_of_mass=rest.center_of_mass(),
+        thigh_length=thigh,
+        thigh_shape_length=thigh_shape_length(robot),
+        calf_length=calf,
+        joints=joint_summaries(robot),
+        notes=robot.notes,
+        stand=stand,
+        statics=stand_statics(robot, stand),
+        least_peak=stand_statics(robot, stand, sharing=LoadSharing.LEAST_PEAK),
+        hanging_torques=gravity_compensation(config, contacts=[]).joint_torques,
+        foot_jacobians=leg_jacobians(config),
+        verification=verification,
+        sagging=verify_stand(robot, stand, feedforward=False, duration=SECONDS),
+        sweep=sweep_gains(robot, stand, progress=progress),
+        check=check,
+        verified=not failures,
+        failures=tuple(failures),
+    )
+
+
+def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
+    """Tells of each joint what it does and what it can, in actuator order."""
+    rest = Configuration(robot, robot.neutral())
+    model, v = robot.pin_model, robot.pin_convention.v_index
+    summaries = []
+    for index, name in enumerate(robot.joint_names):
+        axis = rest.joint_axis(name)
+        direction = int(np.argmax(np.abs(axis)))
+        aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
+        summaries.append(
+            JointSummary(
+                name=name,
+                motion=("roll", "pitch", "yaw")[direction] if aligned else "oblique",
+                axis=axis,
+                lower=float(robot.lower_limits[index]),
+                upper=float(robot.upper_limits[index]),
+                effort=float(model.effortLimit[v[index]]),
+                velocity=float(model.velocityLimit[v[index]]),
+                armature=float(model.armature[v[index]]),
+                damping=float(model.damping[v[index]]),
+                friction=float(model.friction[v[index]]),
+            )
+        )
+    return tuple(summaries)
+
+
+def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
+    """Returns the joints that move a foot against the base, from the base outwards.
+
+    Raises:
+        UnknownNameError: If the foot is unknown.
+    """
+    model = robot.pin_model
+    frame = model.frames[
+        model.getFrameId(robot.foot_frames[robot.check_foot(foot)], pin.FrameType.BODY)
+    ]
+    support = [model.names[joint] for joint in model.supports[frame.parentJoint]]
+    return tuple(name for name in support if name in robot.joint_names)
+
+
+def leg_lengths(robot: Robot) -> tuple[float, float]:
+    """Returns the lengths of the first leg's thigh and calf (m).
+
+    The thigh reaches from the last joint but one to the knee; the calf from the knee to the foot,
+    in the plane of the leg (without the foot's sideways offset along the knee's axis).
+    """
+    foot = robot.feet[0]
+    rest = Configuration(robot, robot.neutral())
+    hip, knee = leg_joints(robot, foot)[-2:]
+    calf = rest.foot_positions()[foot] - rest.joint_position(knee)
+    axis = rest.joint_axis(knee)
+    thigh = rest.joint_position(knee) - rest.joint_position(hip)
+    return float(np.linalg.norm(thigh)), float(np.linalg.norm(calf - (calf @ axis) * axis))
+
+
+def thigh_shape_length(robot: Robot) -> float | None:
+    """Returns the length of the shape that spans the first leg's thigh, in the MJCF (m).
+
+    It is that of its capsule between the hemispheres' centres, or else that of its mesh along the
+    thigh; None where there is neither.
+    """
+    model = robot.mj_model
+    hip, knee = leg_joints(robot, robot.feet[0])[-2:]
+    thigh = int(model.jnt_bodyid[model.joint(hip).id])
+    along = model.body_pos[int(model.jnt_bodyid[model.joint(knee).id])]
+    along = along / np.linalg.norm(along)
+    meshes = []
+    for geom in np.flatnonzero(model.geom_bodyid == thigh):
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE.value:
+            return float(2 * model.geom_size[geom, 1])
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value:
+            mesh = int(model.geom_dataid[geom])
+            first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+            rotation = rotation_from_quaternion(model.geom_quat[geom])
+            meshes.append(np.ptp(model.mesh_vert[first : first + count] @ rotation.T @ along))
+    return float(max(meshes)) if meshes else None
+
+
+def leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
+    """Returns each foot's Jacobian with respect to its leg's joints, and how well conditioned."""
+    robot = config.robot
+    jacobians = {}
+    for foot, full in config.foot_jacobians().items():
+        joints = leg_joints(robot, foot)
+        columns = [robot.nv - robot.nu + robot.joint_names.index(name) for name in joints]
+        values = np.asarray(np.linalg.svd(full[:, columns], compute_uv=False), float)
+        jacobians[foot] = FootJacobian(
+            joints=joints,
+            matrix=full[:, columns],
+            singular_values=values,
+            condition=float(values[0] / values[-1]) if values[-1] > 0 else float("inf"),
+        )
+    return jacobians
+
+
+def _link_masses(robot: Robot) -> dict[str, float]:
+    model = robot.pin_model
+    root = 1 if robot.floating else 0
+    masses = {robot.base: float(model.inertias[root].mass)}
+    for name in robot.joint_names:
+        masses[name] = float(model.inertias[model.getJointId(name)].mass)
+    return masses

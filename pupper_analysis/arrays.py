@@ -1,0 +1,16 @@
+"""Arrays that mean something in space."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def rotation_from_quaternion(quaternion: Array) -> Array:
+    """Returns the (3, 3) rotation matrix of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion
+    rotation: Array = pin.Quaternion(w, x, y, z).toRotationMatrix()
+    return rotation

@@ -1,0 +1,1 @@
+"""Are the model files right, and if not, why not."""

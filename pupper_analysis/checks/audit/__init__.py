@@ -1,0 +1,93 @@
+"""Audits one model file: what is physically or practically wrong in it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from pupper_analysis.checks.audit import rules as _rules  # noqa: F401  (registers the rules)
+from pupper_analysis.checks.audit.from_mjcf import mjcf_view
+from pupper_analysis.checks.audit.from_urdf import urdf_view
+from pupper_analysis.checks.audit.registry import CHECKS, RULES, Found, Rule
+from pupper_analysis.checks.audit.result import Audit, Finding, Severity
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.models.loading import MjcfFile, Place, UrdfFile, quiet, read_model
+
+__all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
+
+
+def audit_model(
+    path: str | Path,
+    *,
+    packages: Mapping[str, Path] | None = None,
+    disabled: Iterable[str] = (),
+) -> Audit:
+    """Finds what is physically or practically wrong in a URDF or an MJCF.
+
+    Args:
+        path: The file.
+        packages: Folders of packages, for a URDF's ``package://``.
+        disabled: The ids of rules that shall not be run.
+
+    Raises:
+        ModelError: If the file cannot be read.
+        ConfigurationError: If a rule in ``disabled`` is unknown.
+    """
+    if isinstance(disabled, str):
+        disabled = (disabled,)
+    unwanted = tuple(dict.fromkeys(disabled))
+    unknown = [name for name in unwanted if name not in RULES]
+    if unknown:
+        raise ConfigurationError(
+            "disabled", f"no rule {', '.join(map(repr, unknown))}; there are: {', '.join(RULES)}"
+        )
+    file = read_model(path, packages)
+    with warnings.catch_warnings(), np.errstate(all="ignore"), quiet():
+        warnings.simplefilter("ignore")  # MuJoCo's, about models that the rules are about
+        return _audited(str(path), file, unwanted)
+
+
+def _audited(path: str, file: UrdfFile | MjcfFile, unwanted: tuple[str, ...]) -> Audit:
+    view = urdf_view(file) if isinstance(file, UrdfFile) else mjcf_view(file)
+    findings, run = [], []
+    for rule in RULES.values():
+        if view.format not in rule.formats or rule.id in unwanted:
+            continue
+        run.append(rule.id)
+        findings += [_finding(file, rule, found) for found in CHECKS[rule.id](view)]
+    findings.sort(key=lambda finding: (finding.severity.rank, finding.file, finding.line or 0))
+    counts = {
+        str(severity): sum(finding.severity == severity for finding in findings)
+        for severity in Severity
+    }
+    return Audit(
+        file=path,
+        format=view.format,
+        passed=counts[Severity.ERROR] == 0,
+        counts=counts,
+        findings=tuple(findings),
+        rules_run=tuple(run),
+        disabled=unwanted,
+        notes=view.notes,
+    )
+
+
+def _finding(file: UrdfFile | MjcfFile, rule: Rule, found: Found) -> Finding:
+    place = found.place
+    if place is None and found.name:
+        place = file.place(found.kind, found.name.strip("()"), found.child)
+    if place is None:
+        place = Place(file.path)
+    return Finding(
+        rule=rule.id,
+        severity=found.severity or rule.severity,
+        file=str(place.file),
+        line=place.line,
+        element=f"{found.kind} {found.name!r}" if found.name else found.kind,
+        message=found.message,
+        why=rule.why,
+        todo=rule.todo,
+    )

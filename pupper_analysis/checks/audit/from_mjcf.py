@@ -1,0 +1,231 @@
+"""The neutral view of an MJCF, built from MuJoCo's spec and from what MuJoCo compiles it to.
+
+A file that MuJoCo refuses to compile is repaired in a copy, so that the rest can be audited; what
+was wrong is still seen in the spec, which holds the values as they are written.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.checks.audit.from_urdf import half_digit
+from pupper_analysis.checks.audit.geometry import hull_points
+from pupper_analysis.checks.audit.pose import Array, Pose
+from pupper_analysis.checks.audit.repair import full_matrix, repaired, switched_off_ranges
+from pupper_analysis.checks.audit.view import (
+    BALL,
+    FREE,
+    HINGE,
+    SLIDE,
+    Body,
+    Frame,
+    Inertial,
+    Joint,
+    MjcfView,
+    Shape,
+)
+from pupper_analysis.models.conversion import effort_limit
+from pupper_analysis.models.loading import MjcfFile, Place
+
+_KINDS = {
+    mujoco.mjtJoint.mjJNT_FREE.value: FREE,
+    mujoco.mjtJoint.mjJNT_BALL.value: BALL,
+    mujoco.mjtJoint.mjJNT_SLIDE.value: SLIDE,
+    mujoco.mjtJoint.mjJNT_HINGE.value: HINGE,
+}
+
+
+def mjcf_view(file: MjcfFile) -> MjcfView:
+    """Returns the neutral view of an MJCF; empty if MuJoCo refuses even a repaired copy."""
+    notes, refusal = list(file.notes), file.refusal
+    if refusal is None:
+        spec = file.spec.copy()
+        model = spec.compile()  # numbers the elements of this spec
+    else:
+        spec, model = repaired(file.spec)
+    if model is None:
+        notes.append("MuJoCo compiles the file not even after repair: only its text is audited")
+        return MjcfView("mjcf", "body", "", {}, tuple(notes), file, None, refusal, ())
+    if refusal:
+        notes.append(
+            "MuJoCo refuses the file as it is: what it would compute is of a repaired copy"
+        )
+    names = body_names(model)
+    base = _base(model)
+    data = mujoco.MjData(model)
+    data.qpos[:] = zero_configuration(model)
+    mujoco.mj_kinematics(model, data)
+    to_base = _world_pose(data, base).inverse()
+    stated = {
+        copied.id: original
+        for original, copied in zip(file.spec.bodies, spec.bodies, strict=True)
+        if original.explicitinertial and file.spec.compiler.inertiafromgeom != 1
+    }
+    raw_axes = {
+        copied.id: np.array(original.axis)
+        for original, copied in zip(file.spec.joints, spec.joints, strict=True)
+    }
+    ranges = switched_off_ranges(file.spec, spec)
+    frames: dict[int, list[Frame]] = {}
+    for site in range(model.nsite):
+        frame = Frame(model.site(site).name, np.array(model.site_pos[site]))
+        frames.setdefault(int(model.site_bodyid[site]), []).append(frame)
+    bodies = {}
+    for body in range(1, model.nbody):
+        parent = int(model.body_parentid[body])
+        pose = to_base * _world_pose(data, body)
+        bodies[names[body]] = Body(
+            name=names[body],
+            parent=names[parent] if parent else None,
+            pose=pose,
+            joints=tuple(
+                _joint(model, data, joint, names, to_base, raw_axes, ranges)
+                for joint in _range(model.body_jntadr[body], model.body_jntnum[body])
+            ),
+            inertial=_inertial(model, body, stated.get(body)),
+            shapes=tuple(
+                _shape(model, geom)
+                for geom in _range(model.body_geomadr[body], model.body_geomnum[body])
+            ),
+            frames=tuple(frames.get(body, ())),
+        )
+    return MjcfView(
+        "mjcf", "body", names[base], bodies, tuple(notes), file, model, refusal, tuple(names)
+    )
+
+
+def body_names(model: mujoco.MjModel) -> list[str]:
+    """Returns the name of each body; one without is called after its place in the order, #3."""
+    return [model.body(body).name or f"#{body}" for body in range(model.nbody)]
+
+
+def joint_name(model: mujoco.MjModel, joint: int) -> str:
+    """Returns a joint's name; one without is called after its body: ``(FL_calf)``."""
+    body = int(model.jnt_bodyid[joint])
+    return str(model.joint(joint).name) or f"({model.body(body).name or f'#{body}'})"
+
+
+def line_of(file: MjcfFile, element: object, body: str) -> Place:
+    """Returns the place of an element without a name: MuJoCo's parser notes lines of the main file.
+
+    Args:
+        file: The file.
+        element: Of the spec.
+        body: A named body around it; its place is returned where there is no such line.
+    """
+    found = re.search(r"line ([1-9]\d*)", getattr(element, "info", ""))
+    around = file.place("body", body)
+    return Place(around.file, int(found[1])) if found else around
+
+
+def zero_configuration(model: mujoco.MjModel) -> Array:
+    """Returns the qpos (nq,) in which all angles are zero; free and ball joints as they start."""
+    qpos = np.array(model.qpos0)
+    for joint in range(model.njnt):
+        if _KINDS[int(model.jnt_type[joint])] in (HINGE, SLIDE):
+            qpos[model.jnt_qposadr[joint]] = 0.0
+    return qpos
+
+
+def _base(model: mujoco.MjModel) -> int:
+    """Returns the root of the heaviest tree, one with a free joint first; 0 without any body."""
+    best, best_score = 0, (-1, -1.0)
+    for body in range(1, model.nbody):
+        first = int(model.body_jntadr[body])
+        if int(model.body_parentid[body]) != 0:
+            continue
+        free = first >= 0 and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE.value
+        in_tree = int(np.sum((model.body_rootid == body) & (model.body_jntnum > 0)))
+        score = (int(bool(free) and in_tree > 1), float(model.body_subtreemass[body]))
+        if score > best_score:
+            best, best_score = body, score
+    return best
+
+
+def _range(first: int, count: int) -> range:
+    return range(int(first), int(first) + int(count))
+
+
+def _world_pose(data: mujoco.MjData, body: int) -> Pose:
+    return Pose(data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy())
+
+
+def _joint(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    joint: int,
+    names: list[str],
+    to_base: Pose,
+    raw_axes: dict[int, Array],
+    ranges: dict[int, tuple[float, float]],
+) -> Joint:
+    body = int(model.jnt_bodyid[joint])
+    kind = _KINDS[int(model.jnt_type[joint])]
+    limited = bool(model.jnt_limited[joint]) and kind in (HINGE, SLIDE)
+    lower, upper = model.jnt_range[joint] if limited else (-math.inf, math.inf)
+    if joint in ranges:
+        lower, upper = ranges[joint]
+    return Joint(
+        name=joint_name(model, joint),
+        kind=kind,
+        parent=names[int(model.body_parentid[body])],
+        child=names[body],
+        position=to_base.point(data.xanchor[joint]),
+        axis=to_base.rotation @ data.xaxis[joint] if kind in (HINGE, SLIDE) else np.zeros(3),
+        raw_axis=raw_axes.get(joint, np.array(model.jnt_axis[joint])),
+        lower=float(lower),
+        upper=float(upper),
+        effort=effort_limit(model, joint),
+    )
+
+
+def _inertial(model: mujoco.MjModel, body: int, stated: mujoco.MjsBody | None) -> Inertial | None:
+    axes = rotation_from_quaternion(model.body_iquat[body])
+    if stated is not None:
+        full = np.array(stated.fullinertia)
+        written = np.array(stated.inertia) if math.isnan(full[0]) else full
+        tensor = axes @ np.diag(written) @ axes.T if math.isnan(full[0]) else full_matrix(written)
+        rounding = max(half_digit(repr(float(value))) for value in written)
+        return Inertial(float(stated.mass), np.array(stated.ipos), tensor, True, rounding)
+    if model.body_mass[body] == 0:
+        return None
+    tensor = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    return Inertial(float(model.body_mass[body]), np.array(model.body_ipos[body]), tensor, False)
+
+
+_SHAPES = {
+    mujoco.mjtGeom.mjGEOM_SPHERE.value: ("sphere", 1),
+    mujoco.mjtGeom.mjGEOM_BOX.value: ("box", 3),
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID.value: ("ellipsoid", 3),
+    mujoco.mjtGeom.mjGEOM_CYLINDER.value: ("cylinder", 2),
+    mujoco.mjtGeom.mjGEOM_CAPSULE.value: ("capsule", 2),
+    mujoco.mjtGeom.mjGEOM_MESH.value: ("mesh", 0),
+}
+
+
+def _shape(model: mujoco.MjModel, geom: int) -> Shape:
+    kind, count = _SHAPES.get(int(model.geom_type[geom]), ("other", 0))
+    pose = Pose(np.array(model.geom_pos[geom]), rotation_from_quaternion(model.geom_quat[geom]))
+    return Shape(
+        name=model.geom(geom).name,
+        kind=kind,
+        pose=pose,
+        size=tuple(float(value) for value in model.geom_size[geom][:count]),
+        collides=bool(model.geom_contype[geom] or model.geom_conaffinity[geom]),
+        vertices=_vertices(model, int(model.geom_dataid[geom])) if kind == "mesh" else lambda: None,
+    )
+
+
+def _vertices(model: mujoco.MjModel, mesh: int) -> Callable[[], Array | None]:
+    def vertices() -> Array | None:
+        start = int(model.mesh_vertadr[mesh])
+        count = int(model.mesh_vertnum[mesh])
+        return hull_points(np.array(model.mesh_vert[start : start + count], dtype=float))
+
+    return vertices

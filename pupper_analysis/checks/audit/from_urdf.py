@@ -1,0 +1,176 @@
+"""The neutral view of a URDF, built from its XML."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from decimal import Decimal, InvalidOperation
+
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+
+from pupper_analysis.checks.audit.geometry import mesh_vertices
+from pupper_analysis.checks.audit.pose import Array, Pose
+from pupper_analysis.checks.audit.view import (
+    FIXED,
+    FREE,
+    HINGE,
+    SLIDE,
+    Body,
+    Inertial,
+    Joint,
+    Shape,
+    UrdfView,
+)
+from pupper_analysis.models.loading import UrdfFile
+
+_KINDS = {"revolute": HINGE, "continuous": HINGE, "prismatic": SLIDE, "fixed": FIXED}
+_PAIRS = (("ixx", 0, 0), ("iyy", 1, 1), ("izz", 2, 2), ("ixy", 0, 1), ("ixz", 0, 2), ("iyz", 1, 2))
+
+
+def urdf_view(file: UrdfFile) -> UrdfView:
+    """Returns the neutral view of a URDF; the reader has made sure that it is one tree."""
+    links = {str(link.get("name")): link for link in file.root.findall("link")}
+    below: dict[str, list[etree._Element]] = {}
+    for element in file.root.findall("joint"):
+        below.setdefault(_end(element, "parent"), []).append(element)
+    held = {_end(element, "child") for element in file.root.findall("joint")}
+    root = next(name for name in links if name not in held)
+    bodies = {root: _body(file, links[root], None, Pose(), ())}
+    for parent in (waiting := [root]):
+        for element in below.get(parent, []):
+            name = _end(element, "child")
+            pose = bodies[parent].pose * origin(element)
+            bodies[name] = _body(file, links[name], parent, pose, (_joint(element, pose),))
+            waiting.append(name)
+    return UrdfView("urdf", "link", root, bodies, file.notes, file)
+
+
+def _end(joint: etree._Element, tag: str) -> str:
+    element = joint.find(tag)
+    return "" if element is None else str(element.get("link"))
+
+
+def number(element: etree._Element | None, attribute: str, default: float) -> float:
+    """Returns a number of an element; the default where there is none."""
+    text = None if element is None else element.get(attribute)
+    try:
+        return default if text is None else float(text)
+    except ValueError:
+        return default
+
+
+def vector(element: etree._Element | None, attribute: str, default: tuple[float, ...]) -> Array:
+    """Returns the numbers of an element; the default where there are none."""
+    text = None if element is None else element.get(attribute)
+    try:
+        values = np.array((text or "").split(), dtype=float)
+    except ValueError:
+        values = np.array([])
+    return values if len(values) == len(default) else np.array(default, dtype=float)
+
+
+def origin(element: etree._Element) -> Pose:
+    """Returns the pose that an element's ``<origin>`` states."""
+    tag = element.find("origin")
+    roll, pitch, yaw = vector(tag, "rpy", (0.0, 0.0, 0.0))
+    rotation: Array = pin.rpy.rpyToMatrix(roll, pitch, yaw)
+    return Pose(vector(tag, "xyz", (0.0, 0.0, 0.0)), rotation)
+
+
+def _joint(element: etree._Element, pose: Pose) -> Joint:
+    kind = _KINDS.get(str(element.get("type")), FREE)
+    raw = vector(element.find("axis"), "xyz", (1.0, 0.0, 0.0))
+    length = float(np.linalg.norm(raw))
+    limit = element.find("limit")
+    limited = element.get("type") in ("revolute", "prismatic") and limit is not None
+    return Joint(
+        name=str(element.get("name")),
+        kind=kind,
+        parent=_end(element, "parent"),
+        child=_end(element, "child"),
+        position=pose.position,
+        axis=pose.rotation @ raw / length if length > 0 else np.zeros(3),
+        raw_axis=raw,
+        lower=number(limit, "lower", 0.0) if limited else -math.inf,
+        upper=number(limit, "upper", 0.0) if limited else math.inf,
+        effort=number(limit, "effort", math.inf),
+    )
+
+
+def _body(
+    file: UrdfFile,
+    link: etree._Element,
+    parent: str | None,
+    pose: Pose,
+    joints: tuple[Joint, ...],
+) -> Body:
+    shapes = [
+        _shape(file, element, tag == "collision")
+        for tag in ("visual", "collision")
+        for element in link.findall(tag)
+    ]
+    return Body(str(link.get("name")), parent, pose, joints, _inertial(link), tuple(shapes))
+
+
+def _inertial(link: etree._Element) -> Inertial | None:
+    element = link.find("inertial")
+    if element is None:
+        return None
+    pose = origin(element)
+    tag = element.find("inertia")
+    tensor = np.zeros((3, 3))
+    rounding = 0.0
+    for attribute, row, column in _PAIRS:
+        tensor[row, column] = tensor[column, row] = number(tag, attribute, 0.0)
+        rounding = max(rounding, half_digit("0" if tag is None else tag.get(attribute, "0")))
+    return Inertial(
+        mass=number(element.find("mass"), "value", 0.0),
+        com=pose.position,
+        inertia=pose.rotation @ tensor @ pose.rotation.T,
+        stated=True,
+        rounding=rounding,
+    )
+
+
+def half_digit(text: str) -> float:
+    """Returns half a unit of the last digit of a number as it is written; 0 for a zero."""
+    try:
+        value = Decimal(text.strip())
+    except InvalidOperation:
+        return 0.0
+    exponent = value.as_tuple().exponent
+    return 0.0 if value == 0 or not isinstance(exponent, int) else 0.5 * 10.0**exponent
+
+
+def _shape(file: UrdfFile, element: etree._Element, collides: bool) -> Shape:
+    pose, name = origin(element), element.get("name", "")
+    geometry = element.find("geometry")
+    tag = next(iter(geometry), None) if geometry is not None else None
+    if tag is None:
+        return Shape(name, "none", pose, (), collides)
+    kind = str(tag.tag)
+    match kind:
+        case "box":
+            size = tuple(vector(tag, "size", (0.0, 0.0, 0.0)) / 2)
+        case "sphere":
+            size = (number(tag, "radius", 0.0),)
+        case "cylinder" | "capsule":
+            size = (number(tag, "radius", 0.0), number(tag, "length", 0.0) / 2)
+        case _:
+            size = ()
+    vertices = _mesh(file, tag) if kind == "mesh" else lambda: None
+    return Shape(name, kind, pose, size, collides, vertices)
+
+
+def _mesh(file: UrdfFile, tag: etree._Element) -> Callable[[], Array | None]:
+    filename = tag.get("filename", "")
+    scale = vector(tag, "scale", (1.0, 1.0, 1.0))
+
+    def vertices() -> Array | None:
+        path = file.resolve_mesh(filename)
+        points = None if path is None else mesh_vertices(path)
+        return None if points is None else points * scale
+
+    return vertices

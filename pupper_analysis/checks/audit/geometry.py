@@ -1,0 +1,116 @@
+"""Points of shapes, and convex hulls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from pupper_analysis.checks.audit.pose import Array
+from pupper_analysis.checks.audit.view import Body, Shape, View
+
+_SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
+_DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
+_CIRCLE = np.array([(np.cos(a), np.sin(a), 0.0) for a in np.linspace(0, 2 * np.pi, 17)[:-1]])
+_Z = np.array([0.0, 0.0, 1.0])
+
+
+def mesh_vertices(path: Path) -> Array | None:
+    """Returns the vertices (n, 3) of an STL or OBJ file's convex hull; None if it cannot be read.
+
+    Other kinds (COLLADA) carry units and poses of their own and are not read.
+    """
+    if path.suffix.lower() not in (".stl", ".obj"):
+        return None
+    return _read_vertices(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=256)
+def _read_vertices(path: Path, _changed: int) -> Array | None:
+    import trimesh  # slow to import; yourdfpy depends on it
+
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        points = np.asarray(mesh.vertices, dtype=float)
+    except Exception:  # whatever a broken mesh makes a parser raise
+        return None
+    return hull_points(points) if len(points) and np.isfinite(points).all() else None
+
+
+def hull_points(points: Array) -> Array:
+    """Returns those of the points (n, 3) that span the convex hull; all, if they lie in a plane."""
+    try:
+        chosen: Array = points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):
+        return points
+    return chosen
+
+
+def shape_points(shape: Shape) -> Array | None:
+    """Returns points (n, 3) in the body's frame whose convex hull is the shape's, nearly (m).
+
+    Returns:
+        None if the shape's extent is not known (a missing mesh, a plane).
+    """
+    size = shape.size
+    match shape.kind:
+        case "sphere":
+            local = size[0] * _DIRECTIONS
+        case "box" | "ellipsoid":
+            local = np.array(size) * (_SIGNS if shape.kind == "box" else _DIRECTIONS)
+        case "cylinder":
+            ring = size[0] * _CIRCLE
+            local = np.concatenate([ring - size[1] * _Z, ring + size[1] * _Z])
+        case "capsule":
+            ball = size[0] * _DIRECTIONS
+            local = np.concatenate([ball - size[1] * _Z, ball + size[1] * _Z])
+        case "mesh":
+            vertices = shape.vertices()
+            if vertices is None:
+                return None
+            local = vertices
+        case _:
+            return None
+    return shape.pose.point(local)
+
+
+def extent_points(bodies: Sequence[Body], frame: Body) -> Array | None:
+    """Returns points (n, 3) that span all shapes of some bodies, in the frame of one of them (m).
+
+    Returns:
+        None if they have no shapes, or the extent of one is not known.
+    """
+    to_frame = frame.pose.inverse()
+    parts = []
+    for body in bodies:
+        for shape in body.shapes:
+            points = shape_points(shape)
+            if points is None:
+                return None
+            parts.append((to_frame * body.pose).point(points))
+    return np.concatenate(parts) if parts else None
+
+
+def link_points(view: View, body: Body) -> Array:
+    """Returns a body's origin, frames and children's origins (n, 3), in its frame (m)."""
+    to_frame = body.pose.inverse()
+    points = [np.zeros(3), *(frame.position for frame in body.frames)]
+    points += [to_frame.point(child.pose.position) for child in view.children(body.name)]
+    return np.array(points)
+
+
+def outside_hull(points: Array, point: Array) -> float:
+    """Returns how far a point is outside the convex hull of others, at least; <= 0 if inside (m).
+
+    Of points that lie in a plane the bounding box is taken.
+    """
+    try:
+        faces = ConvexHull(points).equations
+    except (QhullError, ValueError):
+        return float(np.max(np.maximum(points.min(0) - point, point - points.max(0))))
+    return float(np.max(faces[:, :3] @ point + faces[:, 3]))

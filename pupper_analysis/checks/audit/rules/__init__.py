@@ -1,0 +1,15 @@
+"""The rules; importing this package registers them, in the order of the documentation."""
+
+from pupper_analysis.checks.audit.rules import (  # noqa: F401, I001  (the order is that of the table)
+    mass,
+    inertia,
+    shapes,
+    mirror,
+    joints,
+    limits,
+    numbers,
+    files,
+    actuators,
+    start,
+    simulation,
+)

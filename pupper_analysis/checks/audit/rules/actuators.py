@@ -1,0 +1,190 @@
+"""Rules about actuators on joints.
+
+MuJoCo's actuator gives force = gain ctrl + bias, clipped to forcerange; times gear on the joint. A
+position servo has gain = kp and bias = -kp q - kd qdot. Source: MuJoCo documentation, "Computation:
+Actuation model".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.checks.audit.from_mjcf import joint_name
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.view import MjcfView
+
+
+@dataclass(frozen=True)
+class Drive:
+    """An actuator of constant gain on a hinge or slide.
+
+    Attributes:
+        name: Its own or, if it has none, its joint's.
+        id: Its number.
+        joint: Its joint's number.
+        joint_name: Its joint's name.
+        kp: The gain (N m/rad for a servo, N m per unit of ctrl for a motor).
+        stiffness: -dF/dq (N m/rad); 0 for a motor.
+        kd: -dF/dqdot (N m s/rad).
+        gear: Ratio.
+    """
+
+    name: str
+    id: int
+    joint: int
+    joint_name: str
+    kp: float
+    stiffness: float
+    kd: float
+    gear: float
+
+    @property
+    def servo(self) -> bool:
+        """Whether it holds a position."""
+        return self.stiffness != 0
+
+
+def drives(model: mujoco.MjModel) -> Iterator[Drive]:
+    """Yields the actuators with a constant gain on hinges and slides."""
+    transmissions = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
+    angular = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
+    for actuator in range(model.nu):
+        joint = int(model.actuator_trnid[actuator, 0])
+        if (
+            model.actuator_trntype[actuator] not in transmissions
+            or model.actuator_gaintype[actuator] != mujoco.mjtGain.mjGAIN_FIXED.value
+            or model.jnt_type[joint] not in angular
+        ):
+            continue
+        affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value
+        bias = model.actuator_biasprm[actuator] if affine else np.zeros(3)
+        yield Drive(
+            name=model.actuator(actuator).name or joint_name(model, joint),
+            id=actuator,
+            joint=joint,
+            joint_name=joint_name(model, joint),
+            kp=float(model.actuator_gainprm[actuator, 0]),
+            stiffness=-float(bias[1]),
+            kd=-float(bias[2]),
+            gear=float(model.actuator_gear[actuator, 0]),
+        )
+
+
+def _drives(view: MjcfView) -> Iterator[tuple[mujoco.MjModel, Drive]]:
+    if view.model is not None:
+        for drive in drives(view.model):
+            yield view.model, drive
+
+
+@rule(
+    "actuator-without-effect",
+    Severity.WARNING,
+    "An actuator gives no force, whatever its input",
+    why="Its gain (kp) or its gear is 0: the joint hangs free.",
+    todo="State kp, gainprm or gear.",
+    formats=("mjcf",),
+)
+def actuator_without_effect(view: MjcfView) -> Iterator[Found]:
+    """Finds gains and gears of 0."""
+    for _, drive in _drives(view):
+        if drive.kp == 0 or drive.gear == 0:
+            text = f"its gain is {drive.kp:g} and its gear {drive.gear:g}"
+            yield Found("actuator", drive.name, text)
+
+
+@rule(
+    "servo-gains-contradict",
+    Severity.WARNING,
+    "A position servo's gain and bias do not belong together",
+    why="With gain kp and bias -k q the joint rests at ctrl kp / k and not at ctrl; a positive "
+    "bias on the position drives it away.",
+    todo='<general> needs gainprm="kp" biasprm="0 -kp -kd"; or use <position kp kv>.',
+    formats=("mjcf",),
+)
+def servo_gains_contradict(view: MjcfView) -> Iterator[Found]:
+    """Finds kp != k, which k < 0 is too; MuJoCo takes kd < 0 for a damping ratio."""
+    for _, drive in _drives(view):
+        differ = drive.servo and not math.isclose(drive.kp, drive.stiffness, rel_tol=1e-6)
+        if differ and drive.kp != 0:
+            text = (
+                f"its force is {drive.kp:g} ctrl {-drive.stiffness:+g} q {-drive.kd:+g} qdot "
+                "(N m, rad, rad/s)"
+            )
+            yield Found("actuator", drive.name, text)
+
+
+@rule(
+    "actuator-unlimited",
+    Severity.WARNING,
+    "A motor's force has no limit",
+    why="The simulated robot is stronger than any motor: what it learns or proves does not hold.",
+    todo="State forcerange on the actuator, or actuatorfrcrange on the joint.",
+    formats=("mjcf",),
+)
+def actuator_unlimited(view: MjcfView) -> Iterator[Found]:
+    """Finds drives without forcerange, actuatorfrcrange and, for motors, ctrlrange."""
+    for model, drive in _drives(view):
+        limited = model.actuator_forcelimited[drive.id] or model.jnt_actfrclimited[drive.joint]
+        by_input = not drive.servo and model.actuator_ctrllimited[drive.id]
+        if not limited and not by_input:
+            what = "position servo" if drive.servo else "motor"
+            text = f"this {what} of gain {drive.kp:g} has no forcerange, and its joint none either"
+            yield Found("actuator", drive.name, text)
+
+
+@rule(
+    "forcerange-above-joint",
+    Severity.WARNING,
+    "An actuator may give more than its joint lets through",
+    why="The joint's actuatorfrcrange clips it: the forcerange one reads is not the one there is.",
+    todo="Make forcerange times gear equal to actuatorfrcrange.",
+    formats=("mjcf",),
+)
+def forcerange_above_joint(view: MjcfView) -> Iterator[Found]:
+    """Compares forcerange times gear with actuatorfrcrange, with 1 % of tolerance."""
+    for model, drive in _drives(view):
+        if not (model.actuator_forcelimited[drive.id] and model.jnt_actfrclimited[drive.joint]):
+            continue
+        force = float(np.abs(model.actuator_forcerange[drive.id]).max()) * abs(drive.gear)
+        joint = float(np.abs(model.jnt_actfrcrange[drive.joint]).max())
+        if force > 1.01 * joint:
+            text = (
+                f"it may give {force:g} N m (or N), of which joint {drive.joint_name!r} "
+                f"lets {joint:g} through"
+            )
+            yield Found("actuator", drive.name, text)
+
+
+@rule(
+    "ctrlrange-differs",
+    Severity.WARNING,
+    "A position servo's ctrlrange is not its joint's range",
+    why="Where it is narrower, part of the range cannot be commanded; where it is wider, commands "
+    "push against the joint's limit.",
+    todo='Say inheritrange="1" instead of ctrlrange.',
+    formats=("mjcf",),
+)
+def ctrlrange_differs(view: MjcfView) -> Iterator[Found]:
+    """Compares the ranges; INFO where the ctrlrange is wider, or narrower by less than 10 %."""
+    for model, drive in _drives(view):
+        limited = model.actuator_ctrllimited[drive.id] and model.jnt_limited[drive.joint]
+        if not drive.servo or not limited or drive.gear == 0:
+            continue
+        ctrl = np.sort(model.actuator_ctrlrange[drive.id] / drive.gear)
+        joint = model.jnt_range[drive.joint]
+        lost = np.array([ctrl[0] - joint[0], joint[1] - ctrl[1]]) / (joint[1] - joint[0])
+        narrower = lost.max() > 0.01
+        if narrower or lost.min() < -0.01:
+            text = (
+                f"its ctrlrange [{ctrl[0]:.4g}, {ctrl[1]:.4g}] is "
+                f"{'narrower' if narrower else 'wider'} than the range [{joint[0]:.4g}, "
+                f"{joint[1]:.4g}] of joint {drive.joint_name!r} (rad or m)"
+            )
+            severity = Severity.WARNING if lost.max() > 0.1 else Severity.INFO
+            yield Found("actuator", drive.name, text, severity=severity)

@@ -1,0 +1,124 @@
+"""Rules about what a file refers to, and whether it hangs together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from lxml import etree
+
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.view import FIXED, MjcfView, UrdfView, View
+from pupper_analysis.models.loading import MjcfFile, Place
+
+
+@rule(
+    "mujoco-refuses",
+    Severity.ERROR,
+    "MuJoCo refuses to compile the file",
+    why="It cannot be simulated as it is.",
+    todo="See the other findings, and MuJoCo's message.",
+    formats=("mjcf",),
+)
+def mujoco_refuses(view: MjcfView) -> Iterator[Found]:
+    """Compiles the file."""
+    if view.refusal is not None:
+        message, place = view.refusal
+        yield Found("mujoco", "", message, place=place)
+
+
+@rule(
+    "mesh-missing",
+    Severity.WARNING,
+    "A mesh's file is missing",
+    why="The link is drawn and touches things without it; MuJoCo refuses the file.",
+    todo="Bring the file, correct the path, or tell where the package is.",
+)
+def mesh_missing(view: UrdfView | MjcfView) -> Iterator[Found]:
+    """Looks for each file once."""
+    seen: set[str] = set()
+    if isinstance(view, MjcfView):
+        yield from _missing_in_mjcf(view.file)
+        return
+    for link in view.file.root.findall("link"):
+        for mesh in link.iter("mesh"):
+            name = mesh.get("filename", "")
+            if name not in seen and view.file.resolve_mesh(name) is None:
+                place = Place(view.file.path, mesh.sourceline)
+                yield Found(
+                    "link", str(link.get("name")), f"there is no file {name!r}", place=place
+                )
+            seen.add(name)
+
+
+def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:
+    folders = [Path()]
+    for attributes, _ in file.elements("compiler"):
+        folders += [Path(attributes.get(what, "")) for what in ("meshdir", "assetdir")]
+    tops = {path.parent / folder for path in file.files for folder in folders}
+    for attributes, place in file.elements("mesh"):
+        name = attributes.get("file", "")
+        places = [top / inside for top in tops for inside in (name, Path(name).name)]
+        if name and not any(place.is_file() for place in places):
+            known = attributes.get("name") or Path(name).stem
+            yield Found("mesh", known, f"there is no file {name!r}", place=place)
+
+
+def first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:
+    """Returns the place of the first element of a kind with an attribute, of an MJCF."""
+    return next((place for found, place in file.elements(tag) if attribute in found), None)
+
+
+@rule(
+    "material-undefined",
+    Severity.WARNING,
+    "A material is named but nowhere defined",
+    why="Viewers draw the link in a colour of their own, or refuse the file.",
+    todo="Define <material name=...><color rgba=.../></material> at the top level.",
+    formats=("urdf",),
+)
+def material_undefined(view: UrdfView) -> Iterator[Found]:
+    """Finds names without a <material> that has a colour or texture; each name once."""
+    materials = list(view.file.root.iter("material"))
+    defined = {
+        m.get("name")
+        for m in materials
+        if m.find("color") is not None or m.find("texture") is not None
+    }
+    missing: set[str] = set()
+    for material in materials:
+        name = material.get("name", "")
+        if not name or name in defined or name in missing or _of_gazebo(material):
+            continue
+        missing.add(name)
+        text = "it is used, but has neither colour nor texture anywhere"
+        place = Place(view.file.path, material.sourceline)
+        yield Found("material", name, text, place=place)
+
+
+def _of_gazebo(element: etree._Element) -> bool:
+    return any(parent.tag == "gazebo" for parent in element.iterancestors())
+
+
+@rule(
+    "joint-named-like-link",
+    Severity.INFO,
+    "A joint and a link have the same name",
+    why="Pinocchio's getFrameId(name) takes both for frames: without the frame's type it raises or "
+    "answers with the first.",
+    todo="Ask with the type (pin.FrameType.BODY), or rename one of them.",
+)
+def joint_named_like_link(view: View) -> Iterator[Found]:
+    """Finds the names in common; once per file."""
+    both = [j.name for j in view.joints.values() if j.name in view.bodies]
+    both += [
+        str(j.name)
+        for body in view.bodies.values()
+        for j in body.joints
+        if j.kind == FIXED and j.name in view.bodies and j.name not in both
+    ]
+    if both:
+        more = f", and {len(both) - 1} others" if len(both) > 1 else ""
+        text = f"a {view.body_tag} is called {both[0]!r} too{more}"
+        yield Found("joint", both[0], text)

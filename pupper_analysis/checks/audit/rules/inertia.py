@@ -1,0 +1,133 @@
+"""Rules about moments of inertia."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pupper_analysis.checks.audit.geometry import extent_points, link_points
+from pupper_analysis.checks.audit.pose import Array
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.view import Body, Inertial, View
+
+FACTOR = 100.0
+"""How far an inertia may be from that of a solid box: units slip by 1000 or more."""
+
+
+TINY = 1e-10
+"""What counts as no inertia, per mass (m^2): a radius of gyration of 0.01 mm."""
+
+REACH = 0.05
+"""How far a link without shapes is taken to reach, at least (m)."""
+
+
+def _stated(view: View) -> Iterator[tuple[Body, Inertial]]:
+    for body in view.bodies.values():
+        if body.inertial is not None and body.inertial.stated and body.inertial.mass > 0:
+            yield body, body.inertial
+
+
+def _child(view: View) -> str:
+    return "inertial/inertia" if view.format == "urdf" else "inertial"
+
+
+@rule(
+    "inertia-not-positive-definite",
+    Severity.ERROR,
+    "An inertia matrix is not positive definite",
+    why="A body with mass and size resists being turned about any axis: each principal moment is "
+    "positive. The mass matrix becomes indefinite, and simulations blow up.",
+    todo="Check the signs and the order of the six values; MuJoCo's fullinertia is "
+    "xx yy zz xy xz yz.",
+)
+def not_positive_definite(view: View) -> Iterator[Found]:
+    """Finds negative moments; and moments of zero on moving bodies to which nothing is fixed."""
+    for body, inertial in _stated(view):
+        least, _, greatest = inertial.moments
+        scale = max(abs(least), greatest)
+        zero = max(1e-9 * scale, TINY * inertial.mass)
+        alone = body.moving and len(view.fixed_group(body.name)) == 1
+        if least < -max(zero, inertial.rounding) or (alone and least <= zero):
+            text = f"its principal moments reach from {least:.4g} to {greatest:.4g} kg m^2"
+            yield Found(view.body_tag, body.name, text, _child(view))
+
+
+@rule(
+    "triangle-inequality",
+    Severity.ERROR,
+    "Principal moments break the triangle inequality",
+    why="With I_i the integral of the squared distances from axis i, I1 + I2 >= I3 holds for any "
+    "body there can be. MuJoCo refuses such a body.",
+    todo="Take the inertia from CAD again, about the com; look for a lost or doubled value.",
+)
+def triangle_inequality(view: View) -> Iterator[Found]:
+    """Compares the greatest moment with the sum of the others.
+
+    The tolerance is that of values rounded in their last digit, 1e-5 of the greatest moment at
+    least and 1 % at most. Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2.
+    """
+    for body, inertial in _stated(view):
+        least, middle, greatest = inertial.moments
+        tolerance = min(max(1e-5 * greatest, 3 * inertial.rounding), 0.01 * greatest)
+        excess = greatest - least - middle
+        if least >= 0 and excess > max(tolerance, TINY * inertial.mass):
+            text = (
+                f"its principal moments {least:.4g} + {middle:.4g} < {greatest:.4g} kg m^2, "
+                f"by {excess:.2g} kg m^2 ({100 * excess / greatest:.2g} %)"
+            )
+            yield Found(view.body_tag, body.name, text, _child(view))
+
+
+@rule(
+    "inertia-implausible",
+    Severity.WARNING,
+    "An inertia does not fit the body's mass and size",
+    why="Inertias in g mm^2, kg mm^2 or about another point are wrong by factors of 1e3 to 1e9: "
+    "a leg then swings as if it were a feather or a house.",
+    todo="State kg m^2 about the com. 1 kg mm^2 = 1e-6 kg m^2, 1 g mm^2 = 1e-9 kg m^2.",
+)
+def implausible(view: View) -> Iterator[Found]:
+    """Compares the greatest moment with what a body of this mass and size can have.
+
+    An inertia is at most m R^2, with R the distance of the furthest point from the com; twice that
+    is allowed, as shapes may be simplified. Without shapes, R is the way to the furthest joint or
+    frame, and 100 times that is allowed. At the lower end, it is compared with that of a solid box
+    of the body's mass around its own shapes, m (a^2 + b^2) / 12.
+    """
+    for body, inertial in _stated(view):
+        greatest = float(inertial.moments[-1])
+        if greatest <= 0 or view.is_negligible(body):
+            continue
+        points = extent_points(view.fixed_group(body.name), body)
+        shaped = points is not None
+        if points is None:
+            points = link_points(view, body)
+        reach = float(np.linalg.norm(points - inertial.com, axis=1).max())
+        if not shaped:
+            reach = max(reach, REACH)
+        own = extent_points([body], body)
+        expected = 0.0 if own is None else _solid_box(own, inertial.mass)
+        if greatest > (2.0 if shaped else FACTOR) * inertial.mass * reach**2:
+            gyration = np.sqrt(greatest / inertial.mass)
+            text = (
+                f"its greatest moment of {greatest:.3g} kg m^2 at {inertial.mass:.3g} kg means a "
+                f"radius of gyration of {1e3 * gyration:.3g} mm, "
+                f"but it reaches only {1e3 * reach:.3g} mm from its com"
+            )
+        elif greatest < expected / FACTOR:
+            text = (
+                f"its greatest moment is {greatest:.3g} kg m^2; a solid box of its size and its "
+                f"{inertial.mass:.3g} kg has {expected:.3g} kg m^2, "
+                f"{expected / greatest:.0f} times that"
+            )
+        else:
+            continue
+        yield Found(view.body_tag, body.name, text, _child(view))
+
+
+def _solid_box(points: Array, mass: float) -> float:
+    """Returns the greatest moment (kg m^2) of a solid box around points (n, 3), in their axes."""
+    _, middle, greatest = np.sort(np.ptp(points, axis=0))
+    return mass * float(middle**2 + greatest**2) / 12

@@ -1,0 +1,100 @@
+"""Rules about joint axes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from pupper_analysis.checks.audit.pairs import mirror_plane
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.view import HINGE, View
+
+_MOTIONS = ("rolls (about x)", "pitches (about y)", "yaws (about z)")
+
+_NAMES = (
+    (0, ("haa", "abad", "abduction", "adduction", "hip_roll", "hx")),
+    (1, ("hfe", "kfe", "thigh", "knee", "calf", "shank", "hip_pitch", "hy")),
+    (2, ("hip_yaw",)),
+)
+_PATTERNS = [
+    (axis, re.compile(rf"(?<![a-z]){name.replace('_', '_?')}(?![a-z])", re.IGNORECASE))
+    for axis, names in _NAMES
+    for name in names
+]
+_HIP = re.compile(r"(?<![a-z])hip(?![a-z])", re.IGNORECASE)
+
+
+def expected_axis(name: str, all_names: set[str]) -> int | None:
+    """Returns about which axis (0 to 2) a joint turns by its name; None if that says nothing clear.
+
+    ``hip`` alone is the abduction where there are a ``thigh`` and a ``calf`` of the same leg.
+    """
+    for axis, pattern in _PATTERNS:
+        if pattern.search(name):
+            return axis
+    if _HIP.search(name) and {_HIP.sub("thigh", name), _HIP.sub("calf", name)} <= all_names:
+        return 0
+    return None
+
+
+@rule(
+    "axis-contradicts-name",
+    Severity.WARNING,
+    "A joint does not turn as its name says",
+    why="Controllers address joints by name: HAA, abad and hip roll turn about x, HFE, KFE, thigh "
+    "and knee about y. Torques and targets go to the wrong motion.",
+    todo="Rename the joint, or correct its axis or the rotation of its frame.",
+)
+def axis_contradicts_name(view: View) -> Iterator[Found]:
+    """Compares axes at zero angles with names; an axis may be up to 60 degrees inclined."""
+    mirror = mirror_plane(view)
+    if mirror is not None and mirror.axis != 1:
+        return  # the base's y is not sideways: roll and pitch are about other axes
+    names = set(view.joints)
+    for joint in view.joints.values():
+        axis = expected_axis(joint.name, names)
+        if axis is None or joint.kind != HINGE or not joint.axis.any():
+            continue
+        if abs(joint.axis[axis]) < 0.5:
+            really = int(np.argmax(np.abs(joint.axis)))
+            x, y, z = joint.axis + 0.0
+            text = (
+                f"by its name it {_MOTIONS[axis]}, but at zero angles its axis is "
+                f"({x:.3g}, {y:.3g}, {z:.3g}) in the base frame: it {_MOTIONS[really]}"
+            )
+            yield Found("joint", joint.name, text, "axis")
+
+
+@rule(
+    "axis-zero",
+    Severity.ERROR,
+    "A joint's axis is (0, 0, 0)",
+    why="It has no direction; engines refuse it, or compute with NaN.",
+    todo="State a unit vector in the frame of the joint.",
+)
+def axis_zero(view: View) -> Iterator[Found]:
+    """Finds axes shorter than 1e-9."""
+    for joint in view.joints.values():
+        if joint.moves and float(np.linalg.norm(joint.raw_axis)) < 1e-9:
+            yield Found("joint", joint.name, "its axis has length 0", "axis")
+
+
+@rule(
+    "axis-not-unit",
+    Severity.INFO,
+    "A joint's axis is not of length 1",
+    why="Engines normalise it silently; one that does not would scale speeds and torques.",
+    todo="State a unit vector.",
+)
+def axis_not_unit(view: View) -> Iterator[Found]:
+    """Finds axes whose length differs from 1 by more than 1e-3."""
+    for joint in view.joints.values():
+        length = float(np.linalg.norm(joint.raw_axis))
+        if joint.moves and length > 1e-9 and abs(length - 1.0) > 1e-3:
+            x, y, z = joint.raw_axis
+            yield Found(
+                "joint", joint.name, f"({x:g}, {y:g}, {z:g}) has length {length:.4g}", "axis"
+            )

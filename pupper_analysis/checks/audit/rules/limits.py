@@ -1,0 +1,102 @@
+"""Rules about the limits of joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from pupper_analysis.checks.audit.from_urdf import number
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.view import HINGE, MjcfView, UrdfView, View
+
+
+@rule(
+    "range-empty",
+    Severity.ERROR,
+    "A joint's range is empty or inverted",
+    why="No angle is allowed: solvers find no solution, simulations push against both limits.",
+    todo="State lower < upper; or make the joint fixed.",
+)
+def range_empty(view: View) -> Iterator[Found]:
+    """Finds lower >= upper, also where both are left out of a URDF, where they count as 0."""
+    for joint in view.joints.values():
+        if joint.moves and joint.lower >= joint.upper:
+            limits = f"its lower limit is {joint.lower:g}, its upper {joint.upper:g} {joint.unit}"
+            yield Found("joint", joint.name, limits, "limit")
+
+
+@rule(
+    "limit-missing",
+    Severity.INFO,
+    "A joint has no limits",
+    why="Nothing stops it: inverse kinematics and random configurations turn it through the robot.",
+    todo="State the limits, if the real joint has any.",
+)
+def limit_missing(view: View) -> Iterator[Found]:
+    """Finds hinges and slides without a range, but for wheels.
+
+    In a URDF, these are those of type continuous: others without <limit> are refused on reading.
+    """
+    for joint in view.joints.values():
+        if joint.moves and math.isinf(joint.lower) and "wheel" not in joint.name.lower():
+            text = f"this {joint.kind} turns or slides without end"
+            yield Found("joint", joint.name, text)
+
+
+@rule(
+    "limits-in-wrong-unit",
+    Severity.WARNING,
+    "Limits look like degrees where radians are meant, or the other way round",
+    why="A range of 90 rad is none at all; a range of 1.5 degrees is a locked joint. MJCF is in "
+    'degrees unless the compiler says angle="radian"; URDF is in radians.',
+    todo='Convert the values, or set <compiler angle="radian"/>.',
+)
+def limits_in_wrong_unit(view: View) -> Iterator[Found]:
+    """Finds integer limits of 12 to 360 rad, and an MJCF in degrees with none above 2 pi.
+
+    Limits of 10 rad are a habit of those who want none.
+    """
+    hinges = [
+        j for j in view.joints.values() if j.kind == HINGE and math.isfinite(j.lower + j.upper)
+    ]
+    for joint in hinges:
+        limits = (joint.lower, joint.upper)
+        integers = all(abs(value - round(value)) < 1e-9 for value in limits)
+        if integers and 12 <= max(map(abs, limits)) <= 360:
+            text = f"[{limits[0]:g}, {limits[1]:g}] rad look like degrees"
+            yield Found("joint", joint.name, text, "limit")
+    if not isinstance(view, MjcfView) or not view.file.spec.compiler.degree or len(hinges) < 3:
+        return
+    widest = max(hinges, key=lambda j: max(abs(j.lower), abs(j.upper)))
+    low, high = np.rad2deg((widest.lower, widest.upper))
+    if max(abs(low), abs(high)) <= 2 * math.pi:
+        text = (
+            f"the file is in degrees, and the widest range of its {len(hinges)} hinges is "
+            f"[{low:.4g}, {high:.4g}] degrees: that looks like radians"
+        )
+        yield Found("joint", widest.name, text)
+
+
+@rule(
+    "effort-or-velocity-zero",
+    Severity.WARNING,
+    "A joint's effort or velocity limit is zero",
+    why="Taken at its word, the motor can do nothing: limits on torque or speed are never met.",
+    todo="State the motor's limits in N m (N) and rad/s (m/s).",
+    formats=("urdf",),
+)
+def effort_or_velocity_zero(view: UrdfView) -> Iterator[Found]:
+    """Finds <limit effort="0"> and <limit velocity="0"> on joints that move and mimic none."""
+    for joint in view.file.root.findall("joint"):
+        limit = joint.find("limit")
+        if limit is None or joint.get("type") == "fixed" or joint.find("mimic") is not None:
+            continue
+        zero = [what for what in ("effort", "velocity") if number(limit, what, 1.0) <= 0]
+        if zero:
+            values = " and ".join(
+                f"its {what} limit is {number(limit, what, 0.0):g}" for what in zero
+            )
+            yield Found("joint", str(joint.get("name")), values, "limit")

@@ -1,0 +1,204 @@
+"""Rules about masses and centres of mass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.checks.audit.from_mjcf import line_of
+from pupper_analysis.checks.audit.geometry import extent_points, link_points, outside_hull
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.view import FREE, MjcfView, View
+from pupper_analysis.models.loading import Place
+
+LIGHT, HEAVY = 0.05, 500.0
+"""Total masses between which a legged robot is expected (kg)."""
+
+COM_OUTSIDE = 0.002
+"""How far a com may be outside its shapes (m), plus a share of their greatest extent."""
+
+DRAWN, SIMPLIFIED = 0.05, 0.5
+"""That share where a link is drawn, and where it has but simple shapes for contacts."""
+
+DEFAULT_DENSITY = 1000.0
+"""MuJoCo's density of a geom for which none is stated (kg/m^3)."""
+
+
+@rule(
+    "mass-not-positive",
+    Severity.ERROR,
+    "A stated mass is zero or negative",
+    why="The mass matrix becomes singular or indefinite; engines refuse it or compute nonsense.",
+    todo="State the link's mass in kg.",
+)
+def mass_not_positive(view: View) -> Iterator[Found]:
+    """Finds masses <= 0; not where nothing is claimed, with an inertia of zero too."""
+    for body in view.bodies.values():
+        inertial = body.inertial
+        if inertial is None or not inertial.stated or inertial.mass > 0:
+            continue
+        if inertial.mass == 0 and not inertial.inertia.any():
+            continue
+        child = "inertial/mass" if view.format == "urdf" else "inertial"
+        largest = float(np.abs(inertial.inertia).max())
+        text = (
+            f"its mass is {inertial.mass:g} kg, with moments of inertia up to {largest:.3g} kg m^2"
+        )
+        yield Found(view.body_tag, body.name, text, child)
+
+
+@rule(
+    "moving-body-without-mass",
+    Severity.ERROR,
+    "A body that moves has no mass, nor has anything fixed to it",
+    why="Its joint has no inertia: the mass matrix is singular, and MuJoCo refuses the body.",
+    todo="Give it a mass and an inertia, or make the joint fixed.",
+)
+def moving_body_without_mass(view: View) -> Iterator[Found]:
+    """Finds moving bodies without mass, fixed ones counted in; WARNING if others hang on them."""
+    for body in view.bodies.values():
+        if not body.moving or any(part.mass != 0 for part in view.fixed_group(body.name)):
+            continue
+        carries = any(other.mass > 0 for other in view.descendants(body.name))
+        joint = body.joints[0].name
+        text = f"joint {joint!r} moves it, but it and all that is fixed to it weigh 0 kg"
+        if carries:
+            text += " (bodies with mass hang on it by further joints: Pinocchio accepts that)"
+        yield Found(view.body_tag, body.name, text, severity=Severity.WARNING if carries else None)
+
+
+@rule(
+    "com-outside-shapes",
+    Severity.WARNING,
+    "A com lies outside the body's shapes",
+    why="A com in another frame, with a wrong sign or in mm shifts all gravity torques.",
+    todo="Check the com's axes, signs and units against the drawing of the link.",
+)
+def com_outside_shapes(view: View) -> Iterator[Found]:
+    """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it."""
+    for body in view.bodies.values():
+        inertial = body.inertial
+        if inertial is None or not inertial.stated or not body.shapes or view.is_negligible(body):
+            continue
+        group = view.fixed_group(body.name)
+        points = extent_points(group, body)
+        if points is None:
+            continue
+        points = np.concatenate([points, link_points(view, body)])
+        size = float(np.ptp(points, axis=0).max())
+        outside = outside_hull(points, inertial.com)
+        shapes = [shape for part in group for shape in part.shapes]
+        drawn = any(shape.kind == "mesh" or not shape.collides for shape in shapes)
+        if outside > COM_OUTSIDE + (DRAWN if drawn else SIMPLIFIED) * size:
+            x, y, z = inertial.com
+            text = (
+                f"its com ({x:.4g}, {y:.4g}, {z:.4g}) m is {1e3 * outside:.1f} mm outside its "
+                f"shapes, which are {1e3 * size:.0f} mm long"
+            )
+            child = "inertial/origin" if view.format == "urdf" else "inertial"
+            yield Found(view.body_tag, body.name, text, child)
+
+
+@rule(
+    "total-mass-unusual",
+    Severity.INFO,
+    "The robot as a whole is very light or very heavy",
+    why="Masses in g instead of kg, or mesh volumes in mm, show in the sum first.",
+    todo="Compare the sum with the robot on a scale.",
+)
+def total_mass_unusual(view: View) -> Iterator[Found]:
+    """Finds totals below 50 g and above 500 kg."""
+    base = view.bodies.get(view.base)
+    if base is None:
+        return
+    total = base.mass + sum(body.mass for body in view.descendants(base.name))
+    if not LIGHT <= total <= HEAVY:
+        text = f"all bodies together weigh {total:.4g} kg; expected are {LIGHT:g} to {HEAVY:g} kg"
+        yield Found(view.body_tag, view.base, text)
+
+
+@rule(
+    "inertial-ignored",
+    Severity.WARNING,
+    "An <inertial> is ignored, as the compiler takes inertias from the geoms",
+    why='With inertiafromgeom="true" MuJoCo silently replaces every stated mass and inertia.',
+    todo='Say inertiafromgeom="auto" (the default), or remove the <inertial>.',
+    formats=("mjcf",),
+)
+def inertial_ignored(view: MjcfView) -> Iterator[Found]:
+    """Compares each stated mass with the one that MuJoCo computes."""
+    if view.file.spec.compiler.inertiafromgeom != 1:
+        return
+    for body in view.file.spec.bodies:
+        if body.explicitinertial and body.name in view.bodies:
+            mass = view.bodies[body.name].mass
+            text = f"stated are {body.mass:.4g} kg, but MuJoCo takes {mass:.4g} kg from its geoms"
+            yield Found("body", body.name, text, "inertial")
+
+
+@rule(
+    "visual-adds-mass",
+    Severity.WARNING,
+    "A geom that is only drawn adds mass",
+    why="Without <inertial>, MuJoCo gives every geom, drawn ones too, the density of water.",
+    todo='Say density="0" or mass="0" in the class of drawn geoms, or state an <inertial>.',
+    formats=("mjcf",),
+)
+def visual_adds_mass(view: MjcfView) -> Iterator[Found]:
+    """Finds drawn geoms with a mass that nobody stated, in bodies whose mass is their geoms'."""
+    compiler = view.file.spec.compiler
+    low, high = compiler.inertiagrouprange
+    for body in view.file.spec.bodies:
+        if body.name == "world" or (body.explicitinertial and compiler.inertiafromgeom != 1):
+            continue
+        if not body.name or body.name not in view.bodies:
+            continue
+        weighing = [
+            geom
+            for geom in body.geoms
+            if low <= geom.group <= high and geom.density > 0 and geom.mass != 0
+        ]
+        drawn = [g for g in weighing if not (g.contype or g.conaffinity) and np.isnan(g.mass)]
+        by_accident = [geom for geom in drawn if geom.density == DEFAULT_DENSITY]
+        solid = len(drawn) < len(weighing)
+        for geom in drawn if solid else by_accident:
+            if not solid and geom.type != mujoco.mjtGeom.mjGEOM_MESH:
+                continue
+            mass = view.bodies[body.name].mass
+            text = (
+                f"it touches nothing, yet its density of {geom.density:g} kg/m^3 counts in the "
+                f"{mass:.4g} kg of body {body.name!r}"
+            )
+            place: Place | None = None if geom.name else line_of(view.file, geom, body.name)
+            yield Found("geom", geom.name, text, place=place)
+
+
+@rule(
+    "base-fixed",
+    Severity.INFO,
+    "The base of a robot with feet cannot move",
+    why="A URDF states no floating joint: MuJoCo's importer welds the base to the world and drops "
+    "its mass. An MJCF without <freejoint> holds the robot in the air.",
+    todo="Nothing, if it is meant; else load the URDF with a floating base, or add <freejoint/>.",
+)
+def base_fixed(view: View) -> Iterator[Found]:
+    """Finds a base with mass and without a free joint, below which are at least two feet."""
+    feet = [
+        name
+        for body in view.bodies.values()
+        for name in {body.name, *(frame.name for frame in body.frames)}
+        if "foot" in name.lower()
+    ]
+    base = view.bodies.get(view.base)
+    if base is None or len(feet) < 2:
+        return
+    mass = sum(body.mass for body in view.fixed_group(base.name))
+    if not any(joint.kind == FREE for joint in base.joints):
+        text = (
+            f"with all that is fixed to it, it weighs {mass:.4g} kg; it has no free joint, and "
+            f"there are {len(feet)} feet"
+        )
+        yield Found(view.body_tag, base.name, text)

@@ -1,0 +1,250 @@
+"""Rules about left and right, which are compared in the base's axes at zero angles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pupper_analysis.checks.audit.pairs import Mirror, mirror_pairs, mirror_plane
+from pupper_analysis.checks.audit.pose import Array
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.view import HINGE, Body, Joint, View
+
+POSITION, MASS, COM, INERTIA, LIMIT = 1e-3, 0.01, 1e-3, 0.1, 0.02
+"""Tolerances: m, relative, m, relative, rad or m."""
+
+_WHY = "A robot whose sides differ drifts and loads its legs unequally; mostly a sign was lost."
+_TODO = "Compare with the other side, in the base's axes; disable the rule if it is on purpose."
+
+
+def _body_pairs(view: View) -> Iterator[tuple[Body, Body]]:
+    """Yields pairs, the one that stands later in the file as the second."""
+    for one, other in mirror_pairs(view.bodies):
+        yield view.bodies[one], view.bodies[other]
+
+
+def _anchor(body: Body) -> Array:
+    return body.joints[0].position if body.moving else body.pose.position
+
+
+def _displaced(view: View, mirror: Mirror) -> tuple[set[str], list[tuple[Body, Body]]]:
+    """Returns all bodies that are not at their mirror image, and the first pair of each chain."""
+    displaced: set[str] = set()
+    first_ones = []
+    for one, other in _body_pairs(view):
+        if not (one.moving or one.mass or "foot" in one.name.lower()):
+            continue  # a mark on a link
+        if float(np.linalg.norm(mirror.point(_anchor(one)) - _anchor(other))) > POSITION:
+            if not displaced & {*view.ancestors(one.name), *view.ancestors(other.name)}:
+                first_ones.append((one, other))
+            displaced |= {one.name, other.name}
+    return displaced, first_ones
+
+
+def _turned_by(view: View, image: Array, body: Body) -> str | None:
+    """Returns the parent's hinge if turning it would bring a body to its mirror image."""
+    parent = None if body.parent is None else view.bodies[body.parent]
+    if parent is None or not parent.joints or parent.joints[-1].kind != HINGE:
+        return None
+    hinge = parent.joints[-1]
+    arms = [point - hinge.position for point in (image, _anchor(body))]
+    along = [float(arm @ hinge.axis) for arm in arms]
+    radii = [
+        float(np.linalg.norm(arm - a * hinge.axis)) for arm, a in zip(arms, along, strict=True)
+    ]
+    same = max(abs(along[0] - along[1]), abs(radii[0] - radii[1])) < POSITION
+    return hinge.name if same else None
+
+
+def _in_place(view: View) -> Iterator[tuple[Mirror, Body, Body]]:
+    """Yields the pairs that are where they should be, with their children."""
+    mirror = mirror_plane(view)
+    if mirror is None:
+        return
+    displaced, _ = _displaced(view, mirror)
+    for one, other in _body_pairs(view):
+        names = {one.name, other.name}
+        names |= {child.name for name in (one.name, other.name) for child in view.children(name)}
+        if not displaced & names and not view.is_negligible(one):
+            yield mirror, one, other
+
+
+def _vector(vector: Array) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in vector + 0.0) + ")"
+
+
+@rule(
+    "mirror-position",
+    Severity.WARNING,
+    "A joint is not where the mirror image of its partner is",
+    why=_WHY,
+    todo=_TODO,
+)
+def mirror_position(view: View) -> Iterator[Found]:
+    """Compares the places of joints, or of fixed bodies; once per chain."""
+    mirror = mirror_plane(view)
+    if mirror is None:
+        return
+    for one, other in _displaced(view, mirror)[1]:
+        image, place = mirror.point(_anchor(one)), _anchor(other)
+        gap = float(np.linalg.norm(image - place))
+        text = (
+            f"it is at {_vector(place)} m in the base's axes, {1e3 * gap:.3g} mm from the mirror "
+            f"image {_vector(image)} of {one.name!r}"
+        )
+        turned = _turned_by(view, image, other)
+        if turned is not None:
+            text += f" (unless joint {turned!r} has another zero angle than its partner)"
+        if view.format == "urdf" and other.joints:
+            yield Found("joint", other.joints[0].name, text, "origin")
+        else:
+            yield Found(view.body_tag, other.name, text)
+
+
+@rule(
+    "mirror-mass",
+    Severity.WARNING,
+    "Left and right partners differ in mass",
+    why=_WHY,
+    todo=_TODO,
+)
+def mirror_mass(view: View) -> Iterator[Found]:
+    """Compares masses, with 1 % of tolerance."""
+    for one, other in _body_pairs(view):
+        if abs(one.mass - other.mass) > MASS * max(abs(one.mass), abs(other.mass)):
+            text = f"it weighs {other.mass:.4g} kg, {one.name!r} {one.mass:.4g} kg"
+            child = "inertial/mass" if view.format == "urdf" else "inertial"
+            yield Found(view.body_tag, other.name, text, child)
+
+
+@rule(
+    "mirror-com",
+    Severity.WARNING,
+    "Left and right partners' coms are not each other's mirror images",
+    why=_WHY,
+    todo=_TODO,
+)
+def mirror_com(view: View) -> Iterator[Found]:
+    """Compares coms, with 1 mm and 1 % of the distance to the base of tolerance."""
+    for mirror, one, other in _in_place(view):
+        if one.inertial is None or other.inertial is None:
+            continue
+        image = mirror.point(one.pose.point(one.inertial.com))
+        com = other.pose.point(other.inertial.com)
+        gap = float(np.linalg.norm(image - com))
+        if gap > COM + 0.01 * float(np.linalg.norm(com)):
+            text = (
+                f"its com is at {_vector(com)} m in the base's axes, {1e3 * gap:.3g} mm from the "
+                f"mirror image {_vector(image)} of that of {one.name!r}"
+            )
+            child = "inertial/origin" if view.format == "urdf" else "inertial"
+            yield Found(view.body_tag, other.name, text, child)
+
+
+@rule(
+    "mirror-inertia",
+    Severity.WARNING,
+    "Left and right partners' inertias are not each other's mirror images",
+    why=_WHY + " A mirror image about y has ixy and iyz of the other sign.",
+    todo=_TODO,
+)
+def mirror_inertia(view: View) -> Iterator[Found]:
+    """Compares S I S with I', with S the reflection, where the masses agree; tolerance: 10 %."""
+    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    elements = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
+    for mirror, one, other in _in_place(view):
+        if one.inertial is None or other.inertial is None:
+            continue
+        if abs(one.mass - other.mass) > MASS * max(abs(one.mass), abs(other.mass)):
+            continue
+        turned = one.pose.rotation @ one.inertial.inertia @ one.pose.rotation.T
+        image = mirror.matrix @ turned @ mirror.matrix
+        tensor = other.pose.rotation @ other.inertial.inertia @ other.pose.rotation.T
+        scale = max(float(np.abs(image).max()), float(np.abs(tensor).max()))
+        rounding = 2 * max(one.inertial.rounding, other.inertial.rounding)
+        gap = np.abs(image - tensor)[elements]
+        worst = int(np.argmax(gap))
+        if gap[worst] > max(INERTIA * scale, min(rounding, 0.5 * scale)):
+            text = (
+                f"its {names[worst]} in the base's axes is {tensor[elements][worst]:.3g} kg m^2, "
+                f"that of the mirror image of {one.name!r} is {image[elements][worst]:.3g} kg m^2"
+            )
+            child = "inertial/inertia" if view.format == "urdf" else "inertial"
+            yield Found(view.body_tag, other.name, text, child)
+
+
+def _joint_pairs(view: View) -> Iterator[tuple[Joint, Joint]]:
+    joints = view.joints
+    for pair in mirror_pairs(joints):
+        one, other = (joints[name] for name in pair)
+        if one.moves and one.kind == other.kind:
+            yield one, other
+
+
+def _sense(mirror: Mirror, one: Joint, other: Joint) -> float:
+    """Returns the cosine between a joint's axis and its partner's mirrored one.
+
+    An axis of rotation is a pseudovector: its mirror image is -S a, that of a sliding axis S a.
+    """
+    image = mirror.matrix @ one.axis * (-1.0 if one.kind == HINGE else 1.0)
+    return float(image @ other.axis)
+
+
+@rule(
+    "mirror-axis",
+    Severity.WARNING,
+    "Left and right partners' joint axes are not each other's mirror images",
+    why=_WHY,
+    todo=_TODO,
+)
+def mirror_axis(view: View) -> Iterator[Found]:
+    """Compares the lines along which axes lie; either may point either way. Tolerance: 1 degree."""
+    mirror = mirror_plane(view)
+    if mirror is None:
+        return
+    for one, other in _joint_pairs(view):
+        if one.axis.any() and other.axis.any():
+            cosine = abs(_sense(mirror, one, other))
+            if cosine < np.cos(np.deg2rad(1.0)):
+                angle = np.rad2deg(np.arccos(cosine))
+                text = (
+                    f"its axis {_vector(other.axis)} in the base's axes is {angle:.3g} degrees off "
+                    f"the mirror image of {one.name!r}, {_vector(mirror.matrix @ one.axis)}"
+                )
+                yield Found("joint", other.name, text, "axis")
+
+
+@rule(
+    "mirror-limits",
+    Severity.WARNING,
+    "Left and right partners' limits are not each other's mirror images",
+    why=_WHY + " A range must change sign with the axis: [a, b] becomes [-b, -a].",
+    todo=_TODO,
+)
+def mirror_limits(view: View) -> Iterator[Found]:
+    """Compares ranges, turned round if the axes' senses differ, and efforts (1 %)."""
+    mirror = mirror_plane(view)
+    if mirror is None:
+        return
+    for one, other in _joint_pairs(view):
+        sense = _sense(mirror, one, other)
+        if abs(sense) < 0.9:
+            continue
+        image = (one.lower, one.upper) if sense > 0 else (0.0 - one.upper, 0.0 - one.lower)
+        here = (other.lower, other.upper)
+        gap = max(abs(a - b) if a != b else 0.0 for a, b in zip(image, here, strict=True))
+        if gap > LIMIT:
+            way = "the same" if sense > 0 else "the other"
+            text = (
+                f"its range is [{here[0]:.4g}, {here[1]:.4g}] {other.unit}; the mirror image of "
+                f"{one.name!r}, with an axis of {way} sense, has [{image[0]:.4g}, {image[1]:.4g}]"
+            )
+        elif one.effort != other.effort and not np.isclose(one.effort, other.effort, rtol=0.01):
+            text = (
+                f"its effort is {other.effort:g}, that of {one.name!r} is {one.effort:g} N m (or N)"
+            )
+        else:
+            continue
+        yield Found("joint", other.name, text, "limit")

@@ -1,0 +1,110 @@
+"""Rules about how rotations are written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.checks.audit.from_mjcf import line_of
+from pupper_analysis.checks.audit.from_urdf import vector
+from pupper_analysis.checks.audit.pose import Array
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.view import MjcfView, UrdfView
+from pupper_analysis.models.loading import Place
+
+FULL_TURN = 2 * math.pi + 1e-3
+
+
+@rule(
+    "rpy-in-degrees",
+    Severity.WARNING,
+    "A rotation of more than a full turn looks like degrees",
+    why="URDF's rpy is in radians, and MJCF's euler too if the compiler says so.",
+    todo="Convert it: 90 degrees are 1.5708 rad.",
+)
+def rpy_in_degrees(view: UrdfView | MjcfView) -> Iterator[Found]:
+    """Finds angles above 2 pi in magnitude in ``rpy`` and, in a file in radians, in ``euler``."""
+    if isinstance(view, UrdfView):
+        for element in view.file.root.iter("origin"):
+            rpy = vector(element, "rpy", (0.0, 0.0, 0.0))
+            if np.abs(rpy).max() > FULL_TURN:
+                owner = element.getparent()
+                while owner.tag not in ("link", "joint") and owner.getparent() is not None:
+                    owner = owner.getparent()
+                line = Place(view.file.path, element.sourceline)
+                text = f"rpy is ({rpy[0]:g}, {rpy[1]:g}, {rpy[2]:g}) rad"
+                yield Found(str(owner.tag), str(owner.get("name")), text, place=line)
+        return
+    if view.file.spec.compiler.degree:
+        return
+    for tag, name, element, place in _posed(view):
+        euler = np.array(element.alt.euler)  # type: ignore[attr-defined]
+        if np.isfinite(euler).all() and np.abs(euler).max() > FULL_TURN:
+            text = f"euler is ({euler[0]:g}, {euler[1]:g}, {euler[2]:g}) rad"
+            yield Found(tag, name, text, place=place)
+
+
+@rule(
+    "quaternion-not-unit",
+    Severity.INFO,
+    "A quaternion is not of length 1",
+    why="MuJoCo normalises it silently: a mistyped digit turns the frame by another angle.",
+    todo="Write it with all its digits.",
+    formats=("mjcf",),
+)
+def quaternion_not_unit(view: MjcfView) -> Iterator[Found]:
+    """Finds lengths off 1 by more than 1e-3, but for (1, 0, 0, 1) and the like."""
+    for tag, name, element, place in _posed(view):
+        quaternion = np.array(element.quat)  # type: ignore[attr-defined]
+        length = float(np.linalg.norm(quaternion))
+        parts = np.abs(quaternion[quaternion != 0])
+        on_purpose = len(parts) > 0 and np.ptp(parts) < 1e-9 * parts.max()
+        if abs(length - 1.0) > 1e-3 and not on_purpose:
+            text = f"({_numbers(quaternion)}) has length {length:.4g}"
+            yield Found(tag, name, text, place=place)
+
+
+@rule(
+    "keyframe-quaternion",
+    Severity.WARNING,
+    "A keyframe's quaternion is not of length 1",
+    why="MuJoCo normalises it when it computes, other tools take it as it is, and turn and scale "
+    "the robot. Often a number before it is missing, so that all are shifted.",
+    todo="Count the numbers: base position (3), quaternion w x y z (4), joints.",
+    formats=("mjcf",),
+)
+def keyframe_quaternion(view: MjcfView) -> Iterator[Found]:
+    """Finds lengths off 1 by more than 1e-3, of free and ball joints in keyframes."""
+    if view.model is None:
+        return
+    model = view.model
+    for joint in range(model.njnt):
+        kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
+        if kind not in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+            continue
+        start = int(model.jnt_qposadr[joint]) + (3 if kind == mujoco.mjtJoint.mjJNT_FREE else 0)
+        for key in view.file.spec.keys:
+            quaternion = np.array(key.qpos)[start : start + 4]
+            length = float(np.linalg.norm(quaternion))
+            if len(quaternion) == 4 and abs(length - 1.0) > 1e-3:
+                text = f"its quaternion ({_numbers(quaternion)}) has length {length:.4g}"
+                yield Found("key", key.name, text)
+
+
+def _posed(view: MjcfView) -> Iterator[tuple[str, str, object, Place | None]]:
+    """Yields all bodies, geoms and sites: tag, name, element, and place if it has no name."""
+    around = ""
+    for body in view.file.spec.bodies:
+        around = body.name or around
+        for tag, elements in (("body", [body]), ("geom", body.geoms), ("site", body.sites)):
+            for element in elements:
+                place = None if element.name else line_of(view.file, element, around)
+                yield tag, element.name, element, place
+
+
+def _numbers(values: Array) -> str:
+    return ", ".join(f"{value:g}" for value in values)

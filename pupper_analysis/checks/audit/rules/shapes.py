@@ -1,0 +1,158 @@
+"""Rules about where shapes are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pupper_analysis.checks.audit.pose import Array
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.view import Body, Shape, View
+
+TOLERANCE = 1e-3
+"""How exactly shapes are expected at joints and frames (m)."""
+
+
+def _next_points(view: View, body: Body) -> dict[str, Array]:
+    """Returns where the link ends: its moving children and its feet, in its frame (m)."""
+    to_frame = body.pose.inverse()
+    points: dict[str, Array] = {}
+    for part in view.fixed_group(body.name):
+        local = to_frame * part.pose
+        for child in view.children(part.name):
+            if child.moving:
+                points[f"joint {child.joints[0].name!r}"] = to_frame.point(child.pose.position)
+        if part is not body and _is_foot(part.name):
+            points[f"{view.body_tag} {part.name!r}"] = local.position
+        for frame in part.frames:
+            if _is_foot(frame.name):
+                points[f"site {frame.name!r}"] = local.point(frame.position)
+    return points
+
+
+def _is_foot(name: str) -> bool:
+    return "foot" in name.lower()
+
+
+def _from_joint(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
+    """Returns direction (3,) and length (m) of a rod that begins at the joint, else None."""
+    if shape.kind not in ("capsule", "cylinder"):
+        return None
+    radius, half = shape.size
+    axis = shape.pose.rotation[:, 2]
+    for sign in (1.0, -1.0):
+        start = shape.pose.position - sign * half * axis
+        if np.linalg.norm(start - anchor) < max(TOLERANCE, 0.02 * half) and half > radius:
+            return sign * axis, 2 * half
+    return None
+
+
+@rule(
+    "shape-ends-off-joint",
+    Severity.WARNING,
+    "A link's shape begins at its joint and ends elsewhere than at the next one",
+    why="Either the drawing or the kinematics has the wrong length: the robot that is seen, and "
+    "touches things, is not the robot that is computed.",
+    todo="Make the shape as long as the link, or move the next joint to the shape's end.",
+)
+def shape_ends_off_joint(view: View) -> Iterator[Found]:
+    """Compares capsules and cylinders that begin at their body's joint with the way to the next.
+
+    Longer by 2 % or more is reported, shorter by 20 % or more: some shorten a shape on purpose, to
+    keep it clear of its neighbour.
+    """
+    for body in view.bodies.values():
+        if not body.moving:
+            continue
+        ends = _next_points(view, body)
+        anchor = body.pose.inverse().point(body.joints[-1].position)
+        reported = set()
+        for shape in body.shapes:
+            rod = _from_joint(shape, anchor)
+            if rod is None:
+                continue
+            direction, length = rod
+            ahead = {
+                name: float((point - anchor) @ direction)
+                for name, point in ends.items()
+                if _on_line(point - anchor, direction, shape.size[0])
+            }
+            if not ahead:
+                continue
+            name, way = min(ahead.items(), key=lambda item: abs(item[1] - length))
+            gap, caps = length - way, shape.size[0]
+            tolerance = max(TOLERANCE, 0.02 * way)
+            reached = -0.2 * way < gap < tolerance or abs(gap + caps) < tolerance
+            if not reached and (name, round(length, 6)) not in reported:
+                reported.add((name, round(length, 6)))
+                more = "beyond" if gap > 0 else "short of"
+                text = (
+                    f"its {shape.kind} begins at its joint and is {length:.4g} m long, but {name} "
+                    f"is {way:.4g} m away: it ends {1e3 * abs(gap):.1f} mm {more} it"
+                )
+                yield Found(view.body_tag, body.name, text, _tag(view, shape))
+
+
+def _tag(view: View, shape: Shape) -> str:
+    if view.format == "mjcf":
+        return "geom"
+    return "collision" if shape.collides else "visual"
+
+
+def _on_line(offset: Array, direction: Array, radius: float) -> bool:
+    along = float(offset @ direction)
+    across = float(np.linalg.norm(offset - along * direction))
+    return along > 2 * radius and across < max(TOLERANCE, 0.5 * radius)
+
+
+@rule(
+    "foot-sphere-off-frame",
+    Severity.WARNING,
+    "The foot's sphere is neither at the foot's frame nor touches the ground there",
+    why="Kinematics plants the frame, the simulation stands on the sphere: the stance is off by "
+    "their distance.",
+    todo="Centre the sphere at the foot's frame, or put the frame at the sphere's lowest point.",
+)
+def foot_sphere_off_frame(view: View) -> Iterator[Found]:
+    """Compares a foot's frame with the nearest sphere that touches things, of what moves with it.
+
+    Spheres of the foot, by their name or their link's, come first. INFO where the frame is inside
+    the sphere: some make a flat sole that way.
+    """
+    for body in view.bodies.values():
+        group = view.fixed_group(body.name)
+        feet = {f.name: (body, f.position, "site") for f in body.frames if _is_foot(f.name)}
+        if not feet and _is_foot(body.name) and not body.moving and body.parent is not None:
+            feet = {body.name: (body, np.zeros(3), view.body_tag)}
+            group = view.fixed_group(_carrier(view, body))
+        for name, (owner, position, kind) in feet.items():
+            place = owner.pose.point(position)
+            spheres = [
+                (
+                    not _is_foot(shape.name + part.name),
+                    float(np.linalg.norm(part.pose.point(shape.pose.position) - place)),
+                    shape.size[0],
+                )
+                for part in group
+                for shape in part.shapes
+                if shape.collides and shape.kind == "sphere"
+            ]
+            if not spheres:
+                continue
+            _, gap, radius = min(spheres)
+            if gap > 5 * radius or gap < TOLERANCE or abs(gap - radius) < TOLERANCE:
+                continue
+            text = (
+                f"the nearest sphere that touches things, of radius {1e3 * radius:.4g} mm, is "
+                f"centred {1e3 * gap:.4g} mm away from it"
+            )
+            yield Found(kind, name, text, severity=Severity.INFO if gap < radius else None)
+
+
+def _carrier(view: View, body: Body) -> str:
+    """Returns the moving body, or root, to which a body is fixed."""
+    while not body.moving and body.parent is not None:
+        body = view.bodies[body.parent]
+    return body.name

@@ -1,0 +1,161 @@
+"""Rules about how MuJoCo simulates a model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+from scipy.linalg import eigh
+
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.rules.actuators import drives
+from pupper_analysis.checks.audit.rules.files import first_place
+from pupper_analysis.checks.audit.view import MjcfView
+from pupper_analysis.robot.contact import combine, ground_geom
+
+STANDARD_GRAVITY = 9.80665
+"""m/s^2; what is used differs by the third digit."""
+
+
+@rule(
+    "gravity-unusual",
+    Severity.INFO,
+    "Gravity is not 9.81 m/s^2 downwards",
+    why="Forgotten after an experiment, it falsifies every torque.",
+    todo='Say <option gravity="0 0 -9.81"/>.',
+    formats=("mjcf",),
+)
+def gravity_unusual(view: MjcfView) -> Iterator[Found]:
+    """Finds a gravity off by more than 0.02 m/s^2 in any direction."""
+    gravity = np.array(view.file.spec.option.gravity)
+    if np.linalg.norm(gravity - (0.0, 0.0, -STANDARD_GRAVITY)) > 0.02:
+        x, y, z = gravity
+        place = first_place(view.file, "option", "gravity")
+        yield Found("option", "", f"gravity is ({x:g}, {y:g}, {z:g}) m/s^2", place=place)
+
+
+@rule(
+    "armature-zero",
+    Severity.INFO,
+    "No driven joint has armature",
+    why="A rotor's inertia times the gear ratio squared often exceeds the link's own; without it, "
+    "stiff servos jitter and joints accelerate too fast.",
+    todo="State armature = rotor inertia x ratio^2 (kg m^2) on the joints.",
+    formats=("mjcf",),
+)
+def armature_zero(view: MjcfView) -> Iterator[Found]:
+    """Finds models in which the armature of every driven joint, and of its motor, is 0."""
+    if view.model is None:
+        return
+    model = view.model
+    driven = list(drives(model))
+    armature = [
+        model.dof_armature[model.jnt_dofadr[drive.joint]] + model.actuator_armature[drive.id]
+        for drive in driven
+    ]
+    if driven and not any(armature):
+        text = f"the armature of all {len(driven)} driven joints is 0 kg m^2"
+        yield Found("joint", driven[0].joint_name, text)
+
+
+@rule(
+    "servo-unstable",
+    Severity.WARNING,
+    "A servo is too stiff for the timestep",
+    why="MuJoCo's Euler takes the servo's gains at the old state, so that the joint overshoots in "
+    "every step: it jitters or blows up.",
+    todo='Say integrator="implicitfast", or take a smaller timestep, less gain, more armature.',
+    formats=("mjcf",),
+)
+def servo_unstable(view: MjcfView) -> Iterator[Found]:
+    """Tests the stability of all servos together at qpos0, without contacts and force limits.
+
+    MuJoCo's Euler step is v' = v - (M + h D)^-1 h (K x + (C + D) v), x' = x + h v', with D, the
+    damping of joints and motors, implicit, and the servos' K and C explicit. An eigenvalue leaves
+    the unit circle at -1 if x^T (h C + h^2 K / 2) x > x^T (2 M + h D) x for some x, that is, if the
+    greatest generalised eigenvalue of the two matrices exceeds 1; for one joint without stiffness
+    and D, if h kd / I > 2.
+    Source: the Jury criterion for the step's characteristic polynomial; MuJoCo documentation,
+    "Computation: Numerical integration".
+    """
+    model = view.model
+    if model is None or model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER.value:
+        return
+    used = [drive for drive in drives(model) if drive.kd > 0 or drive.stiffness > 0]
+    if not used:
+        return
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    step = float(model.opt.timestep)
+    gains = np.zeros(model.nv)
+    implicit = np.array(model.dof_damping)
+    for drive in used:
+        stiffness = drive.gear**2 * max(drive.stiffness, 0.0)
+        damping = drive.gear**2 * max(drive.kd, 0.0)
+        dof = model.jnt_dofadr[drive.joint]
+        gains[dof] += step * damping + step**2 * stiffness / 2
+        implicit[dof] += drive.gear**2 * model.actuator_damping[drive.id]
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP.value:
+        gains += step * implicit
+        implicit[:] = 0.0
+    resisting = 2 * mass + step * np.diag(implicit)
+    try:
+        values, vectors = eigh(np.diag(gains), resisting)
+    except (np.linalg.LinAlgError, ValueError):
+        return  # a singular mass matrix, or absurd numbers: another rule's business
+    if values[-1] > 1:
+        shares = np.abs(vectors[:, -1])
+        drive = max(used, key=lambda drive: float(shares[model.jnt_dofadr[drive.joint]]))
+        text = (
+            f"kp = {drive.kp:g}, kd = {drive.kd:g} and a timestep of {1e3 * step:g} ms with the "
+            f"Euler integrator are {values[-1]:.3g} times beyond the limit of stability"
+        )
+        yield Found("actuator", drive.name, text)
+
+
+@rule(
+    "foot-frictionless",
+    Severity.WARNING,
+    "A foot slides without friction",
+    why="The robot stands on ice: no stance with a tangential force can hold.",
+    todo="State friction and condim 3 or more on the foot, and mind the geom of higher priority.",
+    formats=("mjcf",),
+)
+def foot_frictionless(view: MjcfView) -> Iterator[Found]:
+    """Finds feet whose contact with the ground, as MuJoCo combines it, has no sliding friction.
+
+    A file without ground is to be put into a scene: there, condim 1 of the foot gives way to the
+    ground's 3, so that the friction alone counts.
+    """
+    model = view.model
+    if model is None:
+        return
+    ground = ground_geom(model)
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        name = model.geom(geom).name
+        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        at_site = any(
+            "foot" in model.site(site).name.lower()
+            and np.linalg.norm(model.site_pos[site] - model.geom_pos[geom]) < 1e-3
+            for site in range(model.nsite)
+            if model.site_bodyid[site] == body
+        )
+        called = "foot" in name.lower() or "foot" in view.body_names[body].lower()
+        if not collides or not body or not (called or at_site):
+            continue
+        contact = combine(model, geom, geom if ground is None else ground)
+        friction = contact.friction[0] if ground is None else contact.sliding_friction
+        if friction < 1e-3:
+            text = (
+                f"its contact has condim {contact.condim} and a sliding friction of "
+                f"{contact.friction[0]:g}"
+            )
+            if name:
+                yield Found("geom", name, text)
+            else:
+                yield Found("body", view.body_names[body], text, "geom")

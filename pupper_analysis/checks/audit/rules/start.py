@@ -1,0 +1,176 @@
+"""Rules about the poses in which a simulation starts: qpos0 and the keyframes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.checks.audit.from_mjcf import joint_name
+from pupper_analysis.checks.audit.pose import Array
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.view import MjcfView, View
+
+FLOOR_DEPTH = 5e-3
+"""How deep a start may be in the floor (m): a standing robot sinks a few mm into soft contacts."""
+
+MOST_KEYFRAMES = 100
+"""How many keyframes are looked at."""
+
+OVERLAP = 1e-3
+"""How deep bodies may be in each other (m)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A pose in which a simulation may start.
+
+    Attributes:
+        element: Tag and name for findings.
+        words: What it is called in a message.
+        qpos: (nq,).
+        severity: INFO for qpos0 where keyframes exist: then nobody starts there.
+    """
+
+    element: tuple[str, str]
+    words: str
+    qpos: Array
+    severity: Severity
+
+
+def _starts(view: MjcfView) -> Iterator[Start]:
+    model = view.model
+    if model is None or not view.bodies:
+        return
+    least = Severity.INFO if model.nkey else Severity.WARNING
+    yield Start(("body", view.base), "qpos0", np.array(model.qpos0), least)
+    for key in range(min(model.nkey, MOST_KEYFRAMES)):
+        name = model.key(key).name
+        words = f"keyframe {name!r}" if name else f"keyframe {key}"
+        yield Start(("key", name), words, np.array(model.key_qpos[key]), Severity.WARNING)
+
+
+@rule(
+    "start-outside-limits",
+    Severity.WARNING,
+    "A start is outside the joint limits",
+    why="The limits throw the joint back in the first steps; solvers that begin there may fail.",
+    todo="Correct the keyframe or the limits. At zero angles it is common: begin elsewhere.",
+)
+def start_outside_limits(view: View) -> Iterator[Found]:
+    """Finds joints outside by more than 1 mrad (1 mm); INFO for zero angles and qpos0."""
+    if not isinstance(view, MjcfView):
+        values = {joint.name: 0.0 for joint in view.joints.values() if joint.moves}
+        if view.base:
+            where = (view.body_tag, view.base)
+            yield from _outside(view, where, "the zero configuration", values, Severity.INFO)
+        return
+    model = view.model
+    for start in _starts(view):
+        assert model is not None
+        values = {
+            joint_name(model, joint): float(start.qpos[model.jnt_qposadr[joint]])
+            for joint in range(model.njnt)
+        }
+        severity = Severity.INFO if start.words == "qpos0" else Severity.WARNING
+        yield from _outside(view, start.element, start.words, values, severity)
+
+
+def _outside(
+    view: View, where: tuple[str, str], words: str, values: dict[str, float], severity: Severity
+) -> Iterator[Found]:
+    excess = {
+        joint.name: max(joint.lower - values[joint.name], values[joint.name] - joint.upper)
+        for joint in view.joints.values()
+        if joint.moves and joint.lower < joint.upper and joint.name in values
+    }
+    outside = [name for name, by in excess.items() if by > 1e-3]
+    if outside:
+        worst = view.joints[max(outside, key=lambda name: excess[name])]
+        text = (
+            f"in {words}, joint {worst.name!r} is at {values[worst.name]:.4g} {worst.unit}, "
+            f"outside [{worst.lower:.4g}, {worst.upper:.4g}] "
+            f"({len(outside)} of {len(excess)} joints are outside)"
+        )
+        yield Found(*where, text, severity=severity)
+
+
+@rule(
+    "start-in-floor",
+    Severity.WARNING,
+    "A start is in the floor",
+    why="The contacts push the robot out with great force: it jumps in the first steps.",
+    todo="Raise the base by the depth.",
+    formats=("mjcf",),
+)
+def start_in_floor(view: MjcfView) -> Iterator[Found]:
+    """Finds contacts with planes of the world deeper than 5 mm; the deepest of each start."""
+    for start in _starts(view):
+        depths: dict[str, float] = {}
+        for bodies, geoms, depth in _contacts(view, start):
+            plane = any(_is_plane(view, geom) for geom in geoms)
+            if plane and 0 in bodies and depth > FLOOR_DEPTH:
+                name = view.body_names[max(bodies)]
+                depths[name] = max(depth, depths.get(name, 0.0))
+        if depths:
+            deepest = max(depths, key=lambda name: depths[name])
+            more = f", and {len(depths) - 1} more bodies" if len(depths) > 1 else ""
+            text = (
+                f"in {start.words}, body {deepest!r} is {1e3 * depths[deepest]:.3g} mm in the floor"
+            )
+            yield Found(*start.element, text + more, severity=start.severity)
+
+
+def _is_plane(view: MjcfView, geom: int) -> bool:
+    assert view.model is not None
+    return bool(view.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE.value)
+
+
+@rule(
+    "start-self-collision",
+    Severity.WARNING,
+    "In a start, bodies of the robot are in each other",
+    why="The contacts push them apart from the first step on; joints never reach their targets.",
+    todo="Exclude the pair (<contact><exclude>), shrink the shapes, or change the pose.",
+    formats=("mjcf",),
+)
+def start_self_collision(view: MjcfView) -> Iterator[Found]:
+    """Finds contacts within a tree, deeper than 1 mm, that MuJoCo's filters let through."""
+    for start in _starts(view):
+        depths: dict[tuple[str, str], float] = {}
+        for bodies, _, depth in _contacts(view, start):
+            assert view.model is not None
+            roots = view.model.body_rootid[list(bodies)]
+            if 0 not in bodies and roots[0] == roots[1] and depth > OVERLAP:
+                pair = (view.body_names[bodies[0]], view.body_names[bodies[1]])
+                depths[pair] = max(depth, depths.get(pair, 0.0))
+        if depths:
+            one, other = worst = max(depths, key=lambda pair: depths[pair])
+            more = f", and {len(depths) - 1} more pairs" if len(depths) > 1 else ""
+            text = (
+                f"in {start.words}, bodies {one!r} and {other!r} are {1e3 * depths[worst]:.3g} mm "
+                "in each other"
+            )
+            yield Found(*start.element, text + more, severity=start.severity)
+
+
+def _contacts(
+    view: MjcfView, start: Start
+) -> Iterator[tuple[tuple[int, int], tuple[int, int], float]]:
+    """Yields bodies, geoms and depth (m) of each contact that MuJoCo finds in a pose."""
+    model = view.model
+    assert model is not None
+    data = mujoco.MjData(model)
+    data.qpos[:] = start.qpos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    for number in range(data.ncon):
+        one, other = (int(geom) for geom in data.contact.geom[number])
+        if one < 0 or other < 0:
+            continue
+        bodies = (int(model.geom_bodyid[one]), int(model.geom_bodyid[other]))
+        yield bodies, (one, other), -float(data.contact.dist[number])

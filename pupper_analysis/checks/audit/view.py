@@ -1,0 +1,244 @@
+"""A neutral view of a model: the same for a URDF and an MJCF, so that most rules are written once.
+
+Unlike in an engine's model, bodies that are fixed to others are kept apart, as in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.checks.audit.pose import Array, Pose
+from pupper_analysis.models.loading import MjcfFile, Place, UrdfFile
+
+HINGE, SLIDE, BALL, FREE, FIXED = "hinge", "slide", "ball", "free", "fixed"
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A shape that is drawn or touches things.
+
+    Attributes:
+        name: Its name, "" if it has none.
+        kind: ``sphere``, ``box``, ``cylinder``, ``capsule``, ``ellipsoid``, ``mesh`` or another.
+        pose: In its body's frame.
+        size: Radius; radius and half length; or three half sizes (m).
+        collides: Whether it can touch things.
+        vertices: Returns a mesh's (n, 3) in the shape's frame (m); None if unknown.
+    """
+
+    name: str
+    kind: str
+    pose: Pose
+    size: tuple[float, ...]
+    collides: bool
+    vertices: Callable[[], Array | None] = lambda: None
+
+
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    """What a file states, or what follows from shapes.
+
+    Attributes:
+        mass: kg.
+        com: (3,) in the body's frame (m).
+        inertia: (3, 3) about the com, in the body's axes (kg m^2).
+        stated: Whether the file states it, and does not leave it to the shapes.
+        rounding: Half a unit of the last digit of the stated inertia, at most (kg m^2).
+    """
+
+    mass: float
+    com: Array
+    inertia: Array
+    stated: bool
+    rounding: float = 0.0
+
+    @property
+    def moments(self) -> Array:
+        """The principal moments (kg m^2), ascending; NaN if the inertia is beyond all numbers."""
+        if not np.isfinite(self.inertia).all():
+            return np.full(3, np.nan)
+        return np.asarray(np.linalg.eigvalsh(self.inertia), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint.
+
+    Attributes:
+        name: Its name.
+        kind: One of HINGE, SLIDE, BALL, FREE, FIXED.
+        parent: The body it is fixed to.
+        child: The body it moves.
+        position: (3,) at zero angles, in the base frame (m).
+        axis: (3,) unit vector at zero angles, in the base frame; (0, 0, 0) where it has none.
+        raw_axis: (3,) as written.
+        lower: rad or m; -inf if unlimited.
+        upper: rad or m.
+        effort: N m or N; inf if unlimited.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    position: Array
+    axis: Array
+    raw_axis: Array
+    lower: float
+    upper: float
+    effort: float
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a hinge or a slide."""
+        return self.kind in (HINGE, SLIDE)
+
+    @property
+    def unit(self) -> str:
+        """The unit of its coordinate."""
+        return "m" if self.kind == SLIDE else "rad"
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A named frame on a body: a site of an MJCF.
+
+    Attributes:
+        name: Its name.
+        position: (3,) in the body's frame (m).
+    """
+
+    name: str
+    position: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A link of a URDF, a body of an MJCF.
+
+    Attributes:
+        name: Its name.
+        parent: Its parent's; None for a root (a child of the world).
+        pose: At zero angles, in the base frame.
+        joints: Those between its parent and it (several only in an MJCF).
+        inertial: None if the file gives it neither mass nor shapes with mass.
+        shapes: Drawn or touching.
+        frames: Named frames on it.
+    """
+
+    name: str
+    parent: str | None
+    pose: Pose
+    joints: tuple[Joint, ...]
+    inertial: Inertial | None
+    shapes: tuple[Shape, ...]
+    frames: tuple[Frame, ...] = ()
+
+    @property
+    def moving(self) -> bool:
+        """Whether it can move relative to its parent."""
+        return any(joint.kind != FIXED for joint in self.joints)
+
+    @property
+    def mass(self) -> float:
+        """In kg; 0 where none is stated."""
+        return 0.0 if self.inertial is None else self.inertial.mass
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A model.
+
+    Attributes:
+        format: ``"urdf"`` or ``"mjcf"``.
+        body_tag: What a body is called in the format.
+        base: The name of the base; "" if there is no body.
+        bodies: By name, parents first.
+        notes: What was left out.
+    """
+
+    format: str
+    body_tag: str
+    base: str
+    bodies: dict[str, Body]
+    notes: tuple[str, ...]
+
+    @cached_property
+    def joints(self) -> dict[str, Joint]:
+        """All joints, by name."""
+        return {joint.name: joint for body in self.bodies.values() for joint in body.joints}
+
+    @cached_property
+    def total_mass(self) -> float:
+        """Of all bodies (kg)."""
+        return sum(body.mass for body in self.bodies.values())
+
+    @cached_property
+    def _children(self) -> dict[str, list[Body]]:
+        children: dict[str, list[Body]] = {name: [] for name in self.bodies}
+        for body in self.bodies.values():
+            if body.parent is not None:
+                children[body.parent].append(body)
+        return children
+
+    def children(self, name: str) -> list[Body]:
+        """Returns the bodies whose parent is the one named."""
+        return self._children[name]
+
+    def descendants(self, name: str) -> Iterator[Body]:
+        """Yields the children of a body, their children, and so on."""
+        for child in self.children(name):
+            yield child
+            yield from self.descendants(child.name)
+
+    def fixed_group(self, name: str) -> list[Body]:
+        """Returns a body and all that is fixed to it, directly or not."""
+        group = [self.bodies[name]]
+        for child in self.children(name):
+            if not child.moving:
+                group += self.fixed_group(child.name)
+        return group
+
+    def is_negligible(self, body: Body) -> bool:
+        """Whether a body weighs less than 1e-4 of all: a placeholder, or a label stuck on."""
+        return body.mass < 1e-4 * self.total_mass
+
+    def ancestors(self, name: str) -> Iterator[str]:
+        """Yields the parent of a body, its parent, and so on."""
+        parent = self.bodies[name].parent
+        while parent is not None:
+            yield parent
+            parent = self.bodies[parent].parent
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfView(View):
+    """A model in a URDF.
+
+    Attributes:
+        file: The file.
+    """
+
+    file: UrdfFile
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfView(View):
+    """A model in an MJCF.
+
+    Attributes:
+        file: The file.
+        model: What MuJoCo makes of it, perhaps after repair; None if it refuses even that.
+        refusal: MuJoCo's message if it refuses the file as it stands, and the place it names.
+        body_names: The view's name of each of MuJoCo's bodies, by id.
+    """
+
+    file: MjcfFile
+    model: mujoco.MjModel | None
+    refusal: tuple[str, Place] | None
+    body_names: tuple[str, ...]

@@ -1,0 +1,273 @@
+"""Each model in the other engine: the MJCF's model in Pinocchio, the URDF's in MuJoCo.
+
+Pinocchio has an MJCF parser and MuJoCo a URDF importer. The former (3.8) drops masses given in
+default classes, friction loss and force ranges, so the compiled MuJoCo model is rebuilt joint by
+joint here; the latter, left to itself, welds the base to the world and drops its mass, so static
+bodies are kept apart and the base is given a free joint.
+"""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models import mjcf
+
+Array = NDArray[np.float64]
+
+_ROOT = "__root__"
+
+
+def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
+    """Rebuilds a compiled MuJoCo model in Pinocchio.
+
+    Bodies and sites become frames (of type BODY). Gravity, armature and damping as they act (see
+    `gravity`, `joint_armature`, `joint_damping`), friction loss, joint limits and the force limits
+    of the motors are taken over. What else acts (springs, tendons ...) is not: see `extras`.
+
+    Args:
+        model: A model with free, hinge and slide joints.
+
+    Raises:
+        ModelError: If it has a ball joint.
+    """
+    result = pin.Model()
+    result.gravity = pin.Motion(gravity(model), np.zeros(3))
+    joint_of = {0: 0}  # the joint that moves each body, and the body's placement in its frame
+    placement_of = {0: pin.SE3.Identity()}
+    dofs: list[int] = []
+    for body in range(1, model.nbody):
+        parent = int(model.body_parentid[body])
+        joint = joint_of[parent]
+        rotation = rotation_from_quaternion(model.body_quat[body])
+        placement = placement_of[parent] * pin.SE3(rotation, np.array(model.body_pos[body]))
+        first = int(model.body_jntadr[body])
+        for index in range(first, first + int(model.body_jntnum[body])):
+            joint, placement = _add_joint(result, model, index, joint, placement)
+            start = int(model.jnt_dofadr[index])
+            dofs += range(start, start + result.joints[joint].nv)
+        axes = rotation_from_quaternion(model.body_iquat[body])
+        inertia = pin.Inertia(
+            float(model.body_mass[body]),
+            np.array(model.body_ipos[body]),
+            axes @ np.diag(model.body_inertia[body]) @ axes.T,
+        )
+        result.appendBodyToJoint(joint, inertia, placement)
+        joint_of[body], placement_of[body] = joint, placement
+        _add_frame(result, model.body(body).name, joint, placement)
+    for site in range(model.nsite):
+        body = int(model.site_bodyid[site])
+        local = pin.SE3(
+            rotation_from_quaternion(model.site_quat[site]), np.array(model.site_pos[site])
+        )
+        _add_frame(result, model.site(site).name, joint_of[body], placement_of[body] * local)
+    result.armature = joint_armature(model)[dofs]
+    result.damping = joint_damping(model)[dofs]
+    result.friction = np.array(model.dof_frictionloss[dofs])
+    return result
+
+
+def gravity(model: mujoco.MjModel) -> Array:
+    """Returns the acceleration of gravity (3,) that acts in a model (m/s^2): 0 if switched off."""
+    off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY.value
+    return np.zeros(3) if off else np.array(model.opt.gravity)
+
+
+def joint_armature(model: mujoco.MjModel) -> Array:
+    """Returns the armature (nv,) that acts at each degree of freedom (kg m^2, kg).
+
+    The joint's, and those of the actuators at it, times their gears squared.
+    """
+    return np.array(model.dof_armature) + _of_actuators(model, model.actuator_armature)
+
+
+def joint_damping(model: mujoco.MjModel) -> Array:
+    """Returns the linear damping (nv,) that acts at each degree of freedom (N m s/rad, N s/m).
+
+    The joint's, and those of the actuators at it, times their gears squared; 0 if switched off.
+    """
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER.value:
+        return np.zeros(model.nv)
+    return np.array(model.dof_damping) + _of_actuators(model, model.actuator_damping)
+
+
+def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
+    """Says whether an actuator's armature and damping are those of one hinge or slide."""
+    kinds = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
+    if model.actuator_trntype[actuator] not in kinds:
+        return False
+    joint = int(model.actuator_trnid[actuator, 0])
+    moving = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
+    return model.jnt_type[joint] in moving
+
+
+def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
+    """Returns the gear of an actuator's first output: (1,) at one joint, else (6,)."""
+    gear = np.array(model.actuator_gear[int(model.actuator_outadr[actuator])])
+    return gear[:1] if is_at_one_joint(model, actuator) else gear
+
+
+def _of_actuators(model: mujoco.MjModel, values: Array) -> Array:
+    total = np.zeros(model.nv)
+    for actuator in range(model.nactuator):
+        if values[actuator] and is_at_one_joint(model, actuator):
+            dof = int(model.jnt_dofadr[model.actuator_trnid[actuator, 0]])
+            total[dof] += float(actuator_gear(model, actuator)[0]) ** 2 * float(values[actuator])
+    return total
+
+
+def _add_joint(
+    result: pin.Model, model: mujoco.MjModel, index: int, parent: int, placement: pin.SE3
+) -> tuple[int, pin.SE3]:
+    """Adds a joint; returns it, with the placement of the body's frame in the joint's."""
+    name = model.joint(index).name
+    kind = mujoco.mjtJoint(int(model.jnt_type[index]))
+    if kind == mujoco.mjtJoint.mjJNT_FREE:
+        # qpos holds the body's pose in the world, whatever the body's rest pose.
+        return result.addJoint(parent, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name), (
+            pin.SE3.Identity()
+        )
+    axis = np.array(model.jnt_axis[index])
+    anchor = np.array(model.jnt_pos[index])
+    rest = float(model.qpos0[model.jnt_qposadr[index]])
+    if kind == mujoco.mjtJoint.mjJNT_HINGE:
+        motion = pin.JointModelRevoluteUnaligned(axis)
+        at_zero = pin.SE3(pin.exp3(-rest * axis), np.zeros(3))
+    elif kind == mujoco.mjtJoint.mjJNT_SLIDE:
+        motion = pin.JointModelPrismaticUnaligned(axis)
+        at_zero = pin.SE3(np.eye(3), -rest * axis)
+    else:
+        raise ModelError(name, "a ball joint cannot be analysed")
+    limited = bool(model.jnt_limited[index])
+    lower, upper = model.jnt_range[index] if limited else (-np.inf, np.inf)
+    joint = result.addJoint(
+        parent,
+        motion,
+        placement * pin.SE3(np.eye(3), anchor) * at_zero,
+        name,
+        np.array([effort_limit(model, index)]),
+        np.array([np.inf]),
+        np.array([lower]),
+        np.array([upper]),
+    )
+    return joint, pin.SE3(np.eye(3), -anchor)
+
+
+def _add_frame(result: pin.Model, name: str, joint: int, placement: pin.SE3) -> None:
+    if name and not result.existFrame(name, pin.FrameType.BODY):
+        result.addFrame(pin.Frame(name, joint, 0, placement, pin.FrameType.BODY), False)
+
+
+def _free_joint(model: mujoco.MjModel) -> int:
+    return int(np.argmax(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value))
+
+
+def effort_limit(model: mujoco.MjModel, joint: int) -> float:
+    """Returns the greatest force or torque that a joint's actuators can give; inf if unlimited.
+
+    It is bounded by the joint's actuatorfrcrange, the actuators' forcerange, and the ctrlrange of
+    plain motors, whose force is proportional to ctrl.
+    """
+    limit = np.inf
+    if model.jnt_actfrclimited[joint]:
+        limit = float(np.abs(model.jnt_actfrcrange[joint]).max())
+    drives = [
+        actuator
+        for actuator in range(model.nu)
+        if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
+        and model.actuator_trnid[actuator, 0] == joint
+    ]
+    if not drives:
+        return limit
+    return min(limit, sum(_actuator_limit(model, actuator) for actuator in drives))
+
+
+def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
+    """Returns the greatest torque of an actuator at its joint."""
+    force = np.inf
+    if model.actuator_forcelimited[actuator]:
+        force = float(np.abs(model.actuator_forcerange[actuator]).max())
+    plain = (
+        model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE.value
+        and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED.value
+    )
+    if plain and model.actuator_ctrllimited[actuator]:
+        gain = abs(float(model.actuator_gainprm[actuator, 0]))
+        force = min(force, gain * float(np.abs(model.actuator_ctrlrange[actuator]).max()))
+    return force * abs(float(model.actuator_gear[actuator, 0]))
+
+
+def mujoco_from_urdf(
+    text: str,
+    source: Path,
+    like: mujoco.MjModel,
+    base: str,
+    imu: str | None,
+) -> mujoco.MjModel:
+    """Imports a URDF into MuJoCo, with the base's mass and the inertias of fixed children kept.
+
+    Shapes are left out. Gravity is taken from ``like``, and so is the armature of the joints, which
+    URDF cannot state; a gyro and an accelerometer are put on the link ``imu``.
+
+    Args:
+        text: The URDF.
+        source: Where it came from, for messages.
+        like: MuJoCo's model of the MJCF of the same robot.
+        base: The base's body in ``like``: if it is fixed there, it is fixed in the same pose.
+        imu: The link with the IMU, if any.
+
+    Raises:
+        ModelError: If MuJoCo refuses it.
+    """
+    root = ElementTree.fromstring(text)
+    children = {child.get("link") for child in root.findall("joint/child")}
+    links = root.findall("link")
+    for link in links:
+        for tag in ("visual", "collision"):
+            for shape in link.findall(tag):
+                link.remove(shape)
+    root_link = next(link.get("name") for link in links if link.get("name") not in children)
+    assert root_link is not None
+    floating = bool((like.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any())
+    extension = ElementTree.SubElement(root, "mujoco")
+    ElementTree.SubElement(
+        extension, "compiler", fusestatic="false", balanceinertia="false", discardvisual="false"
+    )
+    try:
+        spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    except (ValueError, RuntimeError) as error:
+        message = " ".join(str(error).split())
+        raise ModelError(source, f"MuJoCo cannot import it: {message}") from error
+    spec.option.gravity = gravity(like)
+    if floating:
+        spec.body(root_link).add_freejoint(name=_ROOT)
+    else:
+        data = mujoco.MjData(like)
+        mujoco.mj_kinematics(like, data)
+        spec.body(root_link).pos = data.body(base).xpos
+        spec.body(root_link).quat = data.body(base).xquat
+    if imu is not None:
+        spec.body(imu).add_site(name=imu)
+        for name, kind in (
+            ("gyro", mujoco.mjtSensor.mjSENS_GYRO),
+            ("accelerometer", mujoco.mjtSensor.mjSENS_ACCELEROMETER),
+        ):
+            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=imu)
+    model = copy.copy(mjcf.compile_spec(spec, source))
+    armature = joint_armature(like)
+    for index in range(model.njnt):
+        name = model.joint(index).name
+        twin = _free_joint(like) if name == _ROOT else like.joint(name).id
+        start, first = int(model.jnt_dofadr[index]), int(like.jnt_dofadr[twin])
+        count = 6 if name == _ROOT else 1
+        model.dof_armature[start : start + count] = armature[first : first + count]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model

@@ -1,0 +1,125 @@
+"""Reads MJCFs as ``mujoco.MjSpec``, and writes specs without loss."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.loading import quiet
+
+Array = NDArray[np.float64]
+
+
+def load(path: Path) -> mujoco.MjSpec:
+    """Reads an MJCF file, includes and all; the spec is not compiled, but is known to compile.
+
+    Raises:
+        ModelError: If the file cannot be read, is no MJCF, or does not compile; the message is
+            MuJoCo's.
+    """
+    if not path.is_file():
+        raise ModelError(path, "there is no such file; give the path of an MJCF (.xml) file")
+    try:
+        with quiet():
+            spec, same = (mujoco.MjSpec.from_file(str(path)) for _ in range(2))
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(path, f"not a valid MJCF: {_one_line(error)}") from error
+    # Here and not later: a copy of a spec lacks what is dangling, and would compile.
+    compile_spec(same, path)
+    return spec
+
+
+def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
+    """Compiles a spec.
+
+    Raises:
+        ModelError: If MuJoCo refuses it; the message is MuJoCo's.
+    """
+    try:
+        with quiet():
+            return spec.compile()
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(source, f"MuJoCo cannot compile it: {_one_line(error)}") from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def to_xml(spec: mujoco.MjSpec) -> str:
+    """Writes a spec with all its digits.
+
+    MuJoCo's own writer rounds to 6 significant digits, which would make the file differ from the
+    URDF by 1e-6; each number it rounded is replaced by the spec's.
+    """
+    spec = spec.copy()
+    spec.compile()
+    root = ElementTree.fromstring(spec.to_xml())
+    worldbody = root.find("worldbody")
+    assert worldbody is not None
+    _restore_tree(worldbody, spec.worldbody)
+    for tag, elements in (("mesh", spec.meshes), ("key", spec.keys)):
+        named = {element.name: element for element in elements}
+        for node in root.iter(tag):
+            if node.get("name") in named:
+                _restore(node, named[node.get("name")])
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _restore_tree(node: ElementTree.Element, body: mujoco.MjsBody) -> None:
+    for tag, elements in (
+        ("geom", body.geoms),
+        ("site", body.sites),
+        ("joint", body.joints),
+        ("body", body.bodies),
+    ):
+        children = node.findall(tag)
+        if tag == "joint":
+            children = [child for child in node if child.tag in ("joint", "freejoint")]
+        for child, element in zip(children, elements, strict=True):
+            _restore(child, element)
+            if tag == "body":
+                inertial = child.find("inertial")
+                if inertial is not None:
+                    _restore_inertial(inertial, element)
+                _restore_tree(child, element)
+
+
+def _restore_inertial(node: ElementTree.Element, body: mujoco.MjsBody) -> None:
+    """Writes a body's inertial as the spec has it; MuJoCo writes its principal axes instead."""
+    node.attrib.clear()
+    values = {"pos": body.ipos, "mass": body.mass}
+    if math.isnan(body.fullinertia[0]):
+        values |= {"quat": body.iquat, "diaginertia": body.inertia}
+    else:
+        values |= {"fullinertia": body.fullinertia}
+    for name, value in values.items():
+        node.set(name, _digits(np.atleast_1d(np.array(value, dtype=float))))
+
+
+def _digits(values: Array) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _restore(node: ElementTree.Element, element: object) -> None:
+    """Replaces numbers in an element's attributes by the spec's, where these round to the same."""
+    for name, text in node.attrib.items():
+        value = getattr(element, name, None)
+        if value is None or isinstance(value, (str, bool)):
+            continue
+        try:
+            rounded = np.array(text.split(), dtype=float)
+            exact = np.atleast_1d(np.array(value, dtype=float))[: len(rounded)]
+        except (TypeError, ValueError):
+            continue
+        if exact.shape != rounded.shape or np.array_equal(exact, rounded):
+            continue
+        if np.allclose(exact, rounded, rtol=1e-5, atol=1e-12):
+            node.set(name, _digits(exact))

@@ -1,0 +1,1 @@
+"""What is Pupper's alone: its variants, their derivation, demos."""

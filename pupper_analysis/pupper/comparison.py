@@ -1,0 +1,180 @@
+"""Compares variants with each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from pupper_analysis.analysis.robot import Analysis
+from pupper_analysis.pupper.variants import VariantSpec
+from pupper_analysis.report.console import titled_table
+from pupper_analysis.results import Result
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+def print_variants(out: Console, variants: Iterable[tuple[VariantSpec, Robot]]) -> None:
+    """Prints what variants there are."""
+    columns = (
+        "variant",
+        "base",
+        "leg_scale",
+        "torso_mass_scale",
+        "mass\n(kg)",
+        "stand height\n(m)",
+    )
+    table = titled_table(out, "Variants", *columns, left=2)
+    for spec, robot in variants:
+        table.add_row(
+            spec.name,
+            spec.base,
+            f"{spec.leg_scale:g}",
+            f"{spec.torso_mass_scale:g}",
+            f"{robot.total_mass:.3f}",
+            f"{robot.stand_height:.4f}",
+        )
+    out.print(table)
+
+
+@dataclass(frozen=True, eq=False)
+class ComparisonRow(Result):
+    """One robot beside the others. Ratios are to its base model, unscaled.
+
+    Attributes:
+        name: The robot.
+        base: Its base model.
+        total_mass: kg.
+        mass_ratio: Of the total masses.
+        thigh_ratio: Of the hip-to-knee distances.
+        thigh_shape_ratio: Of the lengths of the shapes that span the thighs; None without any.
+        height: Of the base, in the task (m).
+        peak_torque: The greatest torque (N m).
+        peak_utilisation: The greatest motor utilisation.
+        servo_sag: Without feed-forward (m).
+        stands_without: Whether it stands without feed-forward.
+        contact_sag: With feed-forward (m).
+        torque_error: Of the simulation against the prediction, relative.
+        force_error: Likewise.
+        best_kp: Of the gain sweep (N m/rad).
+        best_kd: Of the gain sweep (N m s/rad).
+        cross_check: Worst relative deviation.
+        verified: The verdict.
+    """
+
+    name: str
+    base: str
+    total_mass: float
+    mass_ratio: float
+    thigh_ratio: float
+    thigh_shape_ratio: float | None
+    height: float
+    peak_torque: float
+    peak_utilisation: float
+    servo_sag: float
+    stands_without: bool
+    contact_sag: float
+    torque_error: float
+    force_error: float
+    best_kp: float | None
+    best_kd: float | None
+    cross_check: float
+    verified: bool
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What ratios are taken to.
+
+    Attributes:
+        total_mass: kg.
+        thigh_length: m.
+        thigh_shape_length: m, or None.
+    """
+
+    total_mass: float
+    thigh_length: float
+    thigh_shape_length: float | None
+
+
+def compare(analysis: Analysis, base: str, reference: Reference) -> ComparisonRow:
+    """Puts an analysis beside its base model.
+
+    Args:
+        analysis: The analysis.
+        base: The base model's name.
+        reference: The base model's values.
+    """
+    assert analysis.stand.task.height is not None
+    shape = None
+    if analysis.thigh_shape_length and reference.thigh_shape_length:
+        shape = analysis.thigh_shape_length / reference.thigh_shape_length
+    return ComparisonRow(
+        name=analysis.name,
+        base=base,
+        total_mass=analysis.total_mass,
+        mass_ratio=analysis.total_mass / reference.total_mass,
+        thigh_ratio=analysis.thigh_length / reference.thigh_length,
+        thigh_shape_ratio=shape,
+        height=analysis.stand.task.height,
+        peak_torque=float(np.abs(analysis.statics.joint_torques).max()),
+        peak_utilisation=float(analysis.statics.motor_utilisation.max()),
+        servo_sag=analysis.sagging.servo_sag,
+        stands_without=analysis.sagging.passed,
+        contact_sag=analysis.verification.contact_sag,
+        torque_error=analysis.verification.torque_error,
+        force_error=analysis.verification.force_error,
+        best_kp=analysis.sweep.best_kp,
+        best_kd=analysis.sweep.best_kd,
+        cross_check=max(quantity.relative for quantity in analysis.check.quantities),
+        verified=analysis.verified,
+    )
+
+
+def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
+    """Prints the table that compares robots."""
+    table = titled_table(
+        out,
+        "Comparison (ratios to the unscaled base model)",
+        "",
+        *(row.name for row in rows),
+    )
+    lines: list[tuple[str, list[str]]] = [
+        ("mass (kg)", [f"{row.total_mass:.3f}" for row in rows]),
+        ("mass ratio", [f"{row.mass_ratio:.3f}" for row in rows]),
+        ("thigh ratio, hip to knee", [f"{row.thigh_ratio:.3f}" for row in rows]),
+        (
+            "thigh ratio, drawn shape",
+            [
+                "-" if row.thigh_shape_ratio is None else f"{row.thigh_shape_ratio:.3f}"
+                for row in rows
+            ],
+        ),
+        ("stand height (m)", [f"{row.height:.4f}" for row in rows]),
+        ("peak torque (N m)", [f"{row.peak_torque:.3f}" for row in rows]),
+        ("peak utilisation", [f"{row.peak_utilisation:.1%}" for row in rows]),
+        (
+            "without feed-forward",
+            ["stands" if row.stands_without else "[red]FAILS[/]" for row in rows],
+        ),
+        ("  servo sag (mm)", [f"{1e3 * row.servo_sag:.3f}" for row in rows]),
+        ("contact softness (mm)", [f"{1e3 * row.contact_sag:.3f}" for row in rows]),
+        ("torque off prediction", [f"{row.torque_error:.3%}" for row in rows]),
+        ("foot force off prediction", [f"{row.force_error:.3%}" for row in rows]),
+        (
+            "best Kp, Kd",
+            ["-" if row.best_kp is None else f"{row.best_kp:g}, {row.best_kd:g}" for row in rows],
+        ),
+        ("cross-check, worst", [f"{row.cross_check:.1e}" for row in rows]),
+        (
+            "verdict",
+            ["[green]verified[/]" if row.verified else "[red]FAILED[/]" for row in rows],
+        ),
+    ]
+    for name, values in lines:
+        table.add_row(name, *values)
+    out.print(table)

@@ -1,0 +1,106 @@
+"""Pupper v3 moving between stances: what ``stand_pupper.py --demo`` shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.pupper.viewer import check_display, show
+from pupper_analysis.report.console import console
+from pupper_analysis.report.stance import print_tracking
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.path_commands import path_commands
+from pupper_analysis.simulation.rollout import STATE
+from pupper_analysis.simulation.tracking import track_path
+from pupper_analysis.stance.path.stance_path import StancePath, stance_path
+from pupper_analysis.stance.task import StandTask
+
+DEMOS = {
+    "squat": "down by a fifth, and up again",
+    "sway": "to the left, to the right, and back",
+    "lift": "the weight on to three feet, FL 20 mm up and down again, and back",
+}
+"""{demo: what it does}."""
+
+_SECONDS = {"squat": 4.0, "sway": 6.0, "lift": 8.0}
+
+
+def demo_path(robot: Robot, name: str) -> StancePath:
+    """Returns the path of a demo.
+
+    Args:
+        robot: Where it shall move.
+        name: One of ``DEMOS``.
+
+    Raises:
+        StanceUnreachableError: If this robot cannot do it; says when.
+        StaticsInfeasibleError: If it would fall; says when.
+    """
+    return stance_path(robot, demo_stances(robot, name), _SECONDS[name])
+
+
+def demo_stances(robot: Robot, name: str, *, depth: float = 0.2) -> list[StandTask]:
+    """Returns the stances of a demo.
+
+    Args:
+        robot: Where it shall move.
+        name: One of ``DEMOS``.
+        depth: Of the squat, as a share of the height.
+    """
+    stand = StandTask()
+    if name == "squat":
+        return [stand, StandTask(height=(1 - depth) * robot.stand_height), stand]
+    if name == "sway":
+        return [stand, *(StandTask(offset=(0.0, y)) for y in (0.02, -0.02)), stand]
+    feet = Configuration(robot, robot.neutral()).foot_positions()
+    x, y = np.mean([feet[foot][:2] for foot in robot.feet if foot != "FL"], axis=0)
+    over = StandTask(com=(float(x), float(y)))
+    up = StandTask(com=(float(x), float(y)), lifted={"FL": 0.02})
+    return [stand, over, up, up, over, stand]
+
+
+def demo(name: str, *, headless: bool, csv: Path | None = None) -> bool:
+    """Moves Pupper v3 in MuJoCo, and prints how well it follows.
+
+    Args:
+        name: One of ``DEMOS``.
+        headless: Open no window.
+        csv: Where to write the path: time, joint positions and torques.
+
+    Returns:
+        Whether it was tracked.
+
+    Raises:
+        DisplayError: If no window can be opened.
+        OutputError: If the file cannot be written.
+    """
+    if not headless:
+        check_display()
+    robot = load_variant("v3")
+    path = demo_path(robot, name)
+    if not headless:
+        _show(robot, path)
+    tracking = track_path(robot, path)
+    print(f"{name}: {DEMOS[name]}")
+    print_tracking(console(), path, tracking)
+    if csv is not None:
+        path.to_csv(csv)
+        print(f"path: {csv}")
+    return tracking.passed
+
+
+def _show(robot: Robot, path: StancePath) -> None:
+    plan = path_commands(robot, path)
+    model, rows = plan.drive.model, iter(plan.ctrl)
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, plan.start, STATE)
+
+    def step() -> None:
+        data.ctrl[:] = next(rows)
+        mujoco.mj_step(model, data)
+
+    show(model, data, step, len(plan.ctrl))

@@ -1,0 +1,184 @@
+"""Derives a variant from an MJCF, on ``mujoco.MjSpec``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.pupper.variants import BASES, Box, VariantSpec
+
+Array = NDArray[np.float64]
+
+
+def derive(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
+    """Turns the spec of a base model, in place, into that of a variant.
+
+    A leg's last joint is its knee; the bodies on its two sides are thigh and calf. Both are
+    stretched by ``leg_scale`` along the line to the next joint (to the foot), taken in the plane
+    normal to the knee's axis: the leg's sideways offset stays. Mass grows in proportion. A shape
+    that spans the link gets longer, another one keeps its size and moves. The base body's mass and
+    inertia are multiplied by ``torso_mass_scale``. Keyframes keep their clearance of the ground.
+
+    Args:
+        spec: The base model's spec.
+        variant: Names the base and the scales.
+    """
+    base = BASES[variant.base]
+    before = _keyframe_depths(spec, base.feet.values())
+    torso = spec.site(next(iter(base.feet.values()))).parent
+    while torso.parent.name != "world":
+        torso = torso.parent
+    stretched_meshes: dict[str, Array] = {}
+    for frame in base.feet.values():
+        site = spec.site(frame)
+        calf = site.parent
+        thigh = calf.parent
+        knee_in_calf = _unit(calf.joints[0].axis)
+        knee_in_thigh = _rotation(calf.quat) @ knee_in_calf
+        along_thigh = _in_plane(np.array(calf.pos), knee_in_thigh)
+        along_calf = _in_plane(np.array(site.pos), knee_in_calf)
+        _stretch_body(thigh, along_thigh, variant.leg_scale, stretched_meshes)
+        _stretch_body(calf, along_calf, variant.leg_scale, stretched_meshes)
+    for name, factor in stretched_meshes.items():
+        mesh = spec.mesh(name)
+        mesh.scale = np.array(mesh.scale) * factor
+    _scale_torso(torso, variant.torso_mass_scale)
+    if variant.ballast:
+        _draw_ballast(torso, variant.ballast)
+    spec.modelname = variant.name
+    _raise_keyframes(spec, torso, before, _keyframe_depths(spec, base.feet.values()))
+
+
+def _unit(vector: object) -> Array:
+    array = np.array(vector, dtype=float)
+    unit: Array = array / np.linalg.norm(array)
+    return unit
+
+
+def _rotation(quat: object) -> Array:
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, _unit(quat))
+    return matrix.reshape(3, 3)
+
+
+def _in_plane(offset: Array, normal: Array) -> Array:
+    return _unit(offset - (offset @ normal) * normal)
+
+
+def _stretch_body(
+    body: mujoco.MjsBody, axis: Array, factor: float, meshes: dict[str, Array]
+) -> None:
+    """Stretches all that is fixed to a body by ``factor`` along the unit vector ``axis``."""
+    stretch = np.eye(3) + (factor - 1.0) * np.outer(axis, axis)
+    for part in (*body.bodies, *body.sites, *body.joints):
+        part.pos = stretch @ np.array(part.pos)
+    for geom in body.geoms:
+        _stretch_geom(geom, axis, factor, stretch, meshes)
+    if body.explicitinertial:
+        _stretch_inertial(body, stretch, factor)
+
+
+def _stretch_geom(
+    geom: mujoco.MjsGeom, axis: Array, factor: float, stretch: Array, meshes: dict[str, Array]
+) -> None:
+    ends = np.array(geom.fromto)
+    rotation = _rotation(geom.quat)
+    spans = False
+    if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+        local = rotation.T @ stretch @ rotation
+        if not np.allclose(local, np.diag(np.diag(local)), atol=1e-9):
+            raise ModelError(
+                geom.meshname, f"the mesh must have an axis along the link {axis} to be stretched"
+            )
+        meshes[geom.meshname] = np.diag(local).copy()
+    elif not math.isnan(ends[0]):
+        spans = bool(abs(_unit(ends[3:] - ends[:3]) @ axis) > 1 - 1e-9)
+        geom.fromto = np.concatenate([stretch @ ends[:3], stretch @ ends[3:]])
+    elif geom.type in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
+        spans = bool(abs(rotation[:, 2] @ axis) > 1 - 1e-9)
+        if spans:
+            geom.size = np.array(geom.size) * (1.0, factor, 1.0)
+    geom.pos = stretch @ np.array(geom.pos)
+    if spans and not math.isnan(geom.mass):
+        geom.mass = geom.mass * factor
+
+
+def _stretch_inertial(body: mujoco.MjsBody, stretch: Array, factor: float) -> None:
+    """Stretches a body of constant density, given by its inertial.
+
+    The body is replaced by six equal point masses on its principal axes that have its mass,
+    centre and inertia (an equimomental system); these are moved, and their inertia is summed up.
+    """
+    rotation = _rotation(body.iquat)
+    full = np.array(body.fullinertia)
+    if math.isnan(full[0]):
+        tensor = rotation @ np.diag(body.inertia) @ rotation.T
+    else:
+        xx, yy, zz, xy, xz, yz = full
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments, axes = np.linalg.eigh(tensor)
+    second = np.maximum(moments.sum() / 2 - moments, 0.0)  # integral of x_i^2 dm, per axis
+    arms = axes * np.sqrt(3.0 * second / body.mass)
+    points = stretch @ np.concatenate([arms, -arms], axis=1)
+    mass = factor * body.mass
+    tensor = mass / 6 * (np.eye(3) * np.sum(points**2) - points @ points.T)
+    body.mass = mass
+    body.ipos = stretch @ np.array(body.ipos)
+    body.iquat = (1.0, 0.0, 0.0, 0.0)
+    body.fullinertia = tensor[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+
+
+def _scale_torso(body: mujoco.MjsBody, factor: float) -> None:
+    if body.explicitinertial:
+        body.mass = factor * body.mass
+        body.fullinertia = factor * np.array(body.fullinertia)
+        body.inertia = factor * np.array(body.inertia)
+        return
+    for geom in body.geoms:
+        geom.density = factor * geom.density
+        if not math.isnan(geom.mass):
+            geom.mass = factor * geom.mass
+
+
+def _draw_ballast(body: mujoco.MjsBody, ballast: Box) -> None:
+    body.add_geom(
+        name="ballast",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=ballast.half_size,
+        pos=ballast.position,
+        rgba=(0.16, 0.17, 0.20, 1.0),
+        mass=0.0,
+        contype=0,
+        conaffinity=0,
+        group=1,
+    )
+
+
+def _keyframe_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
+    """Returns how far the lowest foot is below the base: at zero angles, then at each keyframe."""
+    model = spec.copy().compile()
+    data = mujoco.MjData(model)
+    ids = [model.site(name).id for name in sites]  # type: ignore[attr-defined]
+    depths = []
+    for qpos in (None, *model.key_qpos):
+        if qpos is not None:
+            data.qpos[:] = qpos
+        data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
+        mujoco.mj_kinematics(model, data)
+        depths.append(-float(data.site_xpos[ids, 2].min()))
+    return depths
+
+
+def _raise_keyframes(
+    spec: mujoco.MjSpec, torso: mujoco.MjsBody, before: Sequence[float], after: Sequence[float]
+) -> None:
+    torso.pos = np.array(torso.pos) + np.array([0.0, 0.0, after[0] - before[0]])
+    for key, old, new in zip(spec.keys, before[1:], after[1:], strict=True):
+        qpos = np.array(key.qpos)
+        qpos[2] += new - old
+        key.qpos = qpos

@@ -1,0 +1,158 @@
+"""Which robot: the base models that come with the package, and the variants derived from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from numbers import Real
+from pathlib import Path
+from types import MappingProxyType
+
+from pupper_analysis.errors import ModelError, VariantError
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box drawn on the base link; it has no mass and touches nothing.
+
+    Attributes:
+        half_size: Half of its edges (m).
+        position: Its centre in the base frame (m).
+    """
+
+    half_size: tuple[float, float, float]
+    position: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Base:
+    """A pair of model files from which variants are derived.
+
+    Attributes:
+        urdf: Name of the file in ``urdf/``.
+        mjcf: Name of the file in ``mjcf/``.
+        feet: For each foot, the name that both its URDF link and its MJCF site have.
+        foot_depth: How far below the hips the nominal stand has its feet (m), by leg_scale.
+        ballast: Drawn on the back when the torso is heavier than the original's.
+        remark: What its users should know.
+    """
+
+    urdf: str
+    mjcf: str
+    feet: Mapping[str, str]
+    foot_depth: Callable[[float], float]
+    ballast: Box
+    remark: str = ""
+
+
+BASES: Mapping[str, Base] = MappingProxyType(
+    {
+        "skeleton": Base(
+            urdf="pupper_skeleton.urdf",
+            mjcf="pupper_skeleton.xml",
+            feet={leg: f"{leg}_foot" for leg in ("FL", "FR", "RL", "RR")},
+            foot_depth=lambda leg_scale: 0.14 * min(max(leg_scale, 1.0), 1.5),
+            ballast=Box((0.065, 0.042, 0.018), (0.01, 0.0, 0.075)),
+        ),
+        "v3": Base(
+            urdf="pupper_v3.urdf",
+            mjcf="pupper_v3.xml",
+            feet={
+                "FR": "leg_front_r_3_foot_site",
+                "FL": "leg_front_l_3_foot_site",
+                "RR": "leg_back_r_3_foot_site",
+                "RL": "leg_back_l_3_foot_site",
+            },
+            foot_depth=lambda leg_scale: 0.11156 * leg_scale,
+            ballast=Box((0.065, 0.042, 0.018), (0.01, 0.0, 0.0965)),
+            remark=(
+                "joint axes: leg_*_1 turns about y (it pitches the leg) and leg_*_2 about x (it "
+                "rolls the leg), though tutorials list them as HAA (roll) and HFE (pitch)"
+            ),
+        ),
+    }
+)
+
+
+@dataclass(frozen=True)
+class VariantSpec:
+    """A robot derived from a base model by scaling.
+
+    Attributes:
+        base: ``"skeleton"`` or ``"v3"``.
+        leg_scale: Factor on the length and on the mass of every thigh and calf; finite, > 0.
+        torso_mass_scale: Factor on the mass and inertia of the torso; finite, > 0.
+        name: A name for tables and files; made from the values where it is not given.
+
+    Raises:
+        VariantError: If the base is unknown, or a scale is not a finite positive number.
+    """
+
+    base: str = "skeleton"
+    leg_scale: float = 1.0
+    torso_mass_scale: float = 1.0
+    name: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.base, str) or self.base not in BASES:
+            raise VariantError("base", self.base, f"valid: {', '.join(BASES)}")
+        for what in ("leg_scale", "torso_mass_scale"):
+            value = getattr(self, what)
+            number = isinstance(value, Real) and not isinstance(value, bool)
+            if not number or not math.isfinite(value) or value <= 0:
+                raise VariantError(what, value, "it must be a finite number greater than 0")
+            object.__setattr__(self, what, float(value))
+        if not self.name:
+            made = f"{self.base}-leg{self.leg_scale:g}-torso{self.torso_mass_scale:g}"
+            object.__setattr__(self, "name", made)
+
+    @property
+    def ballast(self) -> Box | None:
+        """The box that shows on its back that the torso is heavier than the base model's."""
+        return BASES[self.base].ballast if self.torso_mass_scale > 1.01 else None
+
+
+VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
+    {
+        name: VariantSpec(base, leg_scale, torso_mass_scale, name)
+        for name, base, leg_scale, torso_mass_scale in (
+            ("original", "skeleton", 1.0, 1.0),
+            ("long-leg", "skeleton", 1.5, 1.0),
+            ("heavy", "skeleton", 1.0, 2.0),
+            ("v3", "v3", 1.0, 1.0),
+            ("v3-long-leg", "v3", 1.5, 1.0),
+            ("v3-heavy", "v3", 1.0, 2.0),
+        )
+    }
+)
+
+
+def variant_spec(variant: str | VariantSpec) -> VariantSpec:
+    """Returns the spec of a variant given by name; a spec is returned as it is.
+
+    Raises:
+        VariantError: If the name is unknown.
+    """
+    if isinstance(variant, VariantSpec):
+        return variant
+    if not isinstance(variant, str) or variant not in VARIANTS:
+        raise VariantError("name", variant, f"known variants: {', '.join(VARIANTS)}")
+    return VARIANTS[variant]
+
+
+@cache
+def model_folder(kind: str) -> Path:
+    """Returns the folder ``urdf`` or ``mjcf`` of the model files.
+
+    They are the package's own in an installed wheel, and stand at the top level of a checkout.
+
+    Raises:
+        ModelError: If neither is there.
+    """
+    here = Path(__file__).resolve().parent
+    for folder in (here / kind, here.parents[1] / kind):
+        if folder.is_dir():
+            return folder
+    raise ModelError(here, f"the package's {kind}/ folder is missing; install the package again")

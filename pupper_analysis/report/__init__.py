@@ -1,0 +1,1 @@
+"""Shows results, and never solves."""

@@ -1,0 +1,88 @@
+"""Prints the audit of a model file, for people and for machines."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.markup import escape
+
+from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
+from pupper_analysis.report.formats import Annotation, Case
+
+_STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
+_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "notice"}
+
+
+def print_rules(out: Console) -> None:
+    """Prints all rules."""
+    width = max(len(name) for name in RULES)
+    for rule in RULES.values():
+        formats = ", ".join(rule.formats)
+        line = f"{rule.id:{width}}  {rule.severity:7}  {formats:10}  {rule.title}"
+        out.print(escape(line), soft_wrap=True)
+    out.print(f"{len(RULES)} rules; --disable RULE leaves one out")
+
+
+def print_audit(out: Console, audit: Audit) -> None:
+    """Prints the findings, the worst first, each with its place and what to do."""
+    for note in audit.notes:
+        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+    groups: dict[tuple[str, str], list[Finding]] = {}
+    for finding in audit.findings:
+        groups.setdefault((finding.rule, finding.message), []).append(finding)
+    for finding, *others in groups.values():
+        style = _STYLES[finding.severity]
+        out.print(
+            f"[{style}]{finding.severity}[/] {escape(_place(finding))} [dim]{finding.rule}[/]",
+            soft_wrap=True,
+        )
+        more = f"; likewise {', '.join(other.element for other in others)}" if others else ""
+        out.print(f"  {escape(f'{finding.element}: {finding.message}{more}')}", soft_wrap=True)
+        out.print(f"  {escape(f'{finding.why} {finding.todo}')}", style="dim", soft_wrap=True)
+    counts = ", ".join(
+        f"{number} {severity}{'' if severity == 'info' or number == 1 else 's'}"
+        for severity, number in audit.counts.items()
+    )
+    verdict = "[bold green]SOUND[/]" if audit.passed else "[bold red]UNSOUND[/]"
+    out.print(
+        f"{verdict} {escape(audit.file)}: {counts}, by {len(audit.rules_run)} rules", soft_wrap=True
+    )
+
+
+def _place(finding: Finding) -> str:
+    return finding.file if finding.line is None else f"{finding.file}:{finding.line}"
+
+
+def remarks(audit: Audit) -> list[Annotation]:
+    """Returns the findings as annotations."""
+    return [
+        Annotation(
+            _LEVELS[finding.severity],
+            finding.rule,
+            f"{finding.element}: {finding.message} {finding.todo}",
+            _place(finding),
+        )
+        for finding in audit.findings
+    ]
+
+
+def cases(audit: Audit) -> list[Case]:
+    """Returns one case per rule; errors and warnings are its failures."""
+    failures: dict[str, list[str]] = {}
+    for finding in audit.findings:
+        if finding.severity is not Severity.INFO:
+            text = f"{_place(finding)}: {finding.element}: {finding.message}"
+            failures.setdefault(finding.rule, []).append(text)
+    return [
+        Case(rule, "\n".join(failures[rule]) if rule in failures else None)
+        for rule in audit.rules_run
+    ]
+
+
+def rank(severity: str) -> int:
+    """Returns the rank of a severity by name; 0 is the worst."""
+    return Severity(severity).rank
+
+
+def worst_rank(audit: Audit) -> int:
+    """Returns the rank of the worst finding; one more than the mildest's if there is none."""
+    return min((finding.severity.rank for finding in audit.findings), default=len(Severity))

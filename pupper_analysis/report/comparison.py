@@ -1,0 +1,185 @@
+"""Prints the comparison of two model files, for people and for machines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from pupper_analysis.checks.attribution import Difference
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.checks.engines import EDGES, EXTRAS
+from pupper_analysis.report.formats import Annotation, Case
+
+SHOWN = 20
+"""Groups of differences that are printed unless all are asked for."""
+
+_GROUPED = 4  # elements of a group that are named
+
+
+def print_models(out: Console, comparison: Comparison, *, everything: bool = False) -> None:
+    """Prints a comparison: the verdict and its first cause, all differences, what is left.
+
+    Args:
+        out: Where to.
+        comparison: The comparison.
+        everything: Print all differences, however many.
+    """
+    groups = _groups(comparison.differences)
+    verdict = "[bold green]AGREE[/]" if comparison.agree else "[bold red]DISAGREE[/]"
+    first = groups[0][0].message if groups else "no difference within the tolerances"
+    if not groups and comparison.objections:
+        first = comparison.objections[0]
+    elif not groups and not comparison.agree:
+        first = "they do not have the same joints"
+    out.print(f"{verdict}: {escape(first)}", soft_wrap=True)
+    shown = groups if everything else groups[:SHOWN]
+    for number, group in enumerate(shown, start=1):
+        _print_group(out, number, group, everything)
+    if len(shown) < len(groups):
+        out.print(f"… and {len(groups) - len(shown)} more with less effect; --all prints them")
+    if groups:
+        left = max(comparison.left.values())
+        complete = "" if comparison.complete else ", [red]so something is missing in this list[/]"
+        out.print(
+            f"\nexplained: {100 * comparison.explained:.6g} % of the deviation; with the MJCF's "
+            f"values in the URDF's model {left:.1e} is left{complete}",
+            soft_wrap=True,
+        )
+    for objection in comparison.objections:
+        out.print(f"[red]{escape(objection)}[/]", soft_wrap=True)
+    _print_quantities(out, comparison)
+    for note in _matching_notes(comparison):
+        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+
+
+def _matching_notes(comparison: Comparison) -> Iterable[str]:
+    yield from comparison.notes
+    if comparison.guessed:
+        pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
+        yield f"matched by structure, not by name (confirm with --map): {pairs}"
+    for joints, file in (
+        (comparison.only_urdf, comparison.urdf),
+        (comparison.only_mjcf, comparison.mjcf),
+    ):
+        if joints:
+            yield f"only in {file}, fixed at zero to compare the rest: {', '.join(joints)}"
+
+
+def _groups(differences: Iterable[Difference]) -> list[list[Difference]]:
+    """Puts together differences of one kind with the same two values."""
+    groups: dict[tuple[str, str, str], list[Difference]] = {}
+    for difference in differences:
+        key = (difference.kind, str(difference.urdf), str(difference.mjcf))
+        groups.setdefault(key, []).append(difference)
+    return list(groups.values())
+
+
+def _print_group(out: Console, number: int, group: list[Difference], everything: bool) -> None:
+    first = group[0]
+    more = ""
+    if len(group) > 1:
+        names = [difference.element for difference in group[1:]]
+        listed = ", ".join(names[:_GROUPED]) + (" …" if len(names) > _GROUPED else "")
+        more = f"; likewise on {len(names)} more: {', '.join(names) if everything else listed}"
+    out.print(f"\n[bold]{number}.[/] {escape(first.message + more)}", soft_wrap=True)
+    out.print(escape(f"   {first.urdf_place}   {first.mjcf_place}"), style="dim", soft_wrap=True)
+    if first.effects:
+        effects = ", ".join(
+            f"{name} {effect.share:.0%} ({effect.relative:.1e})"
+            if math.isfinite(effect.share)
+            else f"{name} ({effect.relative:.1e})"
+            for name, effect in sorted(first.effects.items(), key=lambda item: -item[1].share)
+        )
+        out.print(f"   alone it makes, of the deviation in: {effects}", soft_wrap=True)
+    else:
+        out.print("   no effect on the dynamics", style="dim")
+
+
+def _print_quantities(out: Console, comparison: Comparison) -> None:
+    check = comparison.check
+    out.print(
+        f"\nDeviation relative to each quantity's scale, at {check.configurations} random "
+        "configurations",
+        style="bold",
+    )
+    sides = [side for side in EDGES.values() if any(side in q.edges for q in check.quantities)]
+    extras = any(quantity.edges.get(EXTRAS) for quantity in check.quantities)
+    if not extras:
+        sides.remove(EXTRAS)  # a column of zeros: the MJCF has none
+    # With that column, 80 characters are enough only if the columns share their padding.
+    table = Table(
+        box=SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        header_style="dim",
+        collapse_padding=extras,
+    )
+    table.add_column("quantity", no_wrap=True)
+    for side in sides:
+        table.add_column(side.replace(" (", "\n("), justify="right", no_wrap=True)
+    table.add_column("worst at", overflow="fold")
+    for quantity in check.quantities:
+        cells = [f"{quantity.edges[side]:.1e}" if side in quantity.edges else "" for side in sides]
+        table.add_row(quantity.name, *cells, "" if quantity.passed else escape(quantity.where))
+    out.print(table)
+    for note in check.notes:
+        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+    for engine in comparison.engines:
+        out.print(f"note: the engines differ on one model: {engine}", style="yellow")
+
+
+def remarks(comparison: Comparison) -> list[Annotation]:
+    """Returns a remark per difference, at its place in the URDF, and one per joint left over."""
+    found = [
+        Annotation(
+            "error",
+            f"{difference.kind} of {difference.element}",
+            f"{difference.message} [{difference.mjcf_place}]",
+            difference.urdf_place,
+        )
+        for difference in comparison.differences
+    ]
+    for joints, file, other in (
+        (comparison.only_urdf, comparison.urdf, comparison.mjcf),
+        (comparison.only_mjcf, comparison.mjcf, comparison.urdf),
+    ):
+        found += [
+            Annotation("error", f"joint {name}", f"joint {name} is not in {other}", file)
+            for name in joints
+        ]
+    found += [
+        Annotation("error", "agreement", objection, comparison.mjcf)
+        for objection in comparison.objections
+    ]
+    if comparison.guessed:
+        pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
+        message = f"matched by structure, not by name: {pairs}"
+        found.append(Annotation("warning", "guessed joints", message, comparison.urdf))
+    return found
+
+
+def cases(comparison: Comparison) -> list[Case]:
+    """Returns one case per kind of number of each joint and body, and one per quantity."""
+    failures: dict[str, list[str]] = {}
+    for difference in comparison.differences:
+        place = f" [{difference.urdf_place}, {difference.mjcf_place}]"
+        failures.setdefault(difference.element, []).append(difference.message + place)
+    unmatched = [*comparison.only_urdf, *comparison.only_mjcf]
+    missing = f"in one file only: {', '.join(unmatched)}" if unmatched else None
+    result = [Case("the same joints", missing)]
+    for element in dict.fromkeys([comparison.base, *comparison.joints, *failures]):
+        found = failures.get(element)
+        result.append(Case(f"parameters of {element}", "\n".join(found) if found else None))
+    for quantity in comparison.check.quantities:
+        failure = None
+        if not (quantity.passed or comparison.agree):
+            failure = f"{quantity.relative:.1e} ({quantity.whose}; {quantity.where})"
+        result.append(Case(f"{quantity.name} agree", failure))
+    incomplete = "\n".join(comparison.objections) or None
+    result.append(Case("the differences explain the deviations", incomplete))
+    return result

@@ -1,0 +1,42 @@
+"""Prints how hard robots can be pushed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+
+from pupper_analysis.report.console import titled_table
+from pupper_analysis.simulation.push import PushRecovery
+
+
+def print_pushes(out: Console, results: Mapping[str, PushRecovery]) -> None:
+    """Prints the largest push of each direction, and how each robot fails at its weakest.
+
+    Args:
+        out: Where to.
+        results: Per robot; all with the same directions.
+    """
+    columns = (f"{escape(name)}\n(N s)" for name in results)
+    table = titled_table(out, "Largest push that the stand survives", "direction", *columns)
+    for index, angle in enumerate(next(iter(results.values())).directions):
+        impulses = (f"{result.impulses[index]:.2f}" for result in results.values())
+        table.add_row(_direction(float(angle)), *impulses)
+    out.print(table)
+    out.print("directions about the vertical, of the base: forward 0, left 90", style="dim")
+    for name, result in results.items():
+        tipping = float(np.min(result.tipping_estimate))
+        out.print(
+            f"[bold]{escape(name)}[/] ({result.mass:.2f} kg): weakest at "
+            f"{_direction(result.weakest_direction)}, {result.weakest_impulse:.2f} N s = "
+            f"{result.weakest_impulse / result.mass:.2f} m/s; then "
+            f"{escape(result.weakest_failure)} (a rigid robot tips at {tipping:.2f} N s)",
+            soft_wrap=True,
+        )
+
+
+def _direction(angle: float) -> str:
+    return f"{math.degrees(angle):.0f} deg"

@@ -1,0 +1,207 @@
+"""Prints what was found out about a stance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.markup import escape
+
+from pupper_analysis.analysis.stance import Stance
+from pupper_analysis.report.analysis import print_loads
+from pupper_analysis.report.console import titled_table
+from pupper_analysis.report.push import print_pushes
+from pupper_analysis.simulation.tracking import PathTracking
+from pupper_analysis.stance.optimize.best import BestStance, Objective
+from pupper_analysis.stance.path.stance_path import StancePath
+from pupper_analysis.stance.sag.steady_state import (
+    RELEASE_MARGIN,
+)
+from pupper_analysis.stance.stand import Stand
+from pupper_analysis.stance.workspace import PoseEnvelope
+
+Array = NDArray[np.float64]
+
+DISAGREEMENT = 1e-4
+"""What a stand may leave of the balance in MuJoCo's terms before it is remarked upon (N, N m)."""
+
+
+def print_stance(out: Console, stance: Stance) -> None:
+    """Prints a stance."""
+    stand, verification = stance.stand, stance.verification
+    out.print(f"[bold]{escape(stance.name)}[/]: {escape(str(stand.task))}", soft_wrap=True)
+    if stance.best is not None:
+        _print_best(out, stance.best)
+    more = {"position (rad)": stance.joint_positions}
+    print_loads(out, stance.statics, stance.least_peak, verification, stance.limits.tolist(), more)
+    if stance.overloaded:
+        how = "with the contact forces that last"
+        if stance.least_peak.motor_utilisation.max() > 1:
+            how = "however the feet share the load"
+        out.print(
+            f"[bold red]OVERLOADED[/]: the motors cannot hold it {how}: "
+            f"{', '.join(stance.overloaded)}",
+            soft_wrap=True,
+        )
+    _print_payload(out, stance)
+    _print_clearance(out, stand)
+    _print_settled(out, stance)
+    if stance.least_kp is not None:
+        out.print(f"softest servos that carry it: {stance.least_kp:.2f} N m/rad", soft_wrap=True)
+    if stance.envelope is not None:
+        _print_envelope(out, stance.envelope)
+    if stance.push is not None:
+        print_pushes(out, {stance.name: stance.push})
+    if stance.path is not None and stance.tracking is not None:
+        print_tracking(out, stance.path, stance.tracking)
+    if stance.sunk is None:
+        out.print(
+            "[yellow]note:[/] its feet, sunk into MuJoCo's soft ground, would be out of reach; "
+            "simulated with joints for rigid ground",
+            soft_wrap=True,
+        )
+    else:
+        deepest = 1e3 * max(stance.sunk.depths.values())
+        out.print(
+            f"simulated with its legs longer by what the feet sink into MuJoCo's soft ground "
+            f"(at most {deepest:.2f} mm)",
+            soft_wrap=True,
+        )
+    if verification.mujoco_residual > DISAGREEMENT:
+        out.print(
+            "[yellow]note:[/] the two models disagree: by the MJCF "
+            f"{verification.mujoco_residual:.1e} N (or N m) of the balance are left; "
+            "pupper-analysis crosscheck says why",
+            soft_wrap=True,
+        )
+    if verification.passed:
+        out.print(
+            f"[bold green]HOLDS[/] in MuJoCo, without payload: "
+            f"torques within {verification.torque_error:.2%}, "
+            f"forces within {verification.force_error:.2%} of the prediction"
+        )
+    else:
+        out.print(f"[bold red]FAILS[/] in MuJoCo: {escape('; '.join(verification.failures))}")
+
+
+def _print_best(out: Console, best: BestStance) -> None:
+    unit = " m" if best.objective is Objective.MARGIN else ""
+    what = {
+        Objective.UTILISATION: "peak motor utilisation",
+        Objective.MARGIN: "distance of the com from the support polygon's edge",
+        Objective.PAYLOAD: "payload",
+    }[best.objective]
+    coordinates = ", ".join(
+        f"{name} {math.degrees(value):+.1f} deg"
+        if name in ("roll", "pitch", "yaw")
+        else f"{name} {1e3 * value:.1f} mm"
+        for name, value in best.coordinates.items()
+    )
+    values = [f"{value:.4g}{unit}" for value in (best.value, best.nominal_value)]
+    if best.objective is Objective.PAYLOAD:
+        values = [kilograms(value) for value in (best.value, best.nominal_value)]
+    out.print(
+        f"best of {best.evaluations} stances: {what} {values[0]}, "
+        f"against {values[1]} as asked; {coordinates}"
+        + (f"; at its limit: {', '.join(best.active)}" if best.active else ""),
+        soft_wrap=True,
+    )
+
+
+def _print_payload(out: Console, stance: Stance) -> None:
+    payload, trial = stance.payload, stance.trial
+    place = ", ".join(f"{1e3 * value:.0f}" for value in payload.point)
+    where = f" ({', '.join(payload.where)})" if payload.where else ""
+    bounds = (
+        ("motors", payload.motors),
+        ("servos' stiffness", payload.servos),
+        ("contacts", payload.contacts),
+    )
+    each = ", ".join(f"{name} {kilograms(bound.mass)}" for name, bound in bounds)
+    text = (
+        f"payload at ({place}) mm of the base: {kilograms(payload.mass)}, then "
+        f"{payload.failure.value}{where}; {each}"
+    )
+    if payload.unlimited:
+        text += f"; {len(payload.unlimited)} motors have no effort limit, and set no payload"
+    if trial is not None:
+        text += f"\nsimulated with {kilograms(trial.mass)} on it, {trial.duration:g} s, nudged: "
+        text += (
+            "it stays up"
+            if trial.failure is None
+            else f"at {trial.time:.2f} s {trial.failure.value} ({', '.join(trial.where)})"
+        )
+    out.print(escape(text), soft_wrap=True)
+
+
+def kilograms(mass: float) -> str:
+    """Returns a mass that can be borne (kg) in words, rounded down: what is printed is borne."""
+    return "no limit" if math.isinf(mass) else f"{math.floor(100 * mass) / 100:.2f} kg"
+
+
+def _print_clearance(out: Console, stand: Stand) -> None:
+    near, links = stand.ground_clearance, stand.self_clearance
+    if near is not None:
+        out.print(f"lowest part but the feet: {near.links[0]}, {1e3 * near.distance:.1f} mm")
+    if links is not None:
+        out.print(
+            f"nearest links: {' and '.join(links.links)}, {1e3 * links.distance:.1f} mm apart"
+        )
+
+
+def print_tracking(out: Console, path: StancePath, tracking: PathTracking) -> None:
+    """Prints how well a path is followed."""
+    lowest = path.loads.min(axis=0)
+    loads = ", ".join(f"{foot} {low:.2f}" for foot, low in zip(path.feet, lowest, strict=True))
+    out.print(
+        f"path of {path.time[-1]:g} s, {len(path.time)} samples: motors in motion at most "
+        f"{path.peak_utilisation:.1%} of their torque limit ({path.peak_joint} at "
+        f"{path.peak_time:.2f} s), {path.peak_speed_utilisation:.1%} of their velocity limit; com "
+        f"at least {1e3 * path.com_margin.min():.1f} mm inside the support polygon, zero-moment "
+        f"point {1e3 * path.zmp_margin.min():.1f} mm",
+        soft_wrap=True,
+    )
+    out.print(f"least load of the feet (N): {loads}", soft_wrap=True)
+    out.print(
+        f"in MuJoCo: torques within {tracking.torque_error:.1%} of the largest, joints within "
+        f"{tracking.joint_error:.3f} rad ({tracking.joint_error_rms:.3f} rms), base height within "
+        f"{1e3 * tracking.height_error:.1f} mm, orientation within "
+        f"{tracking.orientation_error:.3f} rad, feet within "
+        f"{1e3 * max(tracking.foot_slip.values()):.1f} mm of their places",
+        soft_wrap=True,
+    )
+    if tracking.passed:
+        out.print("[bold green]TRACKED[/]")
+    else:
+        out.print(f"[bold red]FAILED[/]: {escape('; '.join(tracking.failures))}", soft_wrap=True)
+
+
+def _print_settled(out: Console, stance: Stance) -> None:
+    settled = stance.settled
+    if settled is None:
+        out.print(
+            f"without feed-forward, no sag is predicted: {escape(stance.unsettled)}", soft_wrap=True
+        )
+        return
+    text = (
+        f"without feed-forward it settles at {settled.base_height:.5f} m: servos give "
+        f"{1e3 * settled.servo_sag:.2f} mm, the ground {1e3 * settled.contact_sag:.2f} mm"
+    )
+    if settled.release_margin < RELEASE_MARGIN and not settled.failures:
+        text += ", if it is let down slowly (let go at once, feet slip in the fall)"
+    if settled.failures:
+        text += f"; but {'; '.join(settled.failures)}"
+    out.print(escape(text), soft_wrap=True)
+
+
+def _print_envelope(out: Console, envelope: PoseEnvelope) -> None:
+    rows = titled_table(out, "How far the base can go, each alone", "", "from", "to")
+    for direction, interval in envelope.intervals.items():
+        if direction in ("roll", "pitch", "yaw"):
+            low, high = (f"{math.degrees(end):+.1f} deg" for end in (interval.low, interval.high))
+        else:
+            low, high = (f"{1e3 * end:+.1f} mm" for end in (interval.low, interval.high))
+        rows.add_row(direction, low, high)
+    out.print(rows)

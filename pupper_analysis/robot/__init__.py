@@ -1,0 +1,1 @@
+"""One robot, two models, at a state."""

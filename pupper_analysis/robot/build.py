@@ -1,0 +1,303 @@
+"""Builds a robot from its two files."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.models import mjcf as mjcf_description
+from pupper_analysis.models.conversion import gravity, joint_armature
+from pupper_analysis.models.description import Description
+from pupper_analysis.models.loading import read_mjcf, read_urdf
+from pupper_analysis.robot import contact
+from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
+from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+def load_robot(
+    *,
+    urdf: str | Path,
+    mjcf: str | Path,
+    feet: Sequence[str] | Mapping[str, str],
+    fixed_base: bool = False,
+    name: str | None = None,
+) -> Robot:
+    """Loads a robot from a URDF and an MJCF.
+
+    Joints are matched by name. The feet are frames that both files have: a link in the URDF, and a
+    site, body or geom in the MJCF, each at the centre of a sphere that touches the ground.
+
+    Args:
+        urdf: Path of the URDF.
+        mjcf: Path of the MJCF.
+        feet: The feet's frames, or a mapping from the feet's names to their frames.
+        fixed_base: Fix the base in the world, at the pose that the MJCF gives it.
+        name: The robot's name; by default the MJCF's.
+
+    Returns:
+        The robot.
+
+    Raises:
+        ModelError: If a file cannot be read, or the two do not describe the same joints.
+        UnknownNameError: If a foot is not in a file; the message lists what is.
+    """
+    frames = dict(feet) if isinstance(feet, Mapping) else {foot: foot for foot in feet}
+    urdf_file, mjcf_file = read_urdf(urdf), read_mjcf(mjcf)
+    description = Description(
+        name=name or mjcf_file.spec.modelname,
+        urdf=urdf_file.text,
+        urdf_source=urdf_file.path,
+        mjcf=mjcf_file.spec,
+        mjcf_source=mjcf_file.path,
+        feet={foot: (frame, frame) for foot, frame in frames.items()},
+    )
+    robot = build_robot(description, fixed_base=fixed_base)
+    return replace(robot, notes=(*urdf_file.notes, *mjcf_file.notes, *robot.notes))
+
+
+def build_robot(
+    description: Description, *, fixed_base: bool = False, foot_depth: float | None = None
+) -> Robot:
+    """Builds the robot of a description.
+
+    Args:
+        description: Both files' contents.
+        fixed_base: Fix the base in the world, at the pose that the MJCF gives it.
+        foot_depth: How far below the hips the nominal stand has its feet (m); by default the lowest
+            foot of the keyframe ``home`` touches the ground.
+
+    Raises:
+        ModelError: If a model cannot be built, or the two do not have the same joints.
+        UnknownNameError: If a foot is not in a model.
+    """
+    notes: list[str] = []
+    mj_model, keyframe = _mujoco_model(description, fixed_base, notes)
+    floating = bool((mj_model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any())
+    joint_names = _actuator_order(mj_model, description.mjcf_source)
+    mj_base = _base_body(mj_model, floating, joint_names)
+    if not floating:
+        mj_base = _same_base(mj_model, mj_base, description.urdf)
+    mj_convention = MujocoConvention.of(mj_model, joint_names)
+    pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
+    pin_convention = PinocchioConvention.of(pin_model, joint_names)
+    armature = np.zeros(pin_model.nv)
+    dofs = mj_convention.qvel_index[pin_convention.base_nv :]
+    armature[pin_convention.v_index] = joint_armature(mj_model)[dofs]
+    base = mj_convention.qvel_index[: pin_convention.base_nv]
+    armature[: pin_convention.base_nv] = mj_model.dof_armature[base]
+    pin_model.armature = armature
+    if armature.any():
+        notes.append("armature is the MJCF's: URDF cannot carry it")
+    if armature[: pin_convention.base_nv].any():
+        notes.append(
+            f"the MJCF's free joint has an armature of {armature[0]:g}, as if the base were "
+            "heavier: a default class meant for the joints reaches it; use <freejoint/>"
+        )
+    foot_frames = {foot: frames[0] for foot, frames in description.feet.items()}
+    for frame in foot_frames.values():
+        if not pin_model.existFrame(frame, pin.FrameType.BODY):
+            links = [f.name for f in pin_model.frames if f.type == pin.FrameType.BODY]
+            raise UnknownNameError(description.urdf_source, "link (for a foot)", frame, links)
+    places = {
+        foot: foot_site(mj_model, frame, description.mjcf_source)
+        for foot, (_, frame) in description.feet.items()
+    }
+    soles = foot_geoms(description, mj_model, places)
+    radius = {foot: float(mj_model.geom_size[sole, 0]) for sole, foot in soles.items()}
+    ground = contact.ground_geom(mj_model)
+    contacts = {
+        foot: contact.combine(mj_model, sole, ground)
+        for sole, foot in soles.items()
+        if ground is not None
+    }
+    # The keyframe may be that of the model with a free base.
+    home = keyframe[len(keyframe) - mj_model.nq + mj_convention.qpos_index]
+    return Robot(
+        name=description.name,
+        description=description,
+        pin_model=pin_model,
+        mj_model=mj_model,
+        floating=floating,
+        base=_root_link(pin_model),
+        mj_base=mj_base,
+        joint_names=joint_names,
+        feet=tuple(description.feet),
+        foot_frames=MappingProxyType(foot_frames),
+        foot_places=MappingProxyType(places),
+        soles=MappingProxyType(soles),
+        foot_radius=MappingProxyType(radius),
+        contacts=MappingProxyType(contacts),
+        home=home,
+        stand_height=stand_height(mj_model, mj_base, places, radius, keyframe, foot_depth),
+        imu=_imu(mj_model, pin_model),
+        pin_convention=pin_convention,
+        mj_convention=mj_convention,
+        fingerprint=f"{description.name} {_hash(pin_model, joint_names, foot_frames, radius)}",
+        notes=tuple(notes),
+    )
+
+
+def _hash(
+    model: pin.Model,
+    joint_names: Sequence[str],
+    foot_frames: Mapping[str, str],
+    foot_radius: Mapping[str, float],
+) -> str:
+    """Returns a hash of what a stand depends on."""
+    parts = [repr((joint_names, sorted(foot_frames.items()), sorted(foot_radius.items()))).encode()]
+    data = model.createData()
+    for angle in (0.0, 0.3):  # rad: where the joints are, and how they turn
+        pin.framesForwardKinematics(
+            model, data, pin.integrate(model, pin.neutral(model), np.full(model.nv, angle))
+        )
+        frames = [model.getFrameId(frame, pin.FrameType.BODY) for frame in foot_frames.values()]
+        for placement in (*data.oMi, *(data.oMf[frame] for frame in frames)):
+            # To a nanometre: processors differ in the last digit. 0.0: -0.0 is the same number.
+            parts.append((np.round(placement.homogeneous, 9) + 0.0).tobytes())
+    parts += [inertia.toDynamicParameters().tobytes() for inertia in model.inertias]
+    parts += [model.lowerPositionLimit.tobytes(), model.upperPositionLimit.tobytes()]
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
+
+
+def _mujoco_model(
+    description: Description, fixed_base: bool, notes: list[str]
+) -> tuple[mujoco.MjModel, Array]:
+    """Compiles the MJCF, and returns it with the qpos of its keyframe ``home``."""
+    spec = description.mjcf.copy()
+    keys = sorted(spec.keys, key=lambda key: key.name != "home")
+    keyframe = np.array(keys[0].qpos) if keys else np.zeros(0)
+    free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    if fixed_base:
+        for element in (*free, *spec.keys):
+            spec.delete(element)
+    elif free and not floor_of(spec):
+        add_floor(spec)
+        notes.append("the MJCF has no ground: a plane with MuJoCo's default contact was added")
+    model = mjcf_description.compile_spec(spec, description.mjcf_source)
+    return model, keyframe if len(keyframe) else np.array(model.qpos0)
+
+
+def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
+    """Returns the joints' names in actuator order, then those without actuator in tree order."""
+    known: list[str] = []
+    for joint in range(model.njnt):
+        kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
+        if kind == mujoco.mjtJoint.mjJNT_BALL:
+            raise ModelError(
+                source,
+                f"joint {model.joint(joint).name!r} is a ball joint; hinge and "
+                "slide joints, and one free joint at the base, can be analysed",
+            )
+        if kind != mujoco.mjtJoint.mjJNT_FREE:
+            known.append(model.joint(joint).name)
+    driven = [
+        model.joint(int(model.actuator_trnid[actuator, 0])).name
+        for actuator in range(model.nu)
+        if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
+    ]
+    if not known:
+        raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")
+    return tuple(dict.fromkeys([*driven, *known]))
+
+
+def _base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]) -> str:
+    """Returns the body with the free joint, or else the one that carries the first moving body."""
+    if floating:
+        free = int(np.argmax(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value))
+        return str(model.body(int(model.jnt_bodyid[free])).name)
+    base = int(model.jnt_bodyid[model.joint(joint_names[0]).id])
+    while model.body_weldid[base] != 0:
+        base = int(model.body_parentid[base])
+    return str(model.body(base).name)
+
+
+def _same_base(model: mujoco.MjModel, base: str, urdf: str) -> str:
+    """Returns the static body that is named like the URDF's root link, if it carries the base."""
+    root = _root_link(pin.buildModelFromXML(urdf))
+    body = model.body(base).id
+    while body != 0:
+        if model.body(body).name == root:
+            return root
+        body = int(model.body_parentid[body])
+    return base
+
+
+def _imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
+    """Returns the site with a gyro and an accelerometer that is a frame of the URDF as well."""
+    gyro, accelerometer = mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER
+    sites = [
+        {int(model.sensor_objid[i]) for i in np.flatnonzero(model.sensor_type == kind.value)}
+        for kind in (gyro, accelerometer)
+    ]
+    names = [str(model.site(site).name) for site in sorted(sites[0] & sites[1])]
+    return next(
+        (name for name in names if name and pin_model.existFrame(name, pin.FrameType.BODY)), None
+    )
+
+
+def _pinocchio_model(
+    description: Description,
+    mj_model: mujoco.MjModel,
+    mj_base: str,
+    joint_names: Sequence[str],
+    floating: bool,
+) -> pin.Model:
+    """Builds the URDF's model, its base free or fixed where the MJCF has it."""
+    source = description.urdf_source
+    try:
+        if floating:
+            model = pin.buildModelFromXML(description.urdf, pin.JointModelFreeFlyer())
+        else:
+            model = pin.buildModelFromXML(description.urdf)
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(source, f"not a valid URDF: {' '.join(str(error).split())}") from error
+    joints = set(list(model.names)[2 if floating else 1 :])
+    for missing, where, there in (
+        (joints - set(joint_names), description.mjcf_source, source),
+        (set(joint_names) - joints, source, description.mjcf_source),
+    ):
+        if missing:
+            raise ModelError(where, f"no joint {', '.join(sorted(missing))}, which {there} has")
+    if not floating:
+        data = mujoco.MjData(mj_model)
+        mujoco.mj_kinematics(mj_model, data)
+        body = mj_model.body(mj_base).id
+        pose = pin.SE3(data.xmat[body].reshape(3, 3), np.array(data.xpos[body]))
+        model.inertias[0] = pose.act(model.inertias[0])
+        for joint in range(1, model.njoints):
+            if model.parents[joint] == 0:
+                model.jointPlacements[joint] = pose * model.jointPlacements[joint]
+        for frame in model.frames:
+            if frame.parentJoint == 0 and frame.name != "universe":
+                frame.placement = pose * frame.placement
+    model.gravity = pin.Motion(gravity(mj_model), np.zeros(3))
+    return model
+
+
+def _root_link(model: pin.Model) -> str:
+    """Returns the name of the URDF's root link."""
+    return str(next(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY))
+
+
+def floor_of(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
+    """Returns the plane that is fixed to the world."""
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    return next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
+
+
+def add_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom:
+    """Adds a plane at z = 0 with MuJoCo's default contact."""
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    return spec.worldbody.add_geom(name="floor", type=plane, size=(0, 0, 0.05))

@@ -1,0 +1,102 @@
+"""How soft the ground under a foot is in MuJoCo, at rest and creeping."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.robot.robot import Robot
+
+
+@dataclass(frozen=True)
+class GroundLaw:
+    """The ground under one foot, as MuJoCo has it at rest.
+
+    With r the penetration, d(r) the impedance of ``solimp`` and A the ``diagApprox`` of the
+    contact, R = (1 - d)/d A; a constraint at rest has the force aref / R, aref = k d r - b v. So
+
+        normal force:      f = k d(r)^2 r / ((1 - d(r)) A)
+        tangential force:  f = -c v, c = b d / ((1 - d) A_t), A_t = A / impratio  (a creeping foot)
+
+    with k = 1/(dmax timeconst dampratio)^2 and b = 2/(dmax timeconst), or -solref/(dmax^2, dmax).
+
+    Source: MuJoCo documentation, "Computation: Solver parameters"; engine_core_constraint.c.
+
+    Attributes:
+        stiffness: k (1/s^2).
+        damping: b (1/s).
+        solimp: dmin, dmax, width (m), midpoint, power; within MuJoCo's bounds.
+        normal: A (1/kg).
+        tangential: A_t (1/kg); infinite without friction.
+    """
+
+    stiffness: float
+    damping: float
+    solimp: tuple[float, ...]
+    normal: float
+    tangential: float
+
+    @staticmethod
+    def of(robot: Robot, foot: str) -> GroundLaw:
+        """Returns the law of one foot's contact with the ground, cone elliptic or pyramidal."""
+        model, parameters = robot.mj_model, robot.contacts[foot]
+        dmin, dmax, width, midpoint, power = parameters.solimp
+        dmin, dmax, midpoint = np.clip((dmin, dmax, midpoint), mujoco.mjMINIMP, mujoco.mjMAXIMP)
+        first, second = parameters.solref
+        if first > 0:
+            if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE.value:
+                first = max(first, 2 * float(model.opt.timestep))
+            stiffness, damping = (dmax * first * second) ** -2, 2 / (dmax * first)
+        else:
+            stiffness, damping = -first / dmax**2, -second / dmax
+        normal = float(model.body_invweight0[robot.foot_places[foot][0], 0])
+        tangential, mu = normal / float(model.opt.impratio), parameters.sliding_friction
+        if mu > 0 and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value:
+            tangential *= 1 + mu**2
+            normal = tangential * mu**2 / (parameters.condim - 1)  # of its 2 (condim - 1) edges
+        return GroundLaw(
+            stiffness=float(stiffness),
+            damping=float(damping),
+            solimp=(float(dmin), float(dmax), width, float(midpoint), max(power, 1.0)),
+            normal=normal,
+            tangential=tangential if mu > 0 else math.inf,
+        )
+
+    def impedance(self, depth: float) -> float:
+        """Returns d at a penetration (m): from dmin at none to dmax at ``width``."""
+        dmin, dmax, width, midpoint, power = self.solimp
+        if dmin == dmax or width <= mujoco.mjMINVAL:
+            return (dmin + dmax) / 2
+        x = min(abs(depth) / width, 1.0)
+        if x <= midpoint:
+            y = midpoint * (x / midpoint) ** power
+        else:
+            y = 1 - (1 - midpoint) * ((1 - x) / (1 - midpoint)) ** power
+        return float(dmin + y * (dmax - dmin))
+
+    def force(self, depth: float) -> float:
+        """Returns the normal force (N) at a penetration (m) at rest."""
+        d = self.impedance(depth)
+        return self.stiffness * d**2 * depth / ((1 - d) * self.normal)
+
+    def rate(self, depth: float) -> float:
+        """Returns the normal stiffness (N/m) at a penetration (m)."""
+        low, high = max(depth - 1e-8, 0.0), max(depth, 0.0) + 1e-8
+        return (self.force(high) - self.force(low)) / (high - low)
+
+    def depth(self, force: float) -> float:
+        """Returns the penetration (m) under a normal force (N); linear where the foot pulls."""
+        from scipy import optimize  # slow to import
+
+        linear = force / self.rate(0.0)
+        if force <= 0:
+            return linear
+        return float(optimize.brentq(lambda r: self.force(r) - force, 0.0, 2 * linear, xtol=1e-16))
+
+    def viscosity(self, depth: float) -> float:
+        """Returns c (N s/m), tangential force per creep velocity, at a penetration (m)."""
+        d = self.impedance(depth)
+        return self.damping * d / ((1 - d) * self.tangential)

@@ -1,0 +1,335 @@
+"""A robot at a state: what Pinocchio says of it, in the public convention."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+class Configuration:
+    """A robot at (qpos, qvel). That it exists means that forward kinematics has been run there.
+
+    Coordinates are those of ``pupper_analysis.convention``: MuJoCo's, joints in actuator order.
+    A configuration does not change; its quaternion is normalised on entry.
+
+    Attributes:
+        robot: The robot.
+        qpos: (nq,) read-only.
+        qvel: (nv,) read-only.
+    """
+
+    def __init__(self, robot: Robot, qpos: ArrayLike, qvel: ArrayLike | None = None) -> None:
+        """Runs forward kinematics.
+
+        Args:
+            robot: The robot.
+            qpos: (nq,) generalised position.
+            qvel: (nv,) generalised velocity; zero if not given.
+
+        Raises:
+            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
+                quaternion is zero.
+        """
+        self.robot = robot
+        self.qpos = _vector("qpos", qpos, robot.nq)
+        self.qvel = _vector("qvel", np.zeros(robot.nv) if qvel is None else qvel, robot.nv)
+        if robot.floating:
+            norm = np.linalg.norm(self.qpos[3:7])
+            if norm < 1e-9:
+                raise ConfigurationError("qpos", "its quaternion, qpos[3:7], is zero")
+            self.qpos[3:7] /= norm
+        self.qpos.flags.writeable = False
+        self.qvel.flags.writeable = False
+
+        convention = robot.pin_convention
+        self._model = robot.pin_model
+        self._data = self._model.createData()
+        self._q = convention.q(self.qpos)
+        self._map = convention.velocity_map(self.qpos)
+        self._v = self._map @ self.qvel
+        pin.computeJointJacobians(self._model, self._data, self._q)
+        pin.updateFramePlacements(self._model, self._data)
+
+    # ---------------------------------------------------------------------------------- frames
+
+    def frame_position(self, name: str) -> Array:
+        """Returns a frame's position (3,) in the world (m).
+
+        Raises:
+            UnknownNameError: If the URDF has no such frame.
+        """
+        return np.array(self._data.oMf[self._frame(name)].translation)
+
+    def frame_rotation(self, name: str) -> Array:
+        """Returns the rotation (3, 3) from a frame's axes to the world's.
+
+        Raises:
+            UnknownNameError: If the URDF has no such frame.
+        """
+        return np.array(self._data.oMf[self._frame(name)].rotation)
+
+    def frame_jacobian(self, name: str, offset: ArrayLike | None = None) -> Array:
+        """Returns the Jacobian (6, nv) of a point that moves with a frame.
+
+        J qvel = (linear velocity of the point, angular velocity), in world axes.
+
+        Args:
+            name: The frame.
+            offset: (3,) from the frame's origin to the point, in world axes (m); zero by default.
+
+        Raises:
+            UnknownNameError: If the URDF has no such frame.
+        """
+        local = pin.getFrameJacobian(
+            self._model, self._data, self._frame(name), pin.LOCAL_WORLD_ALIGNED
+        )
+        jacobian: Array = local.reshape(6, -1) @ self._map  # Pinocchio's is flat for one joint
+        if offset is not None:
+            jacobian[:3] -= pin.skew(np.asarray(offset, dtype=float)) @ jacobian[3:]
+        return jacobian
+
+    def _frame(self, name: str) -> int:
+        if not self._model.existFrame(name, pin.FrameType.BODY):
+            links = [f.name for f in self._model.frames if f.type == pin.FrameType.BODY]
+            raise UnknownNameError(self.robot.name, "link", name, links)
+        return int(self._model.getFrameId(name, pin.FrameType.BODY))
+
+    # ---------------------------------------------------------------------------------- joints
+
+    def joint_position(self, name: str) -> Array:
+        """Returns where a joint is (3,), in the world (m).
+
+        Raises:
+            UnknownNameError: If it is no joint of the robot.
+        """
+        return np.array(self._data.oMi[self._joint(name)].translation)
+
+    def joint_axis(self, name: str) -> Array:
+        """Returns a joint's axis (3,), a unit vector in the world: of rotation, or of sliding.
+
+        Raises:
+            UnknownNameError: If it is no joint of the robot.
+        """
+        joint = self._joint(name)
+        column = self._data.J.reshape(6, -1)[:, self._model.joints[joint].idx_v]
+        rotation, at_origin = column[3:], column[:3]
+        axis: Array = rotation if np.linalg.norm(rotation) > 0.5 else at_origin
+        return np.array(axis / np.linalg.norm(axis))
+
+    def _joint(self, name: str) -> int:
+        if name not in self.robot.joint_names:
+            raise UnknownNameError(self.robot.name, "joint", name, self.robot.joint_names)
+        return int(self._model.getJointId(name))
+
+    # ---------------------------------------------------------------------------------- feet
+
+    def foot_positions(self) -> dict[str, Array]:
+        """Returns the centre of each foot's sphere, {foot: (3,)}, in the world (m)."""
+        return {foot: self.frame_position(frame) for foot, frame in self.robot.foot_frames.items()}
+
+    def foot_jacobians(self) -> dict[str, Array]:
+        """Returns the Jacobian of each foot's centre, {foot: (3, nv)}, in world axes.
+
+        J qvel is the foot's velocity in the world (m/s).
+        """
+        return {
+            foot: self.frame_jacobian(frame)[:3] for foot, frame in self.robot.foot_frames.items()
+        }
+
+    def contact_points(self, feet: Iterable[str] | None = None) -> dict[str, Array]:
+        """Returns where each foot's sphere touches level ground, {foot: (3,)}, in the world (m).
+
+        Args:
+            feet: Names of feet; all by default.
+
+        Raises:
+            UnknownNameError: If a foot is unknown.
+        """
+        positions = self.foot_positions()
+        return {
+            self.robot.check_foot(foot): positions[foot] - self.robot.foot_radius[foot] * UP
+            for foot in (self.robot.feet if feet is None else feet)
+        }
+
+    def contact_jacobians(self, feet: Iterable[str] | None = None) -> dict[str, Array]:
+        """Returns the Jacobian of the material point at each contact, {foot: (3, nv)}.
+
+        The point is the lowest of the foot's sphere, and moves with the foot's link. It differs
+        from the Jacobian of the foot's centre by the sphere's rolling.
+
+        Args:
+            feet: Names of feet; all by default.
+
+        Raises:
+            UnknownNameError: If a foot is unknown.
+        """
+        return {
+            foot: self.frame_jacobian(
+                self.robot.foot_frames[self.robot.check_foot(foot)],
+                -self.robot.foot_radius[foot] * UP,
+            )[:3]
+            for foot in (self.robot.feet if feet is None else feet)
+        }
+
+    # ---------------------------------------------------------------------------------- com
+
+    def center_of_mass(self) -> Array:
+        """Returns the centre of mass (3,) in the world (m)."""
+        moving: Array = np.array(pin.centerOfMass(self._model, self._data, self._q, False))
+        com: Array = moving + self._fixed_share * (np.array(self._fixed.lever) - moving)
+        return com
+
+    def com_jacobian(self) -> Array:
+        """Returns the Jacobian (3, nv) of the centre of mass: J qvel is its velocity (m/s)."""
+        local = pin.jacobianCenterOfMass(self._model, self._data, self._q)
+        moving = local.reshape(3, -1) @ self._map
+        jacobian: Array = (1 - self._fixed_share) * moving
+        return jacobian
+
+    @property
+    def _fixed(self) -> pin.Inertia:
+        """The inertia of what does not move, a fixed base's; Pinocchio leaves it out of the com."""
+        return self._model.inertias[0]
+
+    @property
+    def _fixed_share(self) -> float:
+        return float(self._fixed.mass) / self.robot.total_mass
+
+    # ---------------------------------------------------------------------------------- dynamics
+
+    def mass_matrix(self) -> Array:
+        """Returns the joint-space inertia matrix M (nv, nv), armature included."""
+        upper = np.triu(np.atleast_2d(pin.crba(self._model, self._data, self._q)))
+        full = upper + np.triu(upper, 1).T
+        matrix: Array = self._map.T @ full @ self._map
+        return matrix
+
+    def bias_forces(self) -> Array:
+        """Returns h (nv,): Coriolis, centrifugal and gravity forces.
+
+        In M qacc + h = tau + J^T f, with no passive joint forces in h.
+        """
+        drift = self.robot.pin_convention.velocity_map_rate(self.qpos, self.qvel)
+        forces = pin.rnea(self._model, self._data, self._q, self._v, drift)
+        # Armature belongs to the public coordinates, in which there is no drift.
+        bias: Array = self._map.T @ (forces - self._model.armature * drift)
+        return bias
+
+    def gravity(self) -> Array:
+        """Returns g (nv,): the bias forces at rest. Its first three rows are the weight (N)."""
+        forces: Array = self._map.T @ pin.computeGeneralizedGravity(
+            self._model, self._data, self._q
+        )
+        return forces
+
+    def forward_dynamics(self, force: ArrayLike) -> Array:
+        """Returns the acceleration qacc (nv,) under a generalised force, without contacts.
+
+        Args:
+            force: (nv,) all generalised forces but the bias: motors, damping, contacts.
+
+        Raises:
+            ConfigurationError: If the vector has a wrong length or a value is not finite.
+        """
+        wanted = _vector("force", force, self.robot.nv)
+        drift = self.robot.pin_convention.velocity_map_rate(self.qpos, self.qvel)
+        # T^-T = T: T is orthogonal. On the armature see bias_forces.
+        given = self._map @ wanted + self._model.armature * drift
+        acceleration = pin.aba(self._model, self._data, self._q, self._v, given)
+        qacc: Array = self._map.T @ (acceleration - drift)
+        return qacc
+
+    def foot_accelerations(self, qacc: ArrayLike) -> dict[str, Array]:
+        """Returns the acceleration of each foot, {foot: (6,)}, in world axes.
+
+        Linear (m/s^2), of the centre of its sphere, and angular (rad/s^2): the derivative of J qvel
+        with J of ``frame_jacobian``.
+
+        Args:
+            qacc: (nv,) generalised acceleration.
+        """
+        data, found = self._accelerated(qacc), {}
+        for foot, frame in self.robot.foot_frames.items():
+            motion = pin.getFrameClassicalAcceleration(
+                self._model, data, self._frame(frame), pin.LOCAL_WORLD_ALIGNED
+            )
+            found[foot] = np.concatenate([motion.linear, motion.angular])
+        return found
+
+    def com_acceleration(self, qacc: ArrayLike) -> Array:
+        """Returns the acceleration (3,) of the centre of mass in the world (m/s^2).
+
+        Args:
+            qacc: (nv,) generalised acceleration.
+        """
+        data = self._accelerated(qacc)
+        pin.centerOfMass(self._model, data, pin.ACCELERATION, False)
+        moving: Array = np.array(data.acom[0])
+        return (1 - self._fixed_share) * moving
+
+    def _accelerated(self, qacc: ArrayLike) -> pin.Data:
+        """Returns Pinocchio's data with this acceleration."""
+        drift = self.robot.pin_convention.velocity_map_rate(self.qpos, self.qvel)
+        a = self._map @ _vector("qacc", qacc, self.robot.nv) + drift
+        data = self._model.createData()
+        pin.forwardKinematics(self._model, data, self._q, self._v, a)
+        pin.updateFramePlacements(self._model, data)
+        return data
+
+    def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:
+        """Returns what a gyro and an accelerometer at a frame read.
+
+        The accelerometer reads the proper acceleration: that of its point less gravity.
+
+        Args:
+            qacc: (nv,) generalised acceleration.
+            name: The frame; the robot's ``imu`` by default.
+
+        Returns:
+            Angular velocity (3,) in rad/s and acceleration (3,) in m/s^2, both in the frame's axes.
+
+        Raises:
+            ConfigurationError: If the robot has no IMU and no frame is named.
+            UnknownNameError: If there is no such frame.
+        """
+        frame = name or self.robot.imu
+        if frame is None:
+            raise ConfigurationError("name", f"{self.robot.name} has no IMU; name a frame")
+        index = self._frame(frame)
+        data = self._accelerated(qacc)
+        gyro = pin.getFrameVelocity(self._model, data, index, pin.LOCAL).angular
+        linear = pin.getFrameClassicalAcceleration(self._model, data, index, pin.LOCAL).linear
+        gravity = data.oMf[index].rotation.T @ self.robot.gravity
+        return np.array(gyro), np.array(linear - gravity)
+
+    # ---------------------------------------------------------------------------------- checks
+
+    def base_rotation(self) -> Array:
+        """Returns the rotation (3, 3) from the base's axes to the world's."""
+        if self.robot.floating:
+            return rotation_from_quaternion(self.qpos[3:7])
+        return self.frame_rotation(self.robot.base)
+
+
+def _vector(name: str, values: ArrayLike, size: int) -> Array:
+    try:
+        vector = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(name, f"not a vector of numbers: {error}") from error
+    if vector.shape != (size,):
+        raise ConfigurationError(name, f"its shape must be ({size},), not {vector.shape}")
+    if not np.isfinite(vector).all():
+        index = int(np.flatnonzero(~np.isfinite(vector))[0])
+        raise ConfigurationError(name, f"element {index} is {vector[index]}; it must be finite")
+    return vector

@@ -1,0 +1,160 @@
+"""The one convention of the public interface, and the way from it to each engine's own.
+
+Public coordinates are MuJoCo's, with the joints in actuator order:
+
+* ``qpos`` (nq,): base position in the world (m), base quaternion (w, x, y, z), joint positions;
+* ``qvel`` (nv,): base linear velocity in the world frame (m/s), base angular velocity in the base
+  frame (rad/s), joint velocities;
+* generalised forces and Jacobian columns are dual to that ``qvel``.
+
+A robot with a fixed base has the joints alone. Every joint has one coordinate.
+
+With R the base's rotation, Pinocchio's velocity is v_pin = T qvel with T = diag(R^T, 1, P), P a
+permutation, so that M = T^T M_pin T, J = J_pin T and g = T^T g_pin; because T changes with R, the
+velocity-dependent forces are h = T^T (h_pin + M_pin dT/dt qvel).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import rotation_from_quaternion
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class PinocchioConvention:
+    """Maps public coordinates to those of a Pinocchio model, whose joints are in another order.
+
+    Attributes:
+        floating: Whether the first joint is a free flyer.
+        q_index: (n,) where each joint's coordinate starts in Pinocchio's q.
+        v_index: (n,) where each joint's velocity is in Pinocchio's v.
+        unbounded: (n,) whether the joint is ``continuous``, held as (cos, sin).
+    """
+
+    floating: bool
+    nq: int
+    nv: int
+    q_index: IntArray
+    v_index: IntArray
+    unbounded: NDArray[np.bool_]
+
+    @staticmethod
+    def of(model: pin.Model, joint_names: Sequence[str]) -> PinocchioConvention:
+        """Returns the maps between ``joint_names`` in their order and a model."""
+        joints = [model.joints[model.getJointId(name)] for name in joint_names]
+        return PinocchioConvention(
+            floating=model.nv > sum(joint.nv for joint in joints),
+            nq=model.nq,
+            nv=model.nv,
+            q_index=np.array([joint.idx_q for joint in joints], dtype=np.int64),
+            v_index=np.array([joint.idx_v for joint in joints], dtype=np.int64),
+            unbounded=np.array([joint.nq == 2 for joint in joints], dtype=np.bool_),
+        )
+
+    @property
+    def base_nv(self) -> int:
+        """6 for a floating base, 0 for a fixed one."""
+        return 6 if self.floating else 0
+
+    def q(self, qpos: Array) -> Array:
+        """Returns Pinocchio's q (model.nq,) of a public qpos."""
+        q = np.empty(self.nq)
+        joints = qpos
+        if self.floating:
+            w, x, y, z = qpos[3:7] / np.linalg.norm(qpos[3:7])
+            q[:3] = qpos[:3]
+            q[3:7] = x, y, z, w
+            joints = qpos[7:]
+        return self.with_joints(q, joints)
+
+    def with_joints(self, q: Array, joints: Array) -> Array:
+        """Returns Pinocchio's q (model.nq,) with other joint positions (n,), and the same base."""
+        other = q.copy()
+        turning = self.unbounded
+        other[self.q_index[~turning]] = joints[~turning]
+        other[self.q_index[turning]] = np.cos(joints[turning])
+        other[self.q_index[turning] + 1] = np.sin(joints[turning])
+        return other
+
+    def qpos(self, q: Array) -> Array:
+        """Returns the public qpos of Pinocchio's q; a continuous joint's is in (-pi, pi]."""
+        joints = q[self.q_index]
+        turning = self.q_index[self.unbounded]
+        joints[self.unbounded] = np.arctan2(q[turning + 1], q[turning])
+        if not self.floating:
+            return joints
+        return np.concatenate([q[:3], q[[6, 3, 4, 5]], joints])
+
+    def velocity_map(self, qpos: Array) -> Array:
+        """Returns T (nv, nv), with v_pin = T qvel."""
+        n = self.base_nv
+        matrix = np.zeros((self.nv, self.nv))
+        matrix[self.v_index, n + np.arange(len(self.v_index))] = 1.0
+        if self.floating:
+            matrix[:3, :3] = rotation_from_quaternion(qpos[3:7]).T
+            matrix[3:6, 3:6] = np.eye(3)
+        return matrix
+
+    def velocity_map_rate(self, qpos: Array, qvel: Array) -> Array:
+        """Returns dT/dt qvel (nv,): the base frame turns under a constant world velocity."""
+        rate = np.zeros(self.nv)
+        if self.floating:
+            rate[:3] = -np.cross(qvel[3:6], rotation_from_quaternion(qpos[3:7]).T @ qvel[:3])
+        return rate
+
+
+@dataclass(frozen=True, eq=False)
+class MujocoConvention:
+    """Maps public coordinates to those of a MuJoCo model.
+
+    MuJoCo's are the public ones but for the order: ``data.qpos[qpos_index]`` is the public qpos,
+    and likewise for velocities, and ``data.ctrl[actuator_index]`` is in the order of the joints.
+
+    Attributes:
+        actuator_index: (n,) the actuator of each joint, -1 where it has none.
+    """
+
+    qpos_index: IntArray
+    qvel_index: IntArray
+    actuator_index: IntArray
+
+    @staticmethod
+    def of(model: mujoco.MjModel, joint_names: Sequence[str]) -> MujocoConvention:
+        """Returns the maps between ``joint_names`` in their order and a model."""
+        qpos: list[int] = []
+        qvel: list[int] = []
+        free = [
+            j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE.value
+        ]
+        if free:
+            qpos += range(model.jnt_qposadr[free[0]], model.jnt_qposadr[free[0]] + 7)
+            qvel += range(model.jnt_dofadr[free[0]], model.jnt_dofadr[free[0]] + 6)
+        drives = {
+            model.joint(int(model.actuator_trnid[a, 0])).name: a
+            for a in range(model.nu)
+            if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT.value
+        }
+        for name in joint_names:
+            joint = model.joint(name).id
+            qpos.append(int(model.jnt_qposadr[joint]))
+            qvel.append(int(model.jnt_dofadr[joint]))
+        return MujocoConvention(
+            qpos_index=np.array(qpos, dtype=np.int64),
+            qvel_index=np.array(qvel, dtype=np.int64),
+            actuator_index=np.array([drives.get(name, -1) for name in joint_names], dtype=np.int64),
+        )
+
+    def set_state(self, data: mujoco.MjData, qpos: Array, qvel: Array | None = None) -> None:
+        """Writes a public state into MuJoCo's data, and computes nothing."""
+        data.qpos[self.qpos_index] = qpos
+        data.qvel[self.qvel_index] = 0.0 if qvel is None else qvel

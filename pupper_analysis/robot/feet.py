@@ -1,0 +1,87 @@
+"""The feet in a MuJoCo model: where they are, and which geoms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.models.description import Description
+from pupper_analysis.robot import contact
+
+Array = NDArray[np.float64]
+
+
+def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[int, Array]:
+    """Finds a foot's frame in a MuJoCo model: a site, body or geom of that name.
+
+    Returns:
+        The id of the body that carries it, and its position (3,) in that body's frame (m).
+
+    Raises:
+        UnknownNameError: If there is none; the message lists the sites.
+    """
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, frame)
+    if site >= 0:
+        return int(model.site_bodyid[site]), np.array(model.site_pos[site])
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, frame)
+    if body >= 0:
+        return body, np.zeros(3)
+    geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, frame)
+    if geom >= 0:
+        return int(model.geom_bodyid[geom]), np.array(model.geom_pos[geom])
+    sites = [model.site(index).name for index in range(model.nsite)]
+    raise UnknownNameError(source, "site, body or geom (for a foot)", frame, sites)
+
+
+def foot_geoms(
+    description: Description, model: mujoco.MjModel, places: Mapping[str, tuple[int, Array]]
+) -> dict[int, str]:
+    """Finds the feet's spheres."""
+    soles: dict[int, str] = {}
+    for foot, (body, position) in places.items():
+        sphere = contact.foot_geom(model, body, position)
+        if sphere is None:
+            frame = description.feet[foot][1]
+            raise ModelError(
+                description.mjcf_source,
+                f"foot {foot!r}: body {model.body(body).name!r} has no sphere for contact centred "
+                f"at {frame!r}; name a frame at the centre of the foot's sphere",
+            )
+        soles[sphere] = foot
+    return soles
+
+
+def stand_height(
+    model: mujoco.MjModel,
+    base: str,
+    places: Mapping[str, tuple[int, Array]],
+    radius: Mapping[str, float],
+    keyframe: Array,
+    foot_depth: float | None,
+) -> float:
+    """Returns the base's height (m) in the nominal stand.
+
+    With ``foot_depth``, the feet's centres are that far below the hips (the legs' first bodies);
+    otherwise the lowest foot touches the ground with the keyframe's joint positions.
+    """
+    data = mujoco.MjData(model)
+    if foot_depth is None:
+        data.qpos[:] = keyframe[len(keyframe) - model.nq :]
+    mujoco.mj_kinematics(model, data)
+    base_id = model.body(base).id
+    rotation = data.xmat[base_id].reshape(3, 3)
+    below: list[float] = []
+    for foot, (body, position) in places.items():
+        if foot_depth is None:
+            at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+        else:
+            while model.body_parentid[body] not in (base_id, 0):
+                body = int(model.body_parentid[body])
+            at = data.xpos[body] - foot_depth * rotation[:, 2]
+        below.append(float(rotation[:, 2] @ (data.xpos[base_id] - at)) + radius[foot])
+    return max(below, default=0.0)

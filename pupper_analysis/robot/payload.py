@@ -1,0 +1,98 @@
+"""A robot with a payload welded to its base, in both of its models."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+_NAME = "payload"
+
+
+def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:
+    """Welds a point mass to a robot's base, in the URDF's model and in the MJCF's.
+
+    All else stays: joints, limits, gains, feet, and the height of the nominal stand. MuJoCo derives
+    the softness of a contact from the mass behind it (``body_invweight0``): that is the loaded
+    robot's, so that every prediction and simulation of the robot returned is of the loaded one.
+
+    Args:
+        robot: A robot with a floating base.
+        mass: Of the payload (kg), finite and >= 0.
+        point: (3,) where it is, in the base's frame (m).
+
+    Returns:
+        The loaded robot; the robot itself for no mass.
+
+    Raises:
+        ConfigurationError: If the mass or the point is none, or the base is fixed.
+        ModelError: If the MJCF's base is not where the URDF's is.
+    """
+    place = point_on_base(point)
+    if not robot.floating:
+        raise ConfigurationError("robot", f"{robot.name} has a fixed base: no motor carries it")
+    try:
+        weighed = float(mass)
+    except (TypeError, ValueError):
+        weighed = math.nan
+    if isinstance(mass, bool) or not 0 <= weighed < math.inf:
+        raise ConfigurationError("mass", f"{mass!r} kg is not a finite number >= 0")
+    mass = weighed
+    if mass == 0.0:
+        return robot
+    before = robot.description
+    spec, urdf = before.mjcf.copy(), before.urdf
+    name = _NAME
+    while spec.body(name) is not None or f'"{name}"' in urdf:
+        name += "_"
+    body = spec.body(robot.mj_base).add_body(name=name, pos=place)
+    body.explicitinertial = True
+    body.mass, body.ipos, body.inertia = mass, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    head, end, tail = urdf.rpartition("</robot>")
+    if not end:
+        raise ModelError(before.urdf_source, "it has no </robot> to put a payload before")
+    x, y, z = (repr(float(value)) for value in place)
+    link = (
+        f'<link name="{name}"><inertial><mass value="{mass!r}"/>'
+        '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        f'<joint name="{name}_weld" type="fixed"><origin xyz="{x} {y} {z}"/>'
+        f'<parent link="{robot.base}"/><child link="{name}"/></joint>'
+    )
+    built = build_robot(replace(before, mjcf=spec, urdf=head + link + end + tail))
+    # What was changed in Pinocchio's model since it was read, such as a limit, stays.
+    model = robot.pin_model.copy()
+    frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
+    welded = frame.placement.act(pin.Inertia(mass, place, np.zeros((3, 3))))
+    model.inertias[frame.parentJoint] = model.inertias[frame.parentJoint] + welded
+    return replace(
+        built,
+        pin_model=model,
+        stand_height=robot.stand_height,
+        fingerprint=robot.fingerprint,  # the unloaded robot's stands are its own
+        notes=robot.notes,
+    )
+
+
+def point_on_base(point: Sequence[float]) -> Array:
+    """Returns a point (3,).
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
+    try:
+        place = np.array(point, dtype=float)
+    except (TypeError, ValueError):
+        place = np.zeros(0)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise ConfigurationError("point", f"{point!r} is not a point (3,)")
+    return place

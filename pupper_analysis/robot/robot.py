@@ -1,0 +1,137 @@
+"""One robot, two models: Pinocchio's from the URDF, MuJoCo's from the MJCF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import UnknownNameError
+from pupper_analysis.models.conversion import gravity
+from pupper_analysis.models.description import Description
+from pupper_analysis.robot.contact import ContactParameters
+from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A robot given by a URDF and an MJCF, with the maps between the two models.
+
+    Attributes:
+        name: The robot's name.
+        description: The files' contents.
+        pin_model: Pinocchio's model of the URDF. Its armature is the MJCF's.
+        mj_model: MuJoCo's model of the MJCF.
+        floating: Whether the base is free to move.
+        base: The name of the base's link (URDF).
+        mj_base: The name of the base's body (MJCF).
+        joint_names: In actuator order.
+        feet: The names of the feet: the keys of every per-foot dictionary.
+        foot_frames: The name of each foot's frame in the URDF.
+        foot_places: For each foot, the body that carries it in ``mj_model`` (its id) and the centre
+            of its sphere in that body's frame, (3,) (m).
+        soles: Which foot's sphere a geom of ``mj_model`` is, {geom id: foot}.
+        foot_radius: The radius of each foot's sphere (m).
+        contacts: The effective parameters of each foot's contact with the ground.
+        home: (nq,) the MJCF's keyframe ``home`` (or its first, or its zero configuration).
+        stand_height: Height of the base above the ground in the nominal stand (m).
+        imu: The frame that carries gyro and accelerometer, if there is one.
+        fingerprint: The name, and a hash of all that a stand depends on: joints, limits, masses and
+            feet. Robots with the same hash have the same stands.
+        notes: What was assumed or added on loading, in plain words.
+    """
+
+    name: str
+    description: Description
+    pin_model: pin.Model
+    mj_model: mujoco.MjModel
+    floating: bool
+    base: str
+    mj_base: str
+    joint_names: tuple[str, ...]
+    feet: tuple[str, ...]
+    foot_frames: Mapping[str, str]
+    foot_places: Mapping[str, tuple[int, Array]]
+    soles: Mapping[int, str]
+    foot_radius: Mapping[str, float]
+    contacts: Mapping[str, ContactParameters]
+    home: Array
+    stand_height: float
+    imu: str | None
+    pin_convention: PinocchioConvention
+    mj_convention: MujocoConvention
+    fingerprint: str
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def nq(self) -> int:
+        """Size of the public qpos."""
+        return len(self.joint_names) + (7 if self.floating else 0)
+
+    @property
+    def nv(self) -> int:
+        """Size of the public qvel."""
+        return len(self.joint_names) + (6 if self.floating else 0)
+
+    @property
+    def nu(self) -> int:
+        """Number of joints, each with one motor."""
+        return len(self.joint_names)
+
+    @property
+    def gravity(self) -> Array:
+        """(3,) acceleration of gravity in the world (m/s^2)."""
+        return gravity(self.mj_model)
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of the URDF's model (kg)."""
+        return float(sum(inertia.mass for inertia in self.pin_model.inertias))
+
+    @property
+    def lower_limits(self) -> Array:
+        """(nu,) lower joint limits of the URDF (rad); -inf for a continuous joint."""
+        return self._positional(self.pin_model.lowerPositionLimit, -np.inf)
+
+    @property
+    def upper_limits(self) -> Array:
+        """(nu,) upper joint limits of the URDF (rad); inf for a continuous joint."""
+        return self._positional(self.pin_model.upperPositionLimit, np.inf)
+
+    @property
+    def effort_limits(self) -> Array:
+        """(nu,) effort limits of the URDF (N m)."""
+        return np.array(self.pin_model.effortLimit[self.pin_convention.v_index])
+
+    @property
+    def velocity_limits(self) -> Array:
+        """(nu,) velocity limits of the URDF (rad/s)."""
+        return np.array(self.pin_model.velocityLimit[self.pin_convention.v_index])
+
+    def _positional(self, values: Array, unbounded: float) -> Array:
+        limits = np.array(values[self.pin_convention.q_index])
+        limits[self.pin_convention.unbounded] = unbounded
+        return limits
+
+    def check_foot(self, foot: str) -> str:
+        """Returns the name of a foot, if it is one.
+
+        Raises:
+            UnknownNameError: If it is not; the message lists the feet.
+        """
+        if foot not in self.foot_frames:
+            raise UnknownNameError(self.name, "foot", foot, self.feet)
+        return foot
+
+    def neutral(self) -> Array:
+        """Returns the qpos (nq,) with the base at the origin and every joint at zero."""
+        qpos = np.zeros(self.nq)
+        if self.floating:
+            qpos[3] = 1.0
+        return qpos

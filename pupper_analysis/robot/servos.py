@@ -1,0 +1,133 @@
+"""The position servos of a robot's MuJoCo model."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+INTEGRATORS = {
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+}
+"""MuJoCo's integrators, as MJCF names them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Servos:
+    """The position servos of a MuJoCo model: tau = clip(kp (ctrl' - q) - kd qvel, +- limit).
+
+    Attributes:
+        model: The model, a copy of the robot's.
+        kp: (nu,) at the joints (N m/rad).
+        kd: (nu,) at the joints (N m s/rad).
+        gear: (nu,) actuator length per joint angle; ctrl' = ctrl / gear.
+        integrator: Name of MuJoCo's integrator.
+    """
+
+    model: mujoco.MjModel
+    kp: Array
+    kd: Array
+    gear: Array
+    integrator: str
+
+    @property
+    def implicit(self) -> bool:
+        """Whether the servos' damping acts on the velocity at the end of a time step."""
+        return self.integrator.startswith("implicit")
+
+    def command(self, robot: Robot, positions: Array, torques: Array | None = None) -> Array:
+        """Returns the ctrl (model.nu,) that asks for joint positions, with a feed-forward torque.
+
+        Args:
+            robot: The robot.
+            positions: (nu,) joint positions (rad).
+            torques: (nu,) torques (N m) to be given at these positions; zero if None.
+        """
+        target = positions if torques is None else positions + torques / self.kp
+        ctrl = np.zeros(self.model.nu)
+        ctrl[robot.mj_convention.actuator_index] = self.gear * target
+        return ctrl
+
+
+def servos(
+    robot: Robot,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    integrator: str | None = None,
+) -> Servos:
+    """Returns a copy of the robot's MuJoCo model with position servos.
+
+    Args:
+        robot: The robot.
+        kp: Stiffness at the joints (N m/rad), one or (nu,); the model's own by default.
+        kd: Damping at the joints (N m s/rad), one or (nu,); the model's own by default.
+        integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``; the model's by default.
+
+    Raises:
+        ConfigurationError: If a gain is not positive (kd: negative), or the integrator is unknown.
+        ModelError: If a joint has no motor, or its motor is no position servo and kp, kd are not
+            both given.
+    """
+    model = copy.copy(robot.mj_model)
+    actuators = robot.mj_convention.actuator_index
+    for name, actuator in zip(robot.joint_names, actuators, strict=True):
+        if actuator < 0:
+            raise ModelError(robot.description.mjcf_source, f"joint {name!r} has no actuator")
+    gear = model.actuator_gear[actuators, 0].copy()
+    gain = model.actuator_gainprm[actuators, 0] * gear**2
+    bias = -model.actuator_biasprm[actuators, 1:3] * gear[:, None] ** 2
+    affine = model.actuator_biastype[actuators] == mujoco.mjtBias.mjBIAS_AFFINE.value
+    servo = affine & np.isclose(gain, bias[:, 0]) & (gain > 0)
+    if (kp is None or kd is None) and not servo.all():
+        index = int(np.flatnonzero(~servo)[0])
+        raise ModelError(
+            robot.description.mjcf_source,
+            f"the actuator of joint {robot.joint_names[index]!r} is no position servo; "
+            "give kp and kd to drive it as one",
+        )
+    stiffness = gain if kp is None else _gain("kp", kp, robot.nu)
+    damping = bias[:, 1] if kd is None else _gain("kd", kd, robot.nu)
+    if kp is not None and (stiffness <= 0).any():
+        raise ConfigurationError("kp", f"{stiffness.min()} N m/rad is not positive")
+    if kp is not None or kd is not None:
+        model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
+        model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
+        model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
+        model.actuator_gainprm[actuators, 0] = stiffness / gear**2
+        model.actuator_biasprm[actuators, 0] = 0.0
+        model.actuator_biasprm[actuators, 1] = -stiffness / gear**2
+        model.actuator_biasprm[actuators, 2] = -damping / gear**2
+        model.actuator_ctrllimited[actuators[~servo]] = 0
+    if integrator is not None:
+        if integrator not in INTEGRATORS:
+            raise ConfigurationError(
+                "integrator", f"{integrator!r} is unknown; there are: {', '.join(INTEGRATORS)}"
+            )
+        model.opt.integrator = INTEGRATORS[integrator].value
+    used = next(
+        (name for name, kind in INTEGRATORS.items() if kind.value == model.opt.integrator),
+        mujoco.mjtIntegrator(int(model.opt.integrator)).name,
+    )
+    return Servos(model, stiffness, damping, gear, used)
+
+
+def _gain(name: str, value: ArrayLike, size: int) -> Array:
+    try:
+        gain: Array = np.broadcast_to(np.asarray(value, dtype=float), (size,)).copy()
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(name, f"not a number, nor {size} of them") from error
+    if not np.isfinite(gain).all() or (gain < 0).any():
+        raise ConfigurationError(name, f"{value!r} is not finite and >= 0")
+    return gain

@@ -1,0 +1,387 @@
+"""How hard can it be pushed: the largest horizontal impulse from which a stand recovers."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.results import Result
+from pupper_analysis.robot import contact
+from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import Servos, servos
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.simulation.rollout import (
+    FALLEN_TILT,
+    STATE,
+    check_stand,
+    diverged,
+    lean,
+    place_on_ground,
+)
+from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.statics.equilibrium import LoadSharing
+
+Array = NDArray[np.float64]
+
+PULSE = 0.02
+"""How long a push lasts (s), rounded to whole time steps: short against a fall of some 0.3 s."""
+
+REST_SPEED = 0.01
+"""A base that is faster than this in the last half second has not come to rest (m/s)."""
+
+FALLEN_HEIGHT = 0.5
+"""A base that ends lower than this share of the stand's height has fallen."""
+
+LEVELS = 8
+"""So many smaller pushes per direction are tried once a limit is found."""
+
+_REST = 0.5  # s
+_SAMPLE = 0.004  # s between the states whose contacts are looked at
+_BATCH = 2**25  # numbers (of 8 bytes) that a rollout may take
+
+
+@dataclass(frozen=True, eq=False)
+class PushRecovery(Result):
+    """How hard a stand can be pushed, in each of n directions.
+
+    Attributes:
+        directions: (n,) where to, about the vertical (rad): 0 is the base's forward, pi/2 its left.
+        impulses: (n,) the largest push found from which it recovers, as it does from every smaller
+            one that was tried (N s); a push that is larger by at most ``resolution`` fails.
+        velocity_steps: (n,) impulse / mass (m/s).
+        failures: (n,) how it fails then.
+        bisected: (n,) what the bisection found first (N s). Greater than ``impulses`` where the
+            check found a smaller push that the robot does not survive.
+        tipping_estimate: (n,) push that tips the robot over if it were rigid (N s).
+        weakest_direction: Where the least impulse is enough (rad).
+        weakest_impulse: This impulse (N s).
+        weakest_failure: How it fails there.
+        mass: kg.
+        point: (3,) where the push acts: the com of the base's body, in the stand (m).
+        pulse: How long the push lasts (s).
+        resolution: N s.
+        feedforward: Whether ctrl = q* + tau / kp (otherwise ctrl = q*).
+        integrator: MuJoCo's integrator.
+        timestep: s.
+        duration: s.
+        kp: (nu,) N m/rad.
+        kd: (nu,) N m s/rad.
+        rollouts: How many pushes were simulated.
+    """
+
+    directions: Array
+    impulses: Array
+    velocity_steps: Array
+    failures: tuple[str, ...]
+    bisected: Array
+    tipping_estimate: Array
+    weakest_direction: float
+    weakest_impulse: float
+    weakest_failure: str
+    mass: float
+    point: Array
+    pulse: float
+    resolution: float
+    feedforward: bool
+    integrator: str
+    timestep: float
+    duration: float
+    kp: Array
+    kd: Array
+    rollouts: int
+
+
+def push_recovery(
+    robot: Robot,
+    stand: Stand,
+    *,
+    directions: int = 12,
+    duration: float = 6.0,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    feedforward: bool = True,
+    integrator: str | None = None,
+    resolution: float = 0.02,
+) -> PushRecovery:
+    """Finds the largest horizontal push, in each direction, from which a stand recovers.
+
+    The push is a constant force for 20 ms from t = 0 on, at the com of the base's body, on a robot
+    that rests in balance. A force is what a push is, and defined whatever touches: an initial
+    velocity would have to be given to the feet, against the ground's friction, or denied to them,
+    against the joints. The servos do nothing but hold the stand. (Without feed-forward the robot
+    starts to sag as it is pushed.)
+
+    The robot recovers if, at the end, it is upright (its vertical tilted by less than 0.5 rad), not
+    lower than half of its height, and at rest, and nothing but its feet ever touched the ground. It
+    may have slid, or turned about the vertical.
+
+    All directions are simulated at once; impulses are doubled until the robot falls, then bisected.
+    What it survives need not be monotonic: it may fall from a push and stand a larger one, as one
+    that slides. Bisection finds one boundary of perhaps several, so 8 smaller pushes are tried
+    afterwards; if one fails, the boundary below the least of these is reported. Between these
+    levels there may still be one that was not tried.
+
+    Args:
+        robot: The robot.
+        stand: How it stands.
+        directions: How many, evenly spaced, the first one forward; 3 to 360.
+        duration: Simulated time from the push on (s), at least 2.
+        kp: Servo stiffness (N m/rad); the model's own by default.
+        kd: Servo damping (N m s/rad); the model's own by default.
+        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        integrator: MuJoCo's integrator; the model's own by default.
+        resolution: Of the impulses (N s).
+
+    Returns:
+        The limits. All are 0 if the stand does not last without a push; ``failures`` says why.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ModelError: If the model has no servos and no gains are given.
+        StaticsInfeasibleError: If no contact forces balance the stand.
+    """
+    check_stand(robot, stand, duration)
+    if isinstance(directions, bool) or not isinstance(directions, int | np.integer):
+        raise ConfigurationError("directions", f"{directions!r} is not a whole number")
+    if not 3 <= directions <= 360:
+        raise ConfigurationError("directions", f"{directions} is not between 3 and 360")
+    if not (math.isfinite(resolution) and resolution > 0):
+        raise ConfigurationError("resolution", f"{resolution} N s is not positive and finite")
+    config = Configuration(robot, stand.qpos)
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    torques = stand_statics(robot, stand, sharing=LoadSharing.EVEN).joint_torques
+    drive = servos(robot, kp, kd, integrator)
+    positions = stand.joint_positions(robot)
+    angles = 2 * math.pi * np.arange(directions) / directions
+    forward = config.base_rotation()[:2, 0]
+    angles_in_world = angles + math.atan2(forward[1], forward[0])
+    bench = _Bench(
+        robot=robot,
+        stand=stand,
+        drive=drive,
+        start=place_on_ground(robot, drive, stand, torques),
+        ctrl=drive.command(robot, positions, torques if feedforward else None),
+        axes=np.column_stack([np.cos(angles_in_world), np.sin(angles_in_world)]),
+        duration=duration,
+    )
+    point = _push_point(robot, stand)
+    estimate = tipping_impulses(config, point, bench.axes, stand.carrying)
+    impulses, bisected, failures = _limits(bench, estimate, resolution)
+    weakest = int(np.argmin(impulses))
+    return PushRecovery(
+        directions=angles,
+        impulses=impulses,
+        velocity_steps=impulses / robot.total_mass,
+        failures=failures,
+        bisected=bisected,
+        tipping_estimate=estimate,
+        weakest_direction=float(angles[weakest]),
+        weakest_impulse=float(impulses[weakest]),
+        weakest_failure=failures[weakest],
+        mass=robot.total_mass,
+        point=point,
+        pulse=bench.pulse_steps * bench.timestep,
+        resolution=float(resolution),
+        feedforward=feedforward,
+        integrator=drive.integrator,
+        timestep=bench.timestep,
+        duration=bench.steps * bench.timestep,
+        kp=drive.kp,
+        kd=drive.kd,
+        rollouts=bench.rollouts,
+    )
+
+
+def tipping_impulses(
+    config: Configuration, point: Array, axes: Array, feet: Iterable[str] | None = None
+) -> Array:
+    """Returns the impulses that would tip the robot over, were it one rigid body (N s).
+
+    It rolls over an edge of its support polygon, on the two feet there: spheres of radius r. With
+    I the inertia about the edge on the ground, and s the lever of the push to it, an impulse p
+    leaves the energy (p s)^2 / (2 I). The feet's centres stay at their height, so the com has to
+    rise from its height over them, h, to its distance from the line between them, hypot(h, d):
+
+        p = sqrt(2 I m g (hypot(h, d) - h)) / s, the least of all edges' that it points out over.
+
+    For a point mass on pointed feet (r = 0), pushed straight over the edge, and d << h, this is
+    m sqrt(2 g (hypot(h, d) - h)).
+
+    What it neglects: legs that give way (folding knees take energy, but lower the com, and may
+    touch the ground); feet that slide (on ice it takes more to tip a robot); rolling friction, and
+    what else contacts damp; the duration of the push; and, towards a corner, that the robot rolls
+    on one foot, keeps energy that an edge would have taken, and can go over a side.
+
+    Args:
+        config: Where the robot stands. The ground is taken to be level.
+        point: (3,) where the push acts (m).
+        axes: (n, 2) horizontal directions, unit vectors.
+        feet: Those that carry; all by default.
+
+    Returns:
+        (n,) impulses; infinite if the feet span no polygon.
+    """
+    robot, com, mass_matrix = config.robot, config.center_of_mass(), config.mass_matrix()
+    ground = np.array(list(config.contact_points(feet).values()))
+    radius = float(np.mean(list(robot.foot_radius.values())))
+    hull = shapely.MultiPoint(ground[:, :2]).convex_hull
+    impulses = np.full(len(axes), np.inf)
+    if hull.geom_type != "Polygon":
+        return impulses
+    corners = np.array(hull.exterior.coords)
+    for first, second in pairwise(corners):
+        pivot = np.append(first, ground[:, 2].mean())
+        hinge = np.append(second - first, 0.0) / np.linalg.norm(second - first)
+        # Turning about it moves the com outwards.
+        hinge *= -math.copysign(1.0, np.cross(hinge, com - pivot) @ UP)
+        lever = com - pivot - radius * UP
+        rise = np.linalg.norm(np.cross(hinge, lever)) - lever[2]
+        energy = robot.total_mass * np.linalg.norm(robot.gravity) * rise
+        twist = np.zeros(robot.nv)
+        twist[:3] = np.cross(hinge, config.qpos[:3] - pivot)
+        twist[3:6] = config.base_rotation().T @ hinge
+        inertia = twist @ mass_matrix @ twist
+        levers = axes @ np.cross(hinge, point - pivot)[:2]
+        with np.errstate(divide="ignore"):
+            tips = np.where(levers > 0, math.sqrt(2 * inertia * energy) / levers, np.inf)
+        impulses = np.minimum(impulses, tips)
+    return impulses
+
+
+def _push_point(robot: Robot, stand: Stand) -> Array:
+    """Returns where MuJoCo applies a body's xfrc_applied: at its com."""
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    return np.array(data.xipos[robot.mj_model.body(robot.mj_base).id])
+
+
+# ------------------------------------------------------------------------------------- search
+
+
+def _limits(
+    bench: _Bench, estimate: Array, resolution: float
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Returns the limits, those before the check of smaller pushes, and how it fails."""
+    count = len(bench.axes)
+    (idle,) = bench.push(np.zeros(1, dtype=np.int64), np.zeros(1))
+    if idle is not None:
+        return np.zeros(count), np.zeros(count), (f"without a push: {idle}",) * count
+    search = _Search(bench, np.zeros(count), np.full(count, np.inf), [""] * count)
+    first = np.where(np.isfinite(estimate), estimate, 1.0).clip(resolution)
+    search.bisect(first, resolution)
+    bisected = search.survived.copy()
+    steady = np.ones(count, dtype=np.bool_)
+    for level in range(1, LEVELS + 1):
+        step = bisected / (LEVELS + 1)
+        tried = np.flatnonzero(steady & (step > resolution))
+        for index, failure in zip(tried, bench.push(tried, level * step[tried]), strict=True):
+            if failure is not None:
+                steady[index] = False
+                search.survived[index] = (level - 1) * step[index]
+                search.failed[index] = level * step[index]
+                search.failures[index] = failure
+    search.bisect(first, resolution)
+    return search.survived, bisected, tuple(search.failures)
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """For each direction a push that is survived, and a larger one that is not, and how."""
+
+    bench: _Bench
+    survived: Array
+    failed: Array
+    failures: list[str]
+
+    def bisect(self, first: Array, resolution: float) -> None:
+        """Doubles from ``first`` (n,) until the robot falls, and halves down to the resolution."""
+        while (wide := np.flatnonzero(self.failed - self.survived > resolution)).size:
+            low, high = self.survived[wide], self.failed[wide]
+            tried = np.where(np.isinf(high), np.maximum(2 * low, first[wide]), (low + high) / 2)
+            pushed = self.bench.push(wide, tried)
+            for index, impulse, failure in zip(wide, tried, pushed, strict=True):
+                if failure is None:
+                    self.survived[index] = impulse
+                else:
+                    self.failed[index], self.failures[index] = impulse, failure
+
+
+@dataclass(eq=False)
+class _Bench:
+    """Where a robot is pushed; counts how often."""
+
+    robot: Robot
+    stand: Stand
+    drive: Servos
+    start: Array
+    ctrl: Array
+    axes: Array
+    duration: float
+    rollouts: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        model = self.drive.model
+        self.timestep = float(model.opt.timestep)
+        self.steps = round(self.duration / self.timestep)
+        self.pulse_steps = max(1, round(PULSE / self.timestep))
+        self.data = mujoco.MjData(model)
+        self.workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
+
+    def push(self, directions: NDArray[np.int64], impulses: Array) -> list[str | None]:
+        """Simulates pushes, all at once, and says of each how the robot fails, or None."""
+        model = self.drive.model
+        width = model.nu + 6 * model.nbody
+        size = max(1, _BATCH // (self.steps * (width + len(self.start))))
+        column = model.nu + 6 * model.body(self.robot.mj_base).id
+        forces = impulses[:, None] * self.axes[directions] / (self.pulse_steps * self.timestep)
+        spec = int(mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value)
+        failures: list[str | None] = []
+        for begin in range(0, len(forces), size):
+            batch = forces[begin : begin + size]
+            control = np.zeros((len(batch), self.steps, width))
+            control[:, :, : model.nu] = self.ctrl
+            control[:, : self.pulse_steps, column : column + 2] = batch[:, None]
+            starts = np.tile(self.start, (len(batch), 1))
+            workers = self.workers[: len(batch)]
+            states, _ = mujoco.rollout.rollout(model, workers, starts, control, control_spec=spec)
+            failures += [self._failure(run) for run in states]
+        self.rollouts += len(forces)
+        return failures
+
+    def _failure(self, states: Array) -> str | None:
+        """Returns why a run is no recovery, or None if it is one."""
+        robot, model = self.robot, self.drive.model
+        if diverged(states, self.timestep):
+            return f"the simulation diverged ({self.drive.integrator}, {1e3 * self.timestep:g} ms)"
+        failures = []
+        for state in states[:: max(1, round(_SAMPLE / self.timestep))]:
+            mujoco.mj_setState(model, self.data, state, STATE)
+            mujoco.mj_kinematics(model, self.data)
+            mujoco.mj_collision(model, self.data)
+            if touching := sorted(contact.bodies_on_ground(model, self.data, robot.soles)):
+                failures.append(f"{touching[0]} touches the ground at {self.data.time:.2f} s")
+                break
+        tilt = lean(robot, self.stand.task.rotation(), states[-1])
+        height = float(states[-1, 1 + robot.mj_convention.qpos_index[2]])
+        if tilt > FALLEN_TILT or height < FALLEN_HEIGHT * self.stand.qpos[2]:
+            angle = math.degrees(tilt)
+            failures.append(f"it fell over: tilt {angle:.0f} deg, height {height:.3f} m")
+        rates = states[-round(_REST / self.timestep) :, 1 + model.nq :]
+        rates = rates[:, robot.mj_convention.qvel_index[:6]]
+        linear, angular = (np.linalg.norm(part, axis=1) for part in (rates[:, :3], rates[:, 3:]))
+        speed = float((linear + self.stand.qpos[2] * angular).max())
+        if speed > REST_SPEED:
+            failures.append(f"it has not come to rest: {1e3 * speed:.0f} mm/s at the end")
+        return "; ".join(failures) or None

@@ -1,0 +1,233 @@
+"""How MuJoCo tracks a path through stances."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.results import Result
+from pupper_analysis.robot import contact
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.path_commands import PathCommands, path_commands
+from pupper_analysis.simulation.rollout import FALLEN_TILT, STATE, diverged, lean
+from pupper_analysis.stance.path.stance_path import StancePath
+
+Array = NDArray[np.float64]
+
+TRACKING_TOLERANCE = 0.1
+"""Joint error up to which a path counts as tracked (rad)."""
+
+TORQUE_TOLERANCE = 0.05
+"""Deviation of a motor's torque up to which a path counts as tracked, relative to the largest."""
+
+LIFT_CLEARANCE = 2e-3
+"""A foot must not touch if it shall be higher than this (m)."""
+
+LOADED = 0.05
+"""A foot that shall carry more than this share of the weight must not lose the ground."""
+
+_LOOKS = 400
+"""Of a simulation: states that are looked at closely, evenly spaced by 1 to 20 ms. A foot that an
+impossible path loses is off the ground for some hundredths of the path's time."""
+
+
+@dataclass(frozen=True, eq=False)
+class PathTracking(Result):
+    """What a simulation made of a path.
+
+    Attributes:
+        passed: Whether it was tracked.
+        failures: If not, why.
+        integrator: MuJoCo's integrator.
+        timestep: s.
+        kp: (nu,) N m/rad.
+        kd: (nu,) N m s/rad.
+        joint_error: The largest deviation of a joint from the path (rad).
+        joint_error_rms: Root mean square over joints and time (rad).
+        height_error: The largest deviation of the base's height (m).
+        orientation_error: The largest angle between the base's orientation and the path's (rad).
+        torque_error: The largest deviation of a motor's torque from the commanded feed-forward, in
+            any step of time / the largest torque of the path.
+        foot_slip: {foot: the largest horizontal distance of its centre from the path's, while it
+            carries (m)}. A foot is a sphere and rolls, so this is not zero without sliding.
+        time: (n,) moments of the next (s).
+        joints: (n, nu) joint positions (rad).
+        height: (n,) the base's (m).
+    """
+
+    passed: bool
+    failures: tuple[str, ...]
+    integrator: str
+    timestep: float
+    kp: Array
+    kd: Array
+    joint_error: float
+    joint_error_rms: float
+    height_error: float
+    orientation_error: float
+    torque_error: float
+    foot_slip: dict[str, float]
+    time: Array
+    joints: Array
+    height: Array
+
+
+def track_path(
+    robot: Robot,
+    path: StancePath,
+    *,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    integrator: str | None = None,
+    timestep: float | None = None,
+) -> PathTracking:
+    """Simulates a path on the floating base: servos commanded ctrl = q* + (tau + kd dq*/dt) / kp.
+
+    The velocity's part makes up for the servos' damping, which knows no wanted velocity: without it
+    they lag by kd / kp (20 ms for v3). The legs are longer by what the feet sink into MuJoCo's soft
+    ground under the loads in motion (``sunk_path``), and the torques are the path's, in motion,
+    plus those that make the legs longer.
+
+    A path is tracked if joints and torques stay within ``TRACKING_TOLERANCE`` and
+    ``TORQUE_TOLERANCE``, no motor is at its limit, feet that carry stay on the ground, lifted ones
+    off it, and nothing else touches it.
+
+    Args:
+        robot: The robot.
+        path: A path of this robot's.
+        kp: Servo stiffness (N m/rad); the model's own by default.
+        kd: Servo damping (N m s/rad); the model's own by default.
+        integrator: MuJoCo's integrator; the model's own by default.
+        timestep: Of the simulation (s); the model's own by default, or ``TIMESTEP``, if that is
+            shorter.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the path is another robot's.
+        ModelError: If the model has no servos and no gains are given.
+    """
+    plan = path_commands(robot, path, kp=kp, kd=kd, integrator=integrator, timestep=timestep)
+    robot, model, joints = plan.robot, plan.drive.model, slice(robot.nq - robot.nu, None)
+    states = mujoco.rollout.rollout(model, mujoco.MjData(model), plan.start, plan.ctrl[None])[0][0]
+    simulated = states[:, 1 + robot.mj_convention.qpos_index]
+    deviation = simulated[:, joints] - plan.qpos[:, joints]
+    joint_error = float(np.abs(deviation).max())
+
+    timestep = float(model.opt.timestep)
+    apart = min(max(float(path.time[-1]) / _LOOKS, 1e-3), 0.02)
+    step = max(1, round(apart / timestep))
+    looks = np.arange(step - 1, len(states), step)
+    tilt, torque_error, slip = math.inf, math.inf, dict.fromkeys(path.feet, math.inf)
+    if diverged(states, timestep):
+        failures = [f"the simulation diverged ({plan.drive.integrator}, {1e3 * timestep:g} ms)"]
+    else:
+        failures, tilt, slip = _watch(plan, states, looks)
+        saturated, torque_error = _torques(plan, states)
+        failures += saturated
+    if path.infeasible.any():
+        moment = path.time[int(np.argmax(path.infeasible))]
+        failures.append(f"no contact forces do from {moment:.2f} s on")
+    if path.peak_utilisation > 1:
+        failures.append(f"a motor would have to give {path.peak_utilisation:.0%} of its limit")
+    if path.peak_speed_utilisation > 1:
+        share = f"{path.peak_speed_utilisation:.0%} of its velocity limit"
+        failures.append(f"joint {path.fastest_joint} would have to turn at {share}")
+    if not torque_error <= TORQUE_TOLERANCE:
+        failures.append(f"a motor's torque is off by {torque_error:.1%} of the path's largest")
+    if not joint_error < TRACKING_TOLERANCE:
+        failures.append(f"a joint is off by {joint_error:.2f} rad")
+    return PathTracking(
+        passed=not failures,
+        failures=tuple(failures),
+        integrator=plan.drive.integrator,
+        timestep=timestep,
+        kp=plan.drive.kp,
+        kd=plan.drive.kd,
+        joint_error=joint_error,
+        joint_error_rms=float(np.sqrt(np.mean(deviation**2))),
+        height_error=float(np.abs(simulated[:, 2] - plan.qpos[:, 2]).max()),
+        orientation_error=tilt,
+        torque_error=torque_error,
+        foot_slip=slip,
+        time=plan.time[looks],
+        joints=simulated[looks, joints],
+        height=simulated[looks, 2],
+    )
+
+
+def _torques(plan: PathCommands, states: Array) -> tuple[list[str], float]:
+    """Returns which motors are at their limits, and the largest relative error of a torque.
+
+    By the servos' law, with the velocity that the integrator has it act on: an implicit one's at a
+    step's end, of which ``qfrc_actuator`` does not know.
+    """
+    drive, robot, model = plan.drive, plan.robot, plan.drive.model
+    public = robot.mj_convention
+    before = np.vstack([plan.start, states[:-1]])
+    joints = slice(robot.nq - robot.nu, None)
+    dofs = 1 + model.nq + public.qvel_index[robot.nv - robot.nu :]
+    target = plan.ctrl[:, public.actuator_index] / drive.gear
+    position = before[:, 1 + public.qpos_index[joints]]
+    velocity = (states if drive.implicit else before)[:, dofs]
+    asked = drive.kp * (target - position) - drive.kd * velocity
+    limited = model.actuator_forcelimited[public.actuator_index].astype(bool)
+    limits = np.abs(model.actuator_forcerange[public.actuator_index] * drive.gear[:, None])
+    limit = np.where(limited, limits.min(axis=1), np.inf)
+    given = np.clip(asked, -limit, limit)
+    events = []
+    for column in np.flatnonzero((np.abs(asked) > limit).any(axis=0)):
+        moment = plan.time[int(np.argmax(np.abs(asked[:, column]) > limit[column]))]
+        name = robot.joint_names[int(column)]
+        events.append(f"the motor of {name} is at its limit at {moment:.2f} s")
+    largest = float(np.abs(plan.path.torques).max())
+    return events, float(np.abs(given - plan.torques).max()) / largest
+
+
+def _watch(
+    plan: PathCommands, states: Array, looks: NDArray[np.int64]
+) -> tuple[list[str], float, dict[str, float]]:
+    """Looks at states; returns failures, tilt (rad) and the feet's slip (m)."""
+    path, robot, model = plan.path, plan.robot, plan.drive.model
+    data = mujoco.MjData(model)
+    events: dict[str, float] = {}
+    slip = dict.fromkeys(path.feet, 0.0)
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    tilt = 0.0
+    for index in looks:
+        mujoco.mj_setState(model, data, states[index], STATE)
+        data.ctrl[:] = plan.ctrl[min(index + 1, len(plan.ctrl) - 1)]  # what comes next
+        mujoco.mj_forward(model, data)
+        forces, others = contact.ground_forces(model, data, robot.soles)
+        seen = [f"{body} touches the ground" for body in sorted(others)]
+        goal = plan.qpos[index]
+        rotation = rotation_from_quaternion(goal[3:7] / np.linalg.norm(goal[3:7]))
+        base = data.qpos[robot.mj_convention.qpos_index[:7]]
+        turn = rotation.T @ rotation_from_quaternion(base[3:])
+        tilt = max(tilt, float(np.linalg.norm(pin.log3(turn))))
+        if lean(robot, rotation, states[index]) > FALLEN_TILT or base[2] < 0.5 * goal[2]:
+            seen.append("it fell over")
+        targets = Configuration(robot, goal).foot_positions()
+        sample = min(len(path.time) - 1, round(float(data.time) / path.time[1]))
+        for column, foot in enumerate(path.feet):
+            load = path.loads[sample, column] / weight
+            # A load below zero is that of a foot which would have to be held to the ground.
+            if (load > LOADED or load < 0) and (foot not in forces or forces[foot][2] <= 0):
+                seen.append(f"foot {foot} carries nothing")
+            if path.clearance[sample, column] > LIFT_CLEARANCE and foot in forces:
+                seen.append(f"foot {foot} is lifted, and touches the ground")
+            if path.carrying[sample, column]:
+                body, place = robot.foot_places[foot]
+                centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+                away = float(np.linalg.norm((centre - targets[foot])[:2]))
+                slip[foot] = max(slip[foot], away)
+        for event in seen:
+            events.setdefault(event, float(data.time))
+    failures = [f"{event} at {moment:.2f} s" for event, moment in events.items()]
+    return failures, tilt, slip

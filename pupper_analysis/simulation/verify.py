@@ -1,0 +1,349 @@
+"""Does it hold: MuJoCo's floating-base simulation of a stand, against what Pinocchio predicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container
+from dataclasses import dataclass
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.results import Result
+from pupper_analysis.robot import contact
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.simulation.rollout import (
+    FALLEN_TILT,
+    STATE,
+    base_heights,
+    check_stand,
+    diverged,
+    lean,
+    place_on_ground,
+    turned_by,
+)
+from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.statics.equilibrium import GravityCompensation, LoadSharing
+from pupper_analysis.statics.support_polygon import drop_at
+
+Array = NDArray[np.float64]
+
+STABLE_DEVIATION = 5e-3
+"""A stand is stable if the base's height deviates by less than this in the last second (m)."""
+
+
+JOINT_TOLERANCE = 1e-3
+"""Joint error that a verified stand may have with feed-forward (rad)."""
+
+
+FORCE_TOLERANCE = 1e-2
+"""Relative error that a verified stand's torques and foot forces may have with feed-forward."""
+
+
+LIGHT = 0.05
+"""Share of the weight below which a foot's force is not what its error is measured by."""
+
+
+SETTLED_DRIFT = 5e-4
+"""A base whose height changes faster than this in the last second has not settled (m/s)."""
+
+
+SOFT = 1e-4
+"""Ground into which feet sink deeper than their stand has them by this is soft (m)."""
+
+
+_SAMPLE = 0.02  # s between the states that are looked at closely
+
+
+@dataclass(frozen=True, eq=False)
+class StandVerification(Result):
+    """What a simulation made of a stand, against the prediction.
+
+    Settled values are means over the last second. Predictions are Pinocchio's, from the URDF.
+
+    Attributes:
+        passed: Whether the stand is verified.
+        failures: If not, why.
+        feedforward: Whether ctrl = q* + tau / kp (otherwise ctrl = q*).
+        integrator: MuJoCo's integrator.
+        timestep: s.
+        duration: s.
+        kp: (nu,) N m/rad.
+        kd: (nu,) N m s/rad.
+        base_height: Settled (m).
+        height_deviation: Standard deviation of the base's height in the last second (m).
+        height_drift: Rate of the base's height in the last second (m/s): still sinking if negative.
+        height_loss: Task's height less the settled one (m); the sum of the next two.
+        servo_sag: The part lost in the joints (m).
+        contact_sag: The part lost in the softness of feet and ground (m).
+        tilt: Angle of the base's settled orientation against the task's (rad).
+        foot_slip: {foot: horizontal distance from its target} at the end (m).
+        joint_error: The largest deviation of a joint from the stand in the last second (rad).
+        joint_torques: (nu,) of the motors, settled (N m).
+        predicted_torques: (nu,) (N m).
+        torque_error: Largest deviation / largest predicted torque.
+        foot_forces: {foot: (3,)} of the ground on the foot, settled, in world axes (N).
+        predicted_forces: {foot: (3,)} (N).
+        force_error: Largest deviation of a vertical foot force / its prediction (or / ``LIGHT`` of
+            the weight, where a foot is predicted to carry less than that).
+        mujoco_foot_error: Largest distance of a foot from its target at ``stand.qpos`` by MuJoCo's
+            kinematics of the MJCF (m).
+        mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
+            predicted f and tau (N, N m).
+        time: (n,) samples (s).
+        height: (n,) the base's height at these (m).
+    """
+
+    passed: bool
+    failures: tuple[str, ...]
+    feedforward: bool
+    integrator: str
+    timestep: float
+    duration: float
+    kp: Array
+    kd: Array
+    base_height: float
+    height_deviation: float
+    height_drift: float
+    height_loss: float
+    servo_sag: float
+    contact_sag: float
+    tilt: float
+    foot_slip: dict[str, float]
+    joint_error: float
+    joint_torques: Array
+    predicted_torques: Array
+    torque_error: float
+    foot_forces: dict[str, Array]
+    predicted_forces: dict[str, Array]
+    force_error: float
+    mujoco_foot_error: float
+    mujoco_residual: float
+    time: Array
+    height: Array
+
+
+def verify_stand(
+    robot: Robot,
+    stand: Stand,
+    *,
+    feedforward: bool = True,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    integrator: str | None = None,
+    duration: float = 5.0,
+) -> StandVerification:
+    """Simulates a stand on the floating base, and compares it with Pinocchio's prediction.
+
+    The prediction is ``gravity_compensation`` with even load sharing: the equilibrium that lasts in
+    a simulator whose friction creeps. MuJoCo's ground is soft: where the feet bear unequal loads a
+    stand for rigid ground tilts by milliradians, and the loads change by percents; ``sunk_stand``
+    is the stand that does hold as predicted.
+
+    Args:
+        robot: The robot.
+        stand: How it shall stand.
+        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        kp: Servo stiffness (N m/rad); the model's own by default.
+        kd: Servo damping (N m s/rad); the model's own by default.
+        integrator: MuJoCo's integrator; the model's own by default.
+        duration: Simulated time (s), at least 2.
+
+    Returns:
+        The comparison; ``failures`` says why a stand is not verified.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ModelError: If the model has no servos and no gains are given.
+        StaticsInfeasibleError: If no contact forces balance the stand.
+    """
+    check_stand(robot, stand, duration)
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    prediction = stand_statics(robot, stand, sharing=LoadSharing.EVEN)
+    drive = servos(robot, kp, kd, integrator)
+    positions = stand.joint_positions(robot)
+    torques = prediction.joint_torques if feedforward else None
+    ctrl = drive.command(robot, positions, torques)
+    start = place_on_ground(robot, drive, stand, prediction.joint_torques)
+    timestep = float(drive.model.opt.timestep)
+    states, _ = mujoco.rollout.rollout(
+        drive.model,
+        mujoco.MjData(drive.model),
+        start,
+        np.tile(ctrl, (1, max(2, round(duration / timestep)), 1)),
+    )
+    states = states[0]
+    last_second = round(1.0 / timestep)
+    settled = states[-last_second:]
+    heights = base_heights(robot, states)
+
+    light = LIGHT * sum(force[2] for force in prediction.contact_forces.values())
+    loaded = {
+        foot
+        for foot, force in prediction.contact_forces.items()
+        if force[2] >= FORCE_TOLERANCE * light
+    }
+    watch = _watch(robot, drive.model, stand, states, ctrl, last_second, loaded)
+    drops = {foot: stand.foot_targets[foot] - watch.feet_settled[foot] for foot in stand.carrying}
+    base_height = float(base_heights(robot, settled).mean())
+    height_loss = float(stand.qpos[2]) - base_height
+    contact_sag = drop_at(
+        stand.qpos[:2],
+        np.array([stand.foot_targets[foot] for foot in drops]),
+        np.array([drop[2] for drop in drops.values()]),
+    )
+    joints = settled[:, 1 + robot.mj_convention.qpos_index[7:]]
+    joint_error = float(np.abs(joints - positions).max())
+    largest = np.abs(prediction.joint_torques).max()
+    torque_error = float(np.abs(watch.torques - prediction.joint_torques).max() / largest)
+    force_error = max(
+        abs(watch.forces[foot][2] - force[2]) / max(force[2], light)
+        for foot, force in prediction.contact_forces.items()
+    )
+    tilt = turned_by(robot, stand.task.rotation(), states[-1])
+    leaning = lean(robot, stand.task.rotation(), states[-1])
+    deviation = float(base_heights(robot, settled).std())
+    drift = float(heights[-1] - heights[-last_second]) / (timestep * (last_second - 1))
+
+    failures = list(watch.failures)
+    if diverged(states, timestep):
+        failures.insert(0, f"the simulation diverged ({drive.integrator}, {1e3 * timestep:g} ms)")
+    if leaning > FALLEN_TILT or base_height < 0.5 * stand.qpos[2]:
+        failures.insert(
+            0, f"it fell over: tilt {math.degrees(leaning):.0f} deg, height {base_height:.3f} m"
+        )
+    if not deviation < STABLE_DEVIATION:
+        failures.append(f"the height deviates by {1e3 * deviation:.2f} mm in the last second")
+    if not abs(drift) < SETTLED_DRIFT:
+        failures.append(f"it has not settled: the height changes by {1e3 * drift:+.2f} mm/s")
+    if feedforward:
+        off = []
+        if not joint_error < JOINT_TOLERANCE:
+            off.append(f"a joint is off by {joint_error:.1e} rad")
+        if not torque_error < FORCE_TOLERANCE:
+            off.append(f"a motor torque is off by {torque_error:.1%} of the largest")
+        if not force_error < FORCE_TOLERANCE:
+            off.append(f"a vertical foot force is off by {force_error:.1%}")
+        deepest = max(float(drop @ stand.normals[foot]) for foot, drop in drops.items())
+        if off and not failures and deepest > SOFT:
+            off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")
+        failures += off
+    step = max(1, round(_SAMPLE / timestep))
+    foot_error, residual = _mujoco_opinion(robot, stand, prediction)
+    return StandVerification(
+        passed=not failures,
+        failures=tuple(failures),
+        feedforward=feedforward,
+        integrator=drive.integrator,
+        timestep=timestep,
+        duration=len(states) * timestep,
+        kp=drive.kp,
+        kd=drive.kd,
+        base_height=base_height,
+        height_deviation=deviation,
+        height_drift=drift,
+        height_loss=height_loss,
+        servo_sag=height_loss - contact_sag,
+        contact_sag=contact_sag,
+        tilt=tilt,
+        foot_slip={foot: float(np.linalg.norm(drop[:2])) for foot, drop in drops.items()},
+        joint_error=joint_error,
+        joint_torques=watch.torques,
+        predicted_torques=prediction.joint_torques,
+        torque_error=torque_error,
+        foot_forces=watch.forces,
+        predicted_forces=prediction.contact_forces,
+        force_error=float(force_error),
+        mujoco_foot_error=foot_error,
+        mujoco_residual=residual,
+        time=states[::step, 0].copy(),
+        height=heights[::step].copy(),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Watch:
+    """What a close look at some states of a rollout shows."""
+
+    failures: tuple[str, ...]
+    torques: Array
+    forces: dict[str, Array]
+    feet_settled: dict[str, Array]
+
+
+def _watch(
+    robot: Robot,
+    model: mujoco.MjModel,
+    stand: Stand,
+    states: Array,
+    ctrl: Array,
+    last_second: int,
+    loaded: Container[str],
+) -> _Watch:
+    """Looks at contacts all along, and at torques and forces in the last second.
+
+    The feet in ``loaded`` must not let go; others are hardly predicted to touch.
+    """
+    data = mujoco.MjData(model)
+    step = max(1, round(_SAMPLE / model.opt.timestep))
+    touched: dict[str, float] = {}
+    lost: dict[str, float] = {}
+    torques = np.zeros(robot.nu)
+    total = {foot: np.zeros(3) for foot in robot.feet}
+    feet = {foot: np.zeros(3) for foot in robot.feet}
+    count = 0
+    for index in range(len(states) - 1, -1, -step):  # backwards: the first moment stays
+        mujoco.mj_setState(model, data, states[index], STATE)
+        data.ctrl[:] = ctrl
+        mujoco.mj_forward(model, data)
+        forces, others = contact.ground_forces(model, data, robot.soles)
+        touched |= dict.fromkeys(others, float(data.time))
+        touched |= {foot: float(data.time) for foot in forces if foot not in stand.carrying}
+        idle = [foot for foot in stand.carrying if foot not in forces or forces[foot][2] <= 0]
+        lost |= {foot: float(data.time) for foot in idle if foot in loaded}
+        if index >= len(states) - last_second:
+            count += 1
+            torques += data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
+            for foot, (body, position) in robot.foot_places.items():
+                total[foot] += forces.get(foot, np.zeros(3))
+                feet[foot] += data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+    failures = [
+        f"{body} touches the ground at {moment:.2f} s" for body, moment in sorted(touched.items())
+    ]
+    failures += [
+        f"foot {foot} carries nothing at {moment:.2f} s" for foot, moment in sorted(lost.items())
+    ]
+    return _Watch(
+        failures=tuple(failures),
+        torques=torques / count,
+        forces={foot: force / count for foot, force in total.items()},
+        feet_settled={foot: position / count for foot, position in feet.items()},
+    )
+
+
+def _mujoco_opinion(
+    robot: Robot, stand: Stand, prediction: GravityCompensation
+) -> tuple[float, float]:
+    """Checks stand and statics with MuJoCo's kinematics and dynamics of the MJCF."""
+    model = robot.mj_model
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_fwdVelocity(model, data)
+    remainder = np.array(data.qfrc_bias)
+    remainder[robot.mj_convention.qvel_index[6:]] -= prediction.joint_torques
+    foot_error = 0.0
+    jacobian = np.zeros((3, model.nv))
+    for foot, (body, position) in robot.foot_places.items():
+        centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+        foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
+        if foot in stand.carrying:
+            reach = robot.foot_radius[foot] - stand.depths[foot] / 2
+            point = centre - reach * stand.normals[foot]
+            mujoco.mj_jac(model, data, jacobian, None, point, body)
+            remainder -= jacobian.T @ prediction.contact_forces[foot]
+    return foot_error, float(np.abs(remainder).max())

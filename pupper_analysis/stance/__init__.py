@@ -1,0 +1,1 @@
+"""How a robot can stand."""

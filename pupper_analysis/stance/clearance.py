@@ -1,0 +1,207 @@
+"""How near a robot's parts come to each other and to the ground, by the shapes in its URDF."""
+
+from __future__ import annotations
+
+import functools
+import json
+import tempfile
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import coal  # comes with pin
+import numpy as np
+import pinocchio as pin
+import placo
+from numpy.typing import NDArray
+
+from pupper_analysis.results import Result
+from pupper_analysis.robot.ground import STEP_HALF_WIDTH, Ground
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+_SAME = 1e-6  # m: what is nearer to each other is the same place, or the same size
+
+
+@dataclass(frozen=True)
+class Clearance(Result):
+    """The least distance, and of what.
+
+    Attributes:
+        distance: m; negative: how deep one is in the other.
+        links: The two links, or the one that is nearest to the ground.
+    """
+
+    distance: float
+    links: tuple[str, ...]
+
+
+def shapes_of(robot: Robot) -> Shapes:
+    """Returns a robot's shapes, built once per robot and thread."""
+    return _cached(robot, threading.get_ident())
+
+
+@functools.lru_cache(maxsize=8)
+def _cached(robot: Robot, _thread: int) -> Shapes:
+    return Shapes(robot)
+
+
+class Shapes:
+    """A robot in PlaCo, with the shapes of its URDF: boxes, spheres, cylinders, capsules.
+
+    Meshes are not looked at.
+
+    Attributes:
+        robot: The robot.
+        wrapper: PlaCo's robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _primitives(robot))
+        self._objects = list(self.wrapper.collision_model.geometryObjects)
+        self._links = [self.wrapper.model.frames[o.parentFrame].name for o in self._objects]
+        self._paired = False
+
+    def pair(self) -> None:
+        """Makes PlaCo look at the distances between links, but not between neighbours.
+
+        Neighbours are links on the same or on adjacent joints, and those that overlap in the home
+        configuration.
+        """
+        if self._paired:
+            return
+        model, objects = self.wrapper.model, self._objects
+        pairs = set()
+        for index, one in enumerate(objects):
+            for other, link in zip(objects[:index], self._links[:index], strict=True):
+                joints = {one.parentJoint, other.parentJoint}
+                parents = {int(model.parents[joint]) for joint in joints}
+                if len(joints) == 2 and not joints & parents:
+                    pairs.add((link, self._links[index]))
+        self._load(pairs)
+        self._move(self.robot.home)
+        overlapping = {
+            (self._links[near.objA], self._links[near.objB])
+            for near in self.wrapper.distances()
+            if near.min_distance <= 0
+        }
+        self._load({pair for pair in pairs if not {pair, pair[::-1]} & overlapping})
+        self._paired = True
+
+    def _load(self, pairs: set[tuple[str, str]]) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "pairs.json"
+            file.write_text(json.dumps(sorted(pairs)))
+            self.wrapper.load_collision_pairs(str(file))
+
+    def _move(self, qpos: Array) -> None:
+        self.wrapper.state.q = self.robot.pin_convention.q(qpos)
+        self.wrapper.update_kinematics()
+
+    def between_links(self, qpos: Array) -> Clearance | None:
+        """Returns the least distance between links that are not neighbours, if there are such."""
+        self.pair()
+        self._move(qpos)
+        nearest = min(self.wrapper.distances(), key=lambda near: near.min_distance, default=None)
+        if nearest is None:
+            return None
+        links = self._links[nearest.objA], self._links[nearest.objB]
+        return Clearance(float(nearest.min_distance), links)
+
+    def above_ground(
+        self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
+    ) -> Clearance | None:
+        """Returns how high the lowest part other than the feet is above slope and steps.
+
+        See ``heights``.
+        """
+        heights = self.heights(qpos, ground, places, depths)
+        if not np.isfinite(heights).any():
+            return None
+        lowest = int(np.argmin(heights))
+        return Clearance(float(heights[lowest]), (self._links[lowest],))
+
+    def heights(
+        self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
+    ) -> Array:
+        """Returns how high each shape (n,) is above slope and steps (m); infinite for the feet.
+
+        A shape that reaches into its own foot's sphere, as a calf's does, may be as deep in the
+        ground as the foot.
+
+        Args:
+            qpos: (nq,) the configuration.
+            ground: The ground.
+            places: {foot: (3,) of its centre (m)}, for the steps.
+            depths: {foot: how deep it is in the ground (m)}.
+        """
+        robot, model = self.robot, self.wrapper.model
+        data, shapes = model.createData(), self.wrapper.collision_model
+        placed = pin.GeometryData(shapes)
+        pin.updateGeometryPlacements(model, data, shapes, placed, robot.pin_convention.q(qpos))
+        at = [coal.Transform3s(where.rotation, where.translation) for where in placed.oMg]
+        feet: dict[int, tuple[str, coal.Sphere, coal.Transform3s]] = {}  # by their joint
+        for foot, frame in robot.foot_frames.items():
+            number = model.getFrameId(frame)
+            where = pin.updateFramePlacement(model, data, number)
+            there = coal.Transform3s(where.rotation, where.translation)
+            ball = coal.Sphere(robot.foot_radius[foot])
+            feet[int(model.frames[number].parentJoint)] = foot, ball, there
+        obstacles: list[tuple[coal.CollisionGeometry, coal.Transform3s]] = [
+            (coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
+        ]
+        for foot, height in ground.heights.items():
+            if height > 0:
+                centre, half = ground.step(foot, places[foot], STEP_HALF_WIDTH)
+                box = coal.Box(2 * half)
+                obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
+        heights = np.full(len(self._objects), np.inf)
+        for index, (shape, where) in enumerate(zip(self._objects, at, strict=True)):
+            depth = 0.0
+            if int(shape.parentJoint) in feet:
+                foot, ball, there = feet[int(shape.parentJoint)]
+                if _is_sole(shape.geometry, where, ball, there):
+                    continue
+                if _apart(shape.geometry, where, ball, there) < 0:
+                    depth = depths.get(foot, 0.0)
+            distance = min(_apart(shape.geometry, where, *obstacle) for obstacle in obstacles)
+            heights[index] = distance + depth
+        return heights
+
+
+def _apart(
+    one: coal.CollisionGeometry,
+    at: coal.Transform3s,
+    other: coal.CollisionGeometry,
+    there: coal.Transform3s,
+) -> float:
+    """Returns the distance between two shapes (m); negative if they overlap."""
+    return float(
+        coal.distance(one, at, other, there, coal.DistanceRequest(), coal.DistanceResult())
+    )
+
+
+def _is_sole(
+    shape: coal.CollisionGeometry, at: coal.Transform3s, ball: coal.Sphere, there: coal.Transform3s
+) -> bool:
+    return (
+        isinstance(shape, coal.Sphere)
+        and abs(shape.radius - ball.radius) < _SAME
+        and float(np.linalg.norm(at.getTranslation() - there.getTranslation())) < _SAME
+    )
+
+
+def _primitives(robot: Robot) -> str:
+    """Returns the URDF without visuals and meshes, so that no file is needed."""
+    root = ElementTree.fromstring(robot.description.urdf)
+    for link in root.iter("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+        for shape in link.findall("collision"):
+            if shape.find("geometry/mesh") is not None:
+                link.remove(shape)
+    return ElementTree.tostring(root, encoding="unicode")

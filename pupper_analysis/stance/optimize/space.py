@@ -1,0 +1,242 @@
+"""The stances among which the best is sought: what is free, between which bounds, what is refused.
+
+A stance is a vector: the base's height, place and turn, and how far each free foot is moved.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from pupper_analysis.robot import contact
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.ground import Ground
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.task import Point, StandTask
+from pupper_analysis.stance.workspace import pose_envelope
+
+Array = NDArray[np.float64]
+
+BASE = ("height", "x", "y", "roll", "pitch", "yaw")
+"""The base's coordinates: see ``BestStance.coordinates``."""
+
+HEIGHT_RESERVE = 0.05
+"""Share of the reachable heights that is left out at either end: legs stretched or folded up."""
+
+SPREAD = 0.25
+"""Most that a foot is moved outwards, fore-aft or sideways, in parts of the greatest height."""
+
+CLOSING = 0.5
+"""Most that a foot is moved inwards, in parts of its distance from the middle of the feet."""
+
+MOST_TURN = 0.3
+"""Most that the base rolls, pitches or yaws away from the task (rad)."""
+
+LEAST_MOBILITY = 0.5
+"""A leg's least mobility, in parts of the nominal one: the smallest singular value of its Jacobian.
+
+A stretched leg has none. It holds the greatest loads without torque, and falls when it is pushed.
+"""
+
+JOINT_RESERVE = 1e-4
+"""Least distance of the joints from their limits (rad), on top of the task's: a search that follows
+a limit steps over it by a little, where there is no stance to evaluate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """What a stance has left of what it may not use up; all >= 0 where it is allowed.
+
+    Attributes:
+        mobility: (n,) of each leg, less its least, in parts of the nominal one.
+        joints: (2 nu,) distances from both limits, less the margin and ``JOINT_RESERVE`` (rad).
+        edges: (m,) distances of the com's projection from the edges of the support polygon, less
+            the margin (m).
+        touching: Minus how deep parts are in each other that the task's stand has apart (m).
+    """
+
+    mobility: Array
+    joints: Array
+    edges: Array
+    touching: float
+
+    def less(self, inside: float) -> Array:
+        """Returns all of it as one vector, in comparable units, less a little.
+
+        Nothing is taken off where parts touch: it is zero wherever they do not.
+        """
+        room = [self.mobility - inside, self.joints - inside, 10 * self.edges - inside]
+        return np.concatenate([*room, [10 * self.touching]])
+
+
+class StanceSpace:
+    """All stances around a task's, as vectors.
+
+    Attributes:
+        robot: The robot.
+        nominal: The task's own stand.
+        names: Of the coordinates.
+        start: Coordinates of the task's own stand.
+        low: The coordinates' least values.
+        high: Their greatest.
+    """
+
+    def __init__(self, robot: Robot, task: StandTask) -> None:
+        self.robot = robot
+        self.nominal = nominal = solve_stand(robot, task)
+        # The floor turned, but without steps, which would have to follow the feet.
+        ground = Ground(task.ground.slope, task.ground.uphill)
+        self._grounded = on_ground(robot, ground, {})
+        self._data = mujoco.MjData(self._grounded.mj_model)
+        self._touching = self._touches(nominal)
+        self._mobility = self._mobilities(nominal)
+        self.centre = np.mean(list(nominal.contact_points.values()), axis=0)[:2]
+        self.free = tuple(foot for foot in robot.feet if foot not in task.feet)
+        self.names = (*BASE, *(f"{foot} {axis}" for foot in self.free for axis in "xy"))
+        height, place = nominal.task.height, nominal.qpos[:2] - self.centre
+        assert height is not None
+        base = [height, *place, task.roll, task.pitch, task.yaw]
+        self.start = np.array([*base, *np.zeros(2 * len(self.free))])
+        self.low, self.high = self._bounds()
+
+    def _bounds(self) -> tuple[Array, Array]:
+        """Returns the coordinates' least and greatest values; the task's are between."""
+        within = pose_envelope(self.robot, self.nominal.task).intervals
+        height = within["height"]
+        reserve = HEIGHT_RESERVE * (height.high - height.low)
+        low, high = [height.low + reserve], [height.high - reserve]
+        for name, value in zip(BASE[1:], self.start[1:], strict=False):
+            most = math.inf if name in "xy" else MOST_TURN
+            low.append(max(within[name].low, value - most))
+            high.append(min(within[name].high, value + most))
+        outwards = self.outwards()
+        apart = [abs(self._from_centre(foot)) for foot in self.free]
+        inwards = np.minimum(SPREAD * height.high, CLOSING * np.min(apart, axis=0)) if apart else 0
+        for foot in self.free:
+            way = np.where(outwards[foot] > 0, 1.0, -1.0)
+            ends = np.sort([-way * inwards, way * SPREAD * height.high], axis=0)
+            low += ends[0].tolist()
+            high += ends[1].tolist()
+        return np.minimum(low, self.start), np.maximum(high, self.start)
+
+    def _from_centre(self, foot: str) -> Array:
+        away: Array = self.nominal.foot_targets[foot][:2] - self.centre
+        return away
+
+    def outwards(self) -> dict[str, Array]:
+        """Returns {free foot: (2,) signs of the way outwards along x and y}."""
+        return {foot: np.sign(self._from_centre(foot)) for foot in self.free}
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether nothing in the task tells left from right."""
+        task, ground = self.nominal.task, self.nominal.task.ground
+        sideways = abs(math.sin(ground.uphill)) * ground.slope
+        turned = max(abs(task.roll), abs(task.yaw), sideways, abs(self.start[2]))
+        uneven = task.lifted or task.feet or task.foot_offsets or any(ground.heights.values())
+        return turned < 1e-9 and not uneven
+
+    def directions(self) -> Array:
+        """Returns (size, k): along which the feet move together, fore-aft or sideways.
+
+        Columns: the base's coordinates (of these only height, x and pitch if the task is
+        symmetric), the length of the stance, its width in front, and its width behind.
+        """
+        keep = (0, 1, 4) if self.symmetric else range(len(BASE))
+        columns = [np.eye(len(self.start))[index] for index in keep]
+        outwards = self.outwards()
+        for axis, side in ((0, 0.0), (1, 1.0), (1, -1.0)):
+            column = np.zeros(len(self.start))
+            for index, foot in enumerate(self.free):
+                if side in (0.0, outwards[foot][0]):
+                    column[len(BASE) + 2 * index + axis] = outwards[foot][axis]
+            if column.any():
+                columns.append(column)
+        return np.array(columns).T
+
+    def task(self, coordinates: Array) -> StandTask:
+        """Returns the task of a vector of coordinates."""
+        height, x, y, roll, pitch, yaw = map(float, coordinates[: len(BASE)])
+        task = self.nominal.task
+        offsets: dict[str, Point] = dict(task.foot_offsets)
+        for foot, move in zip(self.free, coordinates[len(BASE) :].reshape(-1, 2), strict=True):
+            had = task.foot_offsets.get(foot, (0.0, 0.0))
+            offsets[foot] = (float(had[0] + move[0]), float(had[1] + move[1]))
+        # An offset is from the centre of the feet as they are then: the feet may move it.
+        return replace(
+            task,
+            height=height,
+            roll=roll,
+            pitch=pitch,
+            yaw=yaw,
+            offset=(x, y),
+            foot_offsets=offsets,
+            com="centre",
+        )
+
+    def room(self, stand: Stand) -> Room:
+        """Returns what a stand leaves of what it may not use up."""
+        config, task = Configuration(self.robot, stand.qpos), self.nominal.task
+        least = LEAST_MOBILITY * self._mobility
+        scale = np.where(self._mobility > 0, self._mobility, 1.0)
+        joints, margin = stand.joint_positions(self.robot), task.joint_margin + JOINT_RESERVE
+        limits = [joints - self.robot.lower_limits, self.robot.upper_limits - joints]
+        below = np.array(list(stand.contact_points.values()))[:, :2]
+        edges = _distances_inside(config.center_of_mass()[:2], below)
+        new = self._touches(stand)
+        added = sum(depth for pair, depth in new.items() if pair not in self._touching)
+        return Room(
+            mobility=(self._mobilities(stand) - least) / scale,
+            joints=np.minimum(np.concatenate(limits) - margin, 1.0),
+            edges=edges - task.com_margin,
+            touching=-added,
+        )
+
+    def stretched(self, stand: Stand) -> tuple[str, ...]:
+        """Returns the feet whose legs have hardly more than the least mobility."""
+        least = LEAST_MOBILITY * self._mobility
+        near = (self._mobilities(stand) < 1.02 * least) & (least > 0)
+        return tuple(self.robot.feet[index] for index in np.flatnonzero(near))
+
+    def _mobilities(self, stand: Stand) -> Array:
+        """Returns the least foot speed per joint speed of each leg (n,) (m)."""
+        jacobians = Configuration(self.robot, stand.qpos).foot_jacobians().values()
+        columns = np.array([jacobian[:, 6:] for jacobian in jacobians])
+        values: Array = np.linalg.svd(columns, compute_uv=False)[:, -1]
+        return values
+
+    def _touches(self, stand: Stand) -> dict[tuple[int, int], float]:
+        """Returns how deep parts are in each other or in the ground (m), but for soles in it."""
+        robot, data = self._grounded, self._data
+        robot.mj_convention.set_state(data, stand.qpos)
+        mujoco.mj_kinematics(robot.mj_model, data)
+        mujoco.mj_comPos(robot.mj_model, data)
+        mujoco.mj_collision(robot.mj_model, data)
+        ground = contact.ground_geom(robot.mj_model)
+        touches: dict[tuple[int, int], float] = {}
+        for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
+            one, two = sorted(map(int, geoms))
+            if distance < 0 and not {one, two} <= {ground, *robot.soles}:
+                touches[one, two] = max(touches.get((one, two), 0.0), -float(distance))
+        return touches
+
+
+def _distances_inside(place: Array, points: Array) -> Array:
+    """Returns how far a place (2,) is inside the edges of the convex hull of points (n, 2) (m).
+
+    There are always n: the least is repeated where a point is inside the hull of the others.
+    """
+    hull = shapely.geometry.polygon.orient(shapely.MultiPoint(points).convex_hull)
+    corners = shapely.get_coordinates(hull.exterior)
+    along = np.diff(corners, axis=0)
+    to = place - corners[:-1]
+    across = along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]
+    inside = across / np.linalg.norm(along, axis=1)
+    return np.concatenate([inside, np.full(len(points) - len(inside), inside.min())])

@@ -1,0 +1,1 @@
+"""From stance to stance, at rest and at speed."""

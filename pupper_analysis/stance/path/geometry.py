@@ -1,0 +1,263 @@
+"""Where a path goes, whatever the time: configurations, and their derivatives along the way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import (
+    ConfigurationError,
+    NoEquilibriumError,
+    StanceUnreachableError,
+    StaticsInfeasibleError,
+)
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.path.legs import TOUCHING, Leg, legs_of, task_between
+from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.task import StandTask
+
+Array = NDArray[np.float64]
+
+MAX_JUMP = 0.5
+"""A joint that moves by more than this from one sample to the next has jumped (rad)."""
+
+_ROLLED = 1e-8  # m: two iterations of how far a foot rolls that agree
+_MAX_ITERATIONS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A sample of a path's geometry.
+
+    Attributes:
+        leg: The leg of the path.
+        number: Which one, from 0.
+        progress: Of the leg's time, from 0 to 1.
+        share: Of the way, from 0 to 1: the minimum-jerk law of ``progress``.
+        stand: The configuration, and which feet carry.
+        tangent: (nv,) dq/ds, with s the share: qvel = tangent ds/dt.
+        curvature: (nv,) its derivative: qacc = curvature (ds/dt)^2 + tangent d2s/dt2.
+    """
+
+    leg: Leg
+    number: int
+    progress: float
+    share: float
+    stand: Stand
+    tangent: Array
+    curvature: Array
+
+    @property
+    def qpos(self) -> Array:
+        """(nq,) the configuration."""
+        return self.stand.qpos
+
+    def motion(self, seconds: float) -> tuple[Array, Array]:
+        """Returns qvel and qacc (nv,) where the leg takes this time (s)."""
+        _, rate, acceleration = minimum_jerk(self.progress)
+        speed = rate / seconds
+        along = acceleration / seconds**2
+        return speed * self.tangent, speed**2 * self.curvature + along * self.tangent
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """A path through stances without its time.
+
+    Attributes:
+        stances: The stances, solved.
+        legs: From each to the next.
+        places: Samples, evenly spaced in the time of each leg; each stance is one.
+        per_leg: Samples from a stance to the next.
+    """
+
+    stances: tuple[Stand, ...]
+    legs: list[Leg]
+    places: list[Place]
+    per_leg: int
+
+    def where(self, index: int, seconds: float | None = None) -> str:
+        """Says where a sample is, and when, if the whole path takes ``seconds``."""
+        return _where(index, self.per_leg, len(self.legs), seconds)
+
+
+def minimum_jerk(progress: float) -> tuple[float, float, float]:
+    """Returns the minimum-jerk law from 0 to 1, and its first two derivatives.
+
+    x^3 (10 - 15 x + 6 x^2): neither velocity nor acceleration at the ends. Source: Flash and Hogan,
+    "The coordination of arm movements" (1985).
+    """
+    x = progress
+    return (
+        x**3 * (10 - 15 * x + 6 * x**2),
+        30 * x**2 * (1 - x) ** 2,
+        60 * x * (1 - x) * (1 - 2 * x),
+    )
+
+
+def path_geometry(
+    robot: Robot,
+    stances: Sequence[StandTask],
+    per_leg: int,
+    *,
+    rolling: bool = True,
+    seconds: float | None = None,
+) -> Geometry:
+    """Solves a path's samples on the whole body; ``stance_path`` tells what a path is.
+
+    Args:
+        robot: A robot with a floating base.
+        stances: The tasks.
+        per_leg: Samples from a stance to the next, at least 2.
+        rolling: Whether the feet roll; otherwise their centres stay.
+        seconds: Time for all (s), if errors shall say when.
+
+    Raises:
+        ConfigurationError: If the stances cannot follow each other, or a joint jumps.
+        NoEquilibriumError: If feet roll away.
+        UnknownNameError: If a task names a foot that the robot does not have.
+        StanceUnreachableError: If a sample is out of reach; says where.
+        StaticsInfeasibleError: If the com leaves the feet; says where.
+    """
+    legs, solved = legs_of(robot, stances)
+    places: list[Place] = []
+    posture = np.array(solved[0].joint_positions(robot))
+    roll = _Roll(robot, solved[0])
+    for index in range(per_leg * len(legs) + 1):
+        number = max(0, (index - 1) // per_leg)
+        leg, progress = legs[number], index / per_leg - number
+        share = minimum_jerk(progress)[0]
+        feet = leg.carrying
+        if index == per_leg * (number + 1):  # in a stance only what carries on both sides
+            feet = tuple(foot for foot in feet if foot in leg.after)
+        where = _where(index, per_leg, len(legs), seconds)
+        try:
+            stand = roll.solve(leg, feet, share, posture, rolling=rolling)
+        except (StanceUnreachableError, StaticsInfeasibleError, NoEquilibriumError) as error:
+            raise error.at(where) from None
+        if places and stand.qpos[3:7] @ places[-1].qpos[3:7] < 0:
+            stand.qpos[3:7] *= -1  # the same rotation, without a jump
+        jumps = np.abs(stand.joint_positions(robot) - posture)
+        if jumps.max() > MAX_JUMP:
+            raise ConfigurationError(
+                "stances",
+                f"joint {robot.joint_names[int(jumps.argmax())]} jumps by {jumps.max():.2f} rad "
+                f"{where}; bring them nearer to each other, or raise the rate",
+            )
+        posture = stand.joint_positions(robot)
+        tangent, curvature = _derivatives(robot, leg, share, stand.qpos, rolling=rolling)
+        places.append(Place(leg, number, progress, share, stand, tangent, curvature))
+    return Geometry(solved, legs, places, per_leg)
+
+
+def _where(index: int, per_leg: int, legs: int, seconds: float | None) -> str:
+    number = max(0, (index - 1) // per_leg)
+    between = f"between stances {number + 1} and {number + 2}"
+    if seconds is None:
+        return f"after {index / per_leg - number:.0%} of the time {between}"
+    return f"at {seconds * index / (per_leg * legs):.2f} s, {between}"
+
+
+class _Roll:
+    """Feet that roll without slipping, from sample to sample."""
+
+    def __init__(self, robot: Robot, start: Stand) -> None:
+        self.robot = robot
+        self.away = {foot: np.zeros(2) for foot in robot.feet}  # from their places (m)
+        self.step = dict(self.away)  # of the last sample
+        self.turned = self._rotations(start)
+
+    def _rotations(self, stand: Stand) -> dict[str, Array]:
+        config = Configuration(self.robot, stand.qpos)
+        return {foot: config.frame_rotation(self.robot.foot_frames[foot]) for foot in self.away}
+
+    def solve(
+        self, leg: Leg, carrying: Sequence[str], share: float, posture: Array, *, rolling: bool
+    ) -> Stand:
+        """Solves a sample; how far the feet roll and the legs' angles determine each other."""
+        robot, normal = self.robot, leg.start.task.ground.normal()
+        away = {foot: place + self.step[foot] for foot, place in self.away.items()}
+        for _ in range(_MAX_ITERATIONS):
+            task = task_between(robot, leg, carrying, share, posture, away)
+            stand = solve_stand(robot, task, explain=False)
+            if not rolling:
+                return stand
+            rotations = self._rotations(stand)
+            last, away = away, dict(self.away)
+            for foot in carrying:
+                turn = pin.log3(rotations[foot] @ self.turned[foot].T)
+                away[foot] = away[foot] + np.cross(turn, robot.foot_radius[foot] * normal)[:2]
+            if max(np.abs(away[foot] - last[foot]).max() for foot in away) < _ROLLED:
+                self.step = {foot: away[foot] - self.away[foot] for foot in away}
+                self.away, self.turned = away, rotations
+                return stand
+        change = max(np.abs(away[foot] - last[foot]).max() for foot in away)
+        raise NoEquilibriumError(
+            0.0,
+            f"how far the feet roll does not settle, by {1e3 * change:.3g} mm; bring the stances "
+            "nearer to each other, or let the feet's centres stay (rolling=False)",
+        )
+
+
+def _derivatives(
+    robot: Robot, leg: Leg, share: float, qpos: Array, *, rolling: bool
+) -> tuple[Array, Array]:
+    """Returns dq/ds and its derivative (nv,), in coordinates of qvel, of what the legs hold.
+
+    A path is where constraints hold: c(q) = w(s), with J = dc/dq square. So J dq/ds = dw/ds, and
+    J d2q/ds2 = d2w/ds2 - dJ/ds dq/ds; the last is the constraints' acceleration at dq/ds without
+    d2q/ds2. (With more joints than constraints, the least motion.)
+
+    The constraints: points of carrying feet that touch the ground stay (rolling), or their centres;
+    lifted feet, the base's height, and the com or the base's place move evenly; the base turns as
+    roll, pitch and yaw change evenly.
+    """
+    one, two = leg.start, leg.end
+    angles = np.array([[key.task.roll, key.task.pitch, key.task.yaw] for key in (one, two)])
+    rpy, change = angles[0] + share * (angles[1] - angles[0]), angles[1] - angles[0]
+    turn = pin.rpy.computeRpyJacobian(rpy, pin.LOCAL)
+    turn_rate = pin.rpy.computeRpyJacobianTimeDerivative(rpy, change, pin.LOCAL)
+    by_base = one.task.offset is not None or two.task.offset is not None
+    normal = one.task.ground.normal()
+
+    still = Configuration(robot, qpos)
+    rows, wanted = [np.eye(robot.nv)[2:6]], [[two.base[2] - one.base[2]], turn @ change]
+    if by_base:
+        rows.append(np.eye(robot.nv)[:2])
+        wanted.append((two.base - one.base)[:2])
+    else:
+        rows.append(still.com_jacobian()[:2])
+        wanted.append((two.com - one.com)[:2])
+    offsets = {
+        foot: -robot.foot_radius[foot] * normal if rolling and foot in leg.carrying else np.zeros(3)
+        for foot in robot.feet
+    }
+    for foot, offset in offsets.items():
+        rows.append(still.frame_jacobian(robot.foot_frames[foot], offset)[:3])
+        moves = np.zeros(3) if foot in leg.carrying else two.feet[foot] - one.feet[foot]
+        wanted.append(moves)
+    jacobian = np.concatenate(rows)
+    tangent: Array = np.linalg.lstsq(jacobian, np.concatenate(wanted))[0]
+
+    moving = Configuration(robot, qpos, tangent)
+    nothing = np.zeros(robot.nv)
+    drift = [np.zeros(1), -turn_rate @ change]
+    drift.append(np.zeros(2) if by_base else moving.com_acceleration(nothing)[:2])
+    accelerations = moving.foot_accelerations(nothing)
+    for foot, offset in offsets.items():
+        point = accelerations[foot]
+        # The offset is the ground's and does not turn with the foot.
+        drift.append(point[:3] + np.cross(point[3:], offset))
+    curvature: Array = np.linalg.lstsq(jacobian, -np.concatenate(drift))[0]
+    return tangent, curvature
+
+
+def clearance(place: Place, foot: str) -> float:
+    """Returns a foot's height above the ground (m); zero where it is on it."""
+    low = place.stand.task.lifted.get(foot, 0.0)
+    return 0.0 if low <= TOUCHING else low

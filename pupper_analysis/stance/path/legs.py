@@ -1,0 +1,189 @@
+"""The legs of a path: from one stance to the next, and the task of each moment between."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import (
+    ConfigurationError,
+    Infeasibility,
+    StanceUnreachableError,
+    StaticsInfeasibleError,
+)
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.support_polygon import com_margin
+
+Array = NDArray[np.float64]
+
+TOUCHING = 1e-12
+"""The height of a foot that does not carry, but is on the ground (m)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Key:
+    """A stance in world coordinates.
+
+    Attributes:
+        task: The task, with its height filled in.
+        base: (3,) place of the base (m).
+        com: (3,) centre of mass (m).
+        feet: {foot: (3,) centre of its sphere (m)}.
+    """
+
+    task: StandTask
+    base: Array
+    com: Array
+    feet: dict[str, Array]
+
+    def margin(self, feet: Sequence[str]) -> float:
+        """Returns how far inside these feet the com's projection is (m)."""
+        return com_margin(self.com, {foot: self.feet[foot] for foot in feet})
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """From one stance to the next.
+
+    Attributes:
+        start: Where it begins.
+        end: Where it ends.
+        carrying: The feet that carry all along it.
+        before: Those that carry on the leg before.
+        after: Those that carry on the leg after.
+    """
+
+    start: Key
+    end: Key
+    carrying: tuple[str, ...]
+    before: tuple[str, ...]
+    after: tuple[str, ...]
+
+
+def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tuple[Stand, ...]]:
+    """Solves the stances, and checks that they can follow each other.
+
+    Raises:
+        ConfigurationError: If they cannot; says which.
+        StanceUnreachableError: If one is out of reach; says which.
+        UnknownNameError: If a task names a foot that the robot does not have.
+    """
+    if any(task.ground != stances[0].ground for task in stances):
+        raise ConfigurationError("stances", "they are on different grounds; a path is on one")
+    fixed = any(task.offset is not None or not isinstance(task.com, str) for task in stances)
+    if fixed and any(task.com == "inside" for task in stances):
+        raise ConfigurationError("stances", "com 'inside' cannot be mixed with points or offsets")
+    solved: list[Stand] = []
+    keys = []
+    for number, task in enumerate(stances, 1):
+        if solved:
+            task = replace(task, posture=tuple(solved[-1].joint_positions(robot)))
+        try:
+            solved.append(solve_stand(robot, task))
+        except StanceUnreachableError as error:
+            raise error.at(f"stance {number}") from None
+        com = Configuration(robot, solved[-1].qpos).center_of_mass()
+        keys.append(Key(solved[-1].task, solved[-1].qpos[:3], com, solved[-1].foot_targets))
+    sets = []
+    for number, (one, two) in enumerate(pairwise(keys), 1):
+        idle = one.task.lifted.keys() | two.task.lifted.keys()
+        sets.append(tuple(foot for foot in robot.feet if foot not in idle))
+        where = f"between stances {number} and {number + 1}"
+        if len(sets[-1]) < 3:
+            problem = f"only {len(sets[-1])} feet carry {where}; put one down before the next lifts"
+            raise ConfigurationError("stances", problem)
+        for foot in sets[-1]:
+            if np.abs(one.feet[foot] - two.feet[foot]).max() > 1e-9:
+                problem = f"foot {foot} carries {where}, and cannot move; lift it in a stance"
+                raise ConfigurationError("stances", problem)
+        if number > 1 and not (set(sets[-1]) <= set(sets[-2]) or set(sets[-1]) >= set(sets[-2])):
+            problem = f"one foot lands and another lifts in stance {number}; give it twice"
+            raise ConfigurationError("stances", f"{problem}, the load needs time to shift")
+    sets = [sets[0], *sets, sets[-1]]
+    legs = [
+        Leg(one, two, sets[number], sets[number - 1], sets[number + 1])
+        for number, (one, two) in enumerate(pairwise(keys), 1)
+    ]
+    return legs, tuple(solved)
+
+
+def task_between(
+    robot: Robot,
+    leg: Leg,
+    carrying: Sequence[str],
+    share: float,
+    posture: Array,
+    away: Mapping[str, Array],
+) -> StandTask:
+    """Returns the task of a moment, in world coordinates.
+
+    Args:
+        robot: The robot.
+        leg: The leg of the path.
+        carrying: The feet that carry.
+        share: Of the leg's way, from 0 to 1.
+        posture: (nu,) joint positions to start from (rad).
+        away: {foot: (2,) how far it has rolled from its place (m)}.
+
+    Raises:
+        StaticsInfeasibleError: If the com is less inside the feet than the tasks demand.
+    """
+    one, two = leg.start.task, leg.end.task
+
+    def between(start: float, end: float) -> float:
+        return start + share * (end - start)
+
+    ground, normal = one.ground, one.ground.normal()
+    places = {foot: leg.start.feet[foot] for foot in robot.feet}
+    places |= {foot: p + share * (leg.end.feet[foot] - p) for foot, p in places.items()}
+    feet = {
+        foot: (float(place[0] + away[foot][0]), float(place[1] + away[foot][1]))
+        for foot, place in places.items()
+    }
+    contacts = {
+        foot: ground.centre(foot, feet[foot], robot.foot_radius[foot])
+        - robot.foot_radius[foot] * normal
+        for foot in carrying
+    }
+    centre = np.mean(list(contacts.values()), axis=0)
+    base = leg.start.base + share * (leg.end.base - leg.start.base)
+    com = leg.start.com + share * (leg.end.com - leg.start.com)
+    by_base = one.offset is not None or two.offset is not None
+    needed = max(1e-6, between(one.com_margin, two.com_margin) - 1e-9)
+    margin = com_margin(com, contacts)
+    if not by_base and margin < needed:
+        raise StaticsInfeasibleError(
+            Infeasibility.COM_OUTSIDE,
+            f"its projection is {1e3 * margin:.1f} mm inside that of {', '.join(contacts)}, and "
+            f"must be {1e3 * needed:.1f} mm; insert a stance with the com over these feet",
+            margin=margin,
+            feet=contacts,
+        )
+    apart = None
+    if one.self_clearance is not None and two.self_clearance is not None:
+        apart = between(one.self_clearance, two.self_clearance)
+    heights = {
+        foot: between(one.lifted.get(foot, 0.0), two.lifted.get(foot, 0.0)) for foot in robot.feet
+    }
+    return StandTask(
+        height=float(base[2] - centre[2]),
+        roll=between(one.roll, two.roll),
+        pitch=between(one.pitch, two.pitch),
+        yaw=between(one.yaw, two.yaw),
+        offset=(float(base[0] - centre[0]), float(base[1] - centre[1])) if by_base else None,
+        feet=feet,
+        lifted={f: max(TOUCHING, h) for f, h in heights.items() if f not in carrying},
+        ground=ground,
+        com="centre" if by_base else (float(com[0]), float(com[1])),
+        joint_margin=between(one.joint_margin, two.joint_margin),
+        ground_clearance=between(one.ground_clearance, two.ground_clearance),
+        self_clearance=apart,
+        posture=tuple(posture),
+    )

@@ -1,0 +1,292 @@
+"""From stance to stance: a smooth path through them, with what it takes at its speed."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Real
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
+from pupper_analysis.files import whole_file
+from pupper_analysis.results import Result
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.path.effort import path_effort
+from pupper_analysis.stance.path.geometry import Geometry, clearance, path_geometry
+from pupper_analysis.stance.stand import Stand
+from pupper_analysis.stance.task import StandTask
+
+Array = NDArray[np.float64]
+
+MAX_SAMPLES = 20_000
+"""The most samples that a path may have."""
+
+LEAST_PER_LEG = 16
+"""Samples that a leg has at least: its peaks of acceleration are then met to 1 %."""
+
+
+@dataclass(frozen=True, eq=False)
+class StancePath(Result):
+    """A path through stances, and what it takes at its speed, inertia included.
+
+    qvel and qacc are the derivatives of qpos in the public convention: linear velocity of the base
+    in the world, its angular velocity in the base's frame.
+
+    Attributes:
+        stances: The stances, solved.
+        joint_names: In actuator order.
+        feet: The robot's feet.
+        time: (n,) from 0 (s), evenly spaced; every stance is at a sample.
+        qpos: (n, nq) the configurations.
+        qvel: (n, nv) generalised velocities.
+        qacc: (n, nv) generalised accelerations.
+        torques: (n, nu) of the motors, in motion (N m).
+        carrying: (n, feet) which feet carry.
+        forces: (n, feet, 3) of the ground on each foot, in motion, in world axes (N).
+        moments: (n, feet, 3) with which the ground resists feet that roll and spin (N m).
+        loads: (n, feet) the forces' vertical parts (N).
+        friction_utilisation: (n, feet) tangential force / (friction coefficient x normal force);
+            zero where a foot does not carry.
+        zero_moment_point: (n, 3) on the ground (m); not a number where the ground would have to
+            pull.
+        zmp_margin: (n,) distance of its projection from the edge of the support polygon (m).
+        clearance: (n, feet) height of each foot above the ground (m); zero where it carries.
+        com_margin: (n,) distance of the com's projection from that edge (m).
+        peak_utilisation: The largest torque / effort limit; above 1 the motors are too weak.
+        peak_joint: The joint with that.
+        peak_time: When (s).
+        peak_speed_utilisation: The largest joint speed / velocity limit of the URDF.
+        fastest_joint: The joint with that.
+        infeasible: (n,) where no contact forces do, so that ``forces`` are those of feet that were
+            held to the ground, and pull or slip. None of them unless the path was asked for
+            ``beyond`` what contacts allow.
+    """
+
+    stances: tuple[Stand, ...]
+    joint_names: tuple[str, ...]
+    feet: tuple[str, ...]
+    time: Array
+    qpos: Array
+    qvel: Array
+    qacc: Array
+    torques: Array
+    carrying: NDArray[np.bool_]
+    forces: Array
+    moments: Array
+    loads: Array
+    friction_utilisation: Array
+    zero_moment_point: Array
+    zmp_margin: Array
+    clearance: Array
+    com_margin: Array
+    peak_utilisation: float
+    peak_joint: str
+    peak_time: float
+    peak_speed_utilisation: float
+    fastest_joint: str
+    infeasible: NDArray[np.bool_]
+
+    def joint_positions(self) -> Array:
+        """Returns the joints' part (n, nu) of ``qpos`` (rad)."""
+        return self.qpos[:, self.qpos.shape[1] - len(self.joint_names) :]
+
+    def to_csv(self, path: str | Path) -> None:
+        """Writes time, joint positions and torques, with a header line that names the units.
+
+        Raises:
+            OutputError: If the file cannot be written.
+        """
+        header = ["time (s)", *(f"q {name} (rad)" for name in self.joint_names)]
+        header += [f"tau {name} (N m)" for name in self.joint_names]
+        rows = np.column_stack([self.time, self.joint_positions(), self.torques])
+        with (
+            whole_file(Path(path)) as temporary,
+            temporary.open("w", newline="", encoding="utf-8") as file,
+        ):
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(header)
+            writer.writerows(rows.tolist())
+
+    def to_npz(self, path: str | Path) -> None:
+        """Writes the arrays under their names, and ``joints``, (n, nu), beside ``qpos``.
+
+        Raises:
+            OutputError: If the file cannot be written.
+        """
+        names: tuple[str, ...] = (
+            "joint_names",
+            "feet",
+            "time",
+            "qpos",
+            "qvel",
+            "qacc",
+            "torques",
+            "carrying",
+        )
+        names += (
+            "forces",
+            "moments",
+            "loads",
+            "friction_utilisation",
+            "zero_moment_point",
+            "zmp_margin",
+        )
+        arrays = {key: np.array(getattr(self, key)) for key in (*names, "clearance", "com_margin")}
+        arrays["joints"] = self.joint_positions()
+        with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def stance_path(
+    robot: Robot,
+    stances: Sequence[StandTask],
+    seconds: float,
+    *,
+    rate: float = 50.0,
+    rolling: bool = True,
+    beyond: bool = False,
+) -> StancePath:
+    """Finds a smooth path through stances, solved on the whole body at every sample.
+
+    All numbers of the tasks move along a minimum-jerk law, which is at rest, without velocity or
+    acceleration, in every stance; each leg of the path takes the same time. The place that moves
+    evenly is the com's or, next to a stance that has an offset, the base's.
+
+    Torques and contact forces are those of the motion (``inverse_dynamics``): inertia, damping and
+    dry friction of the joints, and the ground's resistance to feet that roll are in them. Of the
+    forces that balance it, they are the even ones.
+
+    A foot that is lifted in a stance carries nothing from the stance before to the one after: the
+    com must be over the other feet there already. On a leg before or after, its load fades out or
+    in, so that the torques are continuous.
+
+    A foot that carries stays where it is, but a sphere that friction holds rolls as its leg turns:
+    its centre moves with omega x r n, by 2 mm as v3 squats by a fifth of its height. So after the
+    first one the feet are beside their places in the stances by what they have rolled, while base
+    and com are where the stances have them.
+
+    Args:
+        robot: A robot with a floating base.
+        stances: The tasks, at least two, on one ground; to stay in one, give it twice. The posture
+            of the first counts, the others follow from it.
+        seconds: Time for all (s).
+        rate: Least number of samples per second (Hz); a leg has ``LEAST_PER_LEG`` or more.
+        rolling: Whether the feet roll; otherwise their centres stay, and their soles must slip.
+        beyond: Return also a path that contacts do not allow, being too fast: with the torques of
+            feet that are held to the ground, and ``infeasible`` where.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range; or the stances cannot follow each
+            other: a foot that carries moves, fewer than three carry, a joint jumps.
+        NoEquilibriumError: If feet roll away.
+        UnknownNameError: If a task names a foot that the robot does not have.
+        StanceUnreachableError: If a sample is out of reach; says when.
+        StaticsInfeasibleError: If a sample cannot be held, or not at this speed; says when.
+    """
+    per_leg = _samples(seconds, rate, stances)
+    geometry = path_geometry(robot, stances, per_leg, rolling=rolling, seconds=float(seconds))
+    return timed_path(robot, geometry, float(seconds), beyond=beyond)
+
+
+def timed_path(
+    robot: Robot,
+    geometry: Geometry,
+    seconds: float,
+    *,
+    friction: Mapping[str, float] | None = None,
+    beyond: bool = False,
+) -> StancePath:
+    """Returns the path of a geometry that takes ``seconds`` (s); see ``stance_path``.
+
+    Args:
+        robot: The robot.
+        geometry: Where the path goes.
+        seconds: Time for all (s).
+        friction: {foot: coefficient}; by default those of MuJoCo's contacts.
+        beyond: As in ``stance_path``.
+
+    Raises:
+        StaticsInfeasibleError: If a sample cannot be held at this speed; says when.
+    """
+    efforts, per_leg = [], seconds / len(geometry.legs)
+    for index, place in enumerate(geometry.places):
+        try:
+            efforts.append(path_effort(robot, place, per_leg, friction=friction, beyond=beyond))
+        except StaticsInfeasibleError as error:
+            raise error.at(geometry.where(index, seconds)) from None
+    time = np.linspace(0.0, seconds, len(efforts))
+    torques = np.array([effort.torques for effort in efforts])
+    qvel = np.array([effort.qvel for effort in efforts])
+    used = shares_of(torques, robot.effort_limits)
+    speeds = shares_of(qvel[:, robot.nv - robot.nu :], robot.velocity_limits)
+    peak, fastest = (np.unravel_index(int(table.argmax()), table.shape) for table in (used, speeds))
+    forces = np.array([_rows(robot, effort.forces) for effort in efforts])
+    return StancePath(
+        stances=geometry.stances,
+        joint_names=robot.joint_names,
+        feet=robot.feet,
+        time=time,
+        qpos=np.array([place.qpos for place in geometry.places]),
+        qvel=qvel,
+        qacc=np.array([effort.qacc for effort in efforts]),
+        torques=torques,
+        carrying=np.array([[f in e.forces for f in robot.feet] for e in efforts]),
+        forces=forces,
+        moments=np.array([_rows(robot, effort.moments) for effort in efforts]),
+        loads=forces[..., 2],
+        friction_utilisation=np.array(
+            [[effort.friction.get(foot, 0.0) for foot in robot.feet] for effort in efforts]
+        ),
+        zero_moment_point=np.array([effort.zero_moment_point for effort in efforts]),
+        zmp_margin=np.array([effort.zmp_margin for effort in efforts]),
+        clearance=np.array([[clearance(p, f) for f in robot.feet] for p in geometry.places]),
+        com_margin=np.array([effort.com_margin for effort in efforts]),
+        peak_utilisation=float(used[peak]),
+        peak_joint=robot.joint_names[int(peak[1])],
+        peak_time=float(time[peak[0]]),
+        peak_speed_utilisation=float(speeds[fastest]),
+        fastest_joint=robot.joint_names[int(fastest[1])],
+        infeasible=np.array([effort.infeasible is not None for effort in efforts]),
+    )
+
+
+def _rows(robot: Robot, table: Mapping[str, Array]) -> Array:
+    return np.array([table.get(foot, np.zeros(3)) for foot in robot.feet])
+
+
+def shares_of(values: Array, limits: Array) -> Array:
+    """Returns |values| / limits: 0 for 0 of nothing, and inf for more than nothing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares: Array = np.nan_to_num(np.abs(values) / limits, nan=0.0, posinf=np.inf)
+    return shares
+
+
+def checked_stances(stances: Sequence[StandTask]) -> None:
+    """Checks that stances are at least two, and such.
+
+    Raises:
+        ConfigurationError: If they are not.
+    """
+    if isinstance(stances, StandTask) or len(stances) < 2:
+        raise ConfigurationError("stances", "a path goes through at least 2")
+    for task in stances:
+        if not isinstance(task, StandTask):
+            raise ConfigurationError("stances", f"{task!r} is not a StandTask")
+
+
+def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
+    """Checks the arguments' kinds; returns how many samples a leg has."""
+    checked_stances(stances)
+    given: dict[str, object] = {"seconds": seconds, "rate": rate}
+    for name, value in given.items():
+        number = float(value) if isinstance(value, Real) else math.nan
+        if isinstance(value, bool) or not 0 < number < math.inf:
+            raise ConfigurationError(name, f"{value!r} is not a finite number above 0")
+    if max(seconds * rate, LEAST_PER_LEG * len(stances)) > MAX_SAMPLES:
+        raise ConfigurationError("seconds, rate", f"that is more than {MAX_SAMPLES} samples")
+    return max(LEAST_PER_LEG, math.ceil(seconds * rate / (len(stances) - 1) - 1e-9))

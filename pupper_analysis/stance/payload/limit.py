@@ -1,0 +1,359 @@
+"""How much a standing robot can carry, and what gives way first: motors, servos or contacts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
+from pupper_analysis.results import Result
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.payload import point_on_base, with_payload
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.payload.first_order import Loads
+from pupper_analysis.stance.payload.servo_limit import (
+    Bound,
+    Command,
+    Failure,
+    first_failing,
+    servo_limit,
+)
+from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.statics.equilibrium import GravityCompensation, LoadSharing
+
+Array = NDArray[np.float64]
+
+UNLIMITED = 1e4
+"""A payload above this many times the robot's mass is as good as unlimited."""
+
+AT_LIMIT = 1e-9
+"""How far above its limit a torque counts as at it, in parts of the torque of the robot's weight on
+a lever as long as the stand is high: rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadLimit(Result):
+    """The greatest mass that a stand can carry at a point of its base.
+
+    Attributes:
+        mass: kg; the least of the three that follow.
+        binding: Which of them it is: ``motors``, ``servos`` or ``contacts``.
+        motors: What the motors' effort limits allow, with the contact forces that last
+            (``LoadSharing.EVEN``); infinite if no motor that bears has one.
+        servos: What position servos of finite stiffness hold on soft ground: the equilibrium under
+            the load is there, is stable, and nothing slips, lifts, saturates, comes to a joint's
+            limit or to the ground.
+        contacts: What friction and unilateral contact allow, whatever the motors do.
+        point: (3,) where the mass is attached, in the base's frame (m).
+        command: What the servos are commanded.
+        unlimited: The motors without an effort limit: they say nothing about a payload.
+        joint_torques: (nu,) at ``mass``, with the contact forces that last (N m).
+        contact_forces: {foot: (3,)} of these, in world axes (N).
+    """
+
+    mass: float
+    binding: str
+    motors: Bound
+    servos: Bound
+    contacts: Bound
+    point: Array
+    command: Command
+    unlimited: tuple[str, ...]
+    joint_torques: Array
+    contact_forces: dict[str, Array]
+
+    @property
+    def bound(self) -> Bound:
+        """The bound that binds."""
+        bounds = {"motors": self.motors, "servos": self.servos, "contacts": self.contacts}
+        return bounds[self.binding]
+
+    @property
+    def failure(self) -> Failure:
+        """What gives way first."""
+        return self.bound.failure
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """The motors, joints, feet or bodies concerned."""
+        return self.bound.where
+
+
+def payload_limit(
+    robot: Robot,
+    stand: Stand,
+    point: Sequence[float] = (0.0, 0.0, 0.0),
+    *,
+    command: Command = Command.LOADED,
+    kp: ArrayLike | None = None,
+) -> PayloadLimit:
+    """Finds the greatest point mass that a robot can carry in a stand.
+
+    Three numbers, of which the least is the limit: what the motors give, what the servos' stiffness
+    holds up, and what the contacts bear. The first and the last are of the stand as it is, on
+    ground as soft as its ``depths`` say; the second is of MuJoCo's soft ground, into which feet
+    sink deeper under the load.
+
+    The default command is the pose with the feed-forward torques of the *loaded* robot: "how much
+    can it carry" asks for what the robot bears, standing as asked, and not for how well a
+    controller guesses. With ``Command.UNLOADED`` the mass is a surprise, and servos give way to it.
+
+    Args:
+        robot: The robot.
+        stand: How it stands, without payload.
+        point: (3,) where the mass is, in the base's frame (m).
+        command: What the servos are commanded.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+
+    Returns:
+        The limit. ``payload_trial`` simulates it.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the robot cannot stand.
+        ModelError: If the model has no position servos, and no kp is given.
+        StaticsInfeasibleError: If the stand cannot be held without payload.
+    """
+    place = point_on_base(point)
+    try:
+        command = Command(command)
+    except ValueError as error:
+        known = ", ".join(Command)
+        raise ConfigurationError("command", f"{command!r} is none of {known}") from error
+    stand_statics(robot, stand, sharing=LoadSharing.EVEN)  # raises if it cannot be held at all
+    contacts = contact_limit(robot, stand, place)
+    motors = motor_limit(robot, stand, place, most=contacts.mass)
+    most = min(motors.mass, contacts.mass)
+    servos = servo_limit(robot, stand, place, command=command, kp=kp, most=most)
+    bounds = {"motors": motors, "servos": servos, "contacts": contacts}
+    binding = min(bounds, key=lambda name: bounds[name].mass)
+    mass = bounds[binding].mass
+    # At the edge of what the contacts bear rounding may leave no forces: just inside there are.
+    finite = mass if math.isfinite(mass) else 0.0
+    held = _even(robot, stand, place, finite) or _even(robot, stand, place, (1 - 1e-6) * finite)
+    assert held is not None
+    return PayloadLimit(
+        mass=mass,
+        binding=binding,
+        motors=motors,
+        servos=servos,
+        contacts=contacts,
+        point=place,
+        command=command,
+        unlimited=tuple(
+            name
+            for name, limit in zip(robot.joint_names, robot.effort_limits, strict=True)
+            if not math.isfinite(limit)
+        ),
+        joint_torques=held.joint_torques,
+        contact_forces=held.contact_forces,
+    )
+
+
+# ------------------------------------------------------------------------------------- motors
+
+
+def motor_limit(
+    robot: Robot, stand: Stand, point: Sequence[float] | Array, *, most: float = math.inf
+) -> Bound:
+    """Finds the greatest payload that the motors hold with the contact forces that last.
+
+    On level ground these forces are linear in the mass for as long as every foot that carries goes
+    on carrying, and so are the torques: two equilibria give the limit in closed form. Where a foot
+    unloads, or on a slope, where the forces depend on the feet's viscosities, the first mass at
+    which a motor saturates is bracketed and then bisected.
+
+    Args:
+        robot: The robot.
+        stand: How it stands, without payload.
+        point: (3,) where the mass is, in the base's frame (m).
+        most: What the contacts bear (kg); nothing above is looked at.
+
+    Returns:
+        The limit: infinite if the motors that bear have no effort limits, or hold all up to
+        ``most``.
+
+    Raises:
+        StaticsInfeasibleError: If the stand cannot be held without payload.
+    """
+    limits = robot.effort_limits
+    if not np.isfinite(limits).any():
+        return Bound(math.inf, Failure.NOTHING, ())
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    slack = AT_LIMIT * weight * float(stand.task.height or robot.stand_height)
+
+    def excess(held: GravityCompensation | None) -> Array:
+        """Returns torque above the limit (nu,), not divided by it: a limit may be zero."""
+        assert held is not None
+        over: Array = np.abs(held.joint_torques) - limits - slack
+        return over
+
+    def at(mass: float) -> Array | None:
+        held = _even(robot, stand, point, mass)
+        return None if held is None else excess(held)
+
+    empty = stand_statics(robot, stand, sharing=LoadSharing.EVEN)
+    over = excess(empty)
+    if (over > 0).any():
+        return Bound(0.0, Failure.MOTOR, _names(robot, over > 0))
+    ceiling = min(most, UNLIMITED * robot.total_mass)
+    mass = None
+    laden = _even(robot, stand, point, robot.total_mass)
+    if laden is not None and not stand.task.ground.slope:
+        loads = Loads.of(empty, laden, robot.total_mass, stand)
+        mass = loads.motor_limit(limits)
+        if loads.contact_limit() < max(mass, robot.total_mass):
+            mass = None  # a foot lets go before: from there on another line
+    if mass is None:
+        mass = first_failing(
+            lambda tried: (found := at(tried)) is not None and bool((found > 0).any()),
+            robot.total_mass,
+            ceiling,
+        )
+    if mass >= ceiling:
+        return Bound(math.inf, Failure.NOTHING, ())
+    over = excess(_even(robot, stand, point, mass))
+    with np.errstate(invalid="ignore"):
+        near = over > -1e-3 * limits - 2 * slack
+    return Bound(mass, Failure.MOTOR, _names(robot, near & np.isfinite(limits)))
+
+
+def _even(
+    robot: Robot, stand: Stand, point: Sequence[float] | Array, mass: float
+) -> GravityCompensation | None:
+    """Returns what lasts with a payload; None if no contact forces balance it."""
+    try:
+        loaded = with_payload(robot, mass, tuple(np.asarray(point).tolist()))
+        return stand_statics(loaded, stand, sharing=LoadSharing.EVEN)
+    except StaticsInfeasibleError:
+        return None
+
+
+def _names(robot: Robot, chosen: NDArray[np.bool_]) -> tuple[str, ...]:
+    return tuple(robot.joint_names[index] for index in np.flatnonzero(chosen))
+
+
+# ------------------------------------------------------------------------------------- contacts
+
+
+def contact_limit(robot: Robot, stand: Stand, point: Sequence[float] | Array) -> Bound:
+    """Finds the greatest payload that friction and unilateral contact bear.
+
+    With the mass m at a point whose Jacobian is J_p, balance of the base means, in its six rows,
+    g + m |g| J_p^T e_z = J^T f. The greatest m for which some contact forces inside the friction
+    cones give it is a second-order cone programme in (f, m). If it were greater without friction's
+    limit a foot slides first; otherwise a foot would have to pull, and the robot tips.
+
+    Args:
+        robot: The robot.
+        stand: How it stands, without payload. Forces act half way into its ``depths``.
+        point: (3,) where the mass is, in the base's frame (m).
+
+    Returns:
+        The limit; infinite if all is borne that is looked at (``UNLIMITED``).
+    """
+    problem = _problem(robot, stand, np.asarray(point, dtype=float))
+    best, forces = problem.solve(friction=True)
+    if best >= 0.999 * problem.ceiling:
+        return Bound(math.inf, Failure.NOTHING, ())
+    gripping, _ = problem.solve(friction=False)
+    failure = Failure.SLIDING if gripping > best * (1 + 1e-4) + 1e-6 else Failure.TIPPING
+    return Bound(best, failure, _feet(robot, stand, forces, failure))
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The base's rows of the balance: gravity + mass * load = contacts f.
+
+    Attributes:
+        gravity: (6,).
+        load: (6,) of one kilogram.
+        contacts: (6, 3 n).
+        normals: (n, 3).
+        friction: (n,).
+        ceiling: Greatest mass looked for (kg).
+    """
+
+    gravity: Array
+    load: Array
+    contacts: Array
+    normals: Array
+    friction: Array
+    ceiling: float
+
+    def solve(self, *, friction: bool) -> tuple[float, Array]:
+        """Maximises the mass (kg); returns it with its forces (n, 3) (N).
+
+        Without ``friction`` no foot can slide. Where not even no mass can be held it is 0.
+        """
+        size = 3 * len(self.normals) + 1  # f / weight, and the mass in kg
+        weight = float(np.abs(self.gravity).max())
+        equal = np.column_stack([self.contacts, -self.load / weight])
+        mass = np.eye(1, size, size - 1)
+        blocks = [equal, mass, -mass]
+        bounds = [self.gravity / weight, np.array([self.ceiling]), np.zeros(1)]
+        cones = [clarabel.ZeroConeT(6), clarabel.NonnegativeConeT(2)]
+        for index, (normal, mu) in enumerate(zip(self.normals, self.friction, strict=True)):
+            cone = np.zeros((4 if friction else 1, size))
+            block = slice(3 * index, 3 * index + 3)
+            cone[0, block] = -(mu if friction else 1.0) * normal
+            cone[1:, block] = -(np.eye(3) - np.outer(normal, normal))[: len(cone) - 1]
+            blocks.append(cone)
+            bounds.append(np.zeros(len(cone)))
+            cones.append(clarabel.SecondOrderConeT(4) if friction else clarabel.NonnegativeConeT(1))
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        solution = clarabel.DefaultSolver(
+            sparse.csc_matrix((size, size)),
+            -mass[0],
+            sparse.csc_matrix(np.concatenate(blocks)),
+            np.concatenate(bounds),
+            cones,
+            settings,
+        ).solve()
+        values = np.array(solution.x)
+        infeasible = (
+            clarabel.SolverStatus.PrimalInfeasible,
+            clarabel.SolverStatus.AlmostPrimalInfeasible,
+        )
+        held = solution.status not in infeasible
+        return max(0.0, float(values[-1])) if held else 0.0, weight * values[:-1].reshape(-1, 3)
+
+
+def _problem(robot: Robot, stand: Stand, point: Array) -> _Problem:
+    config = Configuration(robot, stand.qpos)
+    # In the base's frame a point; in world axes, as the Jacobian has it, it turns with the base.
+    offset = config.base_rotation() @ point
+    load = -robot.gravity @ config.frame_jacobian(robot.base, offset)[:3, :6]
+    jacobians = []
+    for foot in stand.carrying:
+        reach = robot.foot_radius[foot] - stand.depths[foot] / 2  # half way in, as MuJoCo has it
+        arm = -reach * stand.normals[foot]
+        jacobians.append(config.frame_jacobian(robot.foot_frames[foot], arm)[:3, :6])
+    return _Problem(
+        gravity=config.gravity()[:6],
+        load=load,
+        contacts=np.concatenate(jacobians).T,
+        normals=np.array([stand.normals[foot] for foot in stand.carrying]),
+        friction=np.array([robot.contacts[foot].sliding_friction for foot in stand.carrying]),
+        ceiling=UNLIMITED * robot.total_mass,
+    )
+
+
+def _feet(robot: Robot, stand: Stand, forces: Array, failure: Failure) -> tuple[str, ...]:
+    """Returns the feet that slide, or that would have to pull next."""
+    weight = float(np.linalg.norm(forces, axis=1).max())
+    feet = []
+    for foot, force in zip(stand.carrying, forces, strict=True):
+        normal = float(force @ stand.normals[foot])
+        tangential = float(np.linalg.norm(force - normal * stand.normals[foot]))
+        grip = robot.contacts[foot].sliding_friction * normal
+        light = normal < 1e-3 * weight
+        if light if failure is Failure.TIPPING else not light and tangential > 0.999 * grip:
+            feet.append(foot)
+    return tuple(feet)

@@ -1,0 +1,338 @@
+"""How much a robot's servos hold up: stiffness, sag and what they bring with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.errors import (
+    NoEquilibriumError,
+    StanceUnreachableError,
+    StaticsInfeasibleError,
+)
+from pupper_analysis.results import Result
+from pupper_analysis.robot import contact
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.payload.first_order import FirstOrder
+from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.steady_state import SettledPose, pose_at, settled_pose
+from pupper_analysis.stance.sag.way import Way
+from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.stance.sunk import loaded_stand
+from pupper_analysis.statics.equilibrium import LoadSharing
+
+Array = NDArray[np.float64]
+
+RESOLUTION = 1e-3
+"""To what part of itself a limit is found by bisection; it is rounded down."""
+
+GROWTH = 1.5
+"""Factor from one mass tried to the next: a window of failure narrower than this may be missed."""
+
+LEAST = 1e-3
+"""The least payload looked at, in parts of the first one tried."""
+
+COLLAPSED = 0.5
+"""A robot that sags below this part of its stand's height no longer stands (as ``least_kp``)."""
+
+LASTING = 12.0
+"""How long a payload must stay up (s). Under a load that comes as a surprise the feet press against
+each other, and MuJoCo's friction lets them creep: where they are after this time counts."""
+
+GRIPLESS = 10.0
+"""A friction coefficient that no foot has: where more is needed, it is not friction that lacks."""
+
+
+class Failure(StrEnum):
+    """What gives way first when the payload grows."""
+
+    MOTOR = "a motor saturates"
+    SLIDING = "a foot slides"
+    TIPPING = "the robot tips"
+    BUCKLING = "the servos are too soft: it buckles"
+    JOINT = "a joint comes to its limit"
+    GROUND = "another part comes to the ground"
+    REACH = "the legs are too short for feet that sink so deep"
+    COMMAND = "a servo cannot be commanded so far"
+    NOTHING = "nothing that was looked at"
+
+
+class Command(StrEnum):
+    """What position servos are commanded.
+
+    LOADED: the pose, with feed-forward for the torques that the load takes: ctrl = q* + tau / kp.
+    UNLOADED: the same as without the load, which comes as a surprise, put down gently.
+    """
+
+    LOADED = "loaded"
+    UNLOADED = "unloaded"
+
+
+@dataclass(frozen=True, eq=False)
+class Bound(Result):
+    """One of the limits of a payload.
+
+    Attributes:
+        mass: kg; infinite if nothing gives way.
+        failure: What gives way just above.
+        where: The motors, joints, feet or bodies concerned.
+    """
+
+    mass: float
+    failure: Failure
+    where: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedPose(Result):
+    """A loaded robot under a command, at rest.
+
+    Attributes:
+        robot: The loaded robot.
+        stand: Its stand: feet sunk under the load, base where the unloaded stand has it.
+        target: (nu,) the joint positions that the servos are commanded (rad).
+        start: (nq,) where it rests as the load has just been put down: the equilibrium, or, if
+            there is none, the stand.
+        pose: The equilibrium, after ``LASTING`` of creep under a load that is a surprise; None if
+            there is none.
+        failure: Why it does not stand so; None if it does.
+        where: The motors, joints, feet or bodies concerned.
+    """
+
+    robot: Robot
+    stand: Stand
+    target: Array
+    start: Array
+    pose: SettledPose | None
+    failure: Failure | None
+    where: tuple[str, ...]
+
+
+def servo_limit(
+    robot: Robot,
+    stand: Stand,
+    point: ArrayLike,
+    *,
+    command: Command = Command.LOADED,
+    kp: ArrayLike | None = None,
+    most: float = math.inf,
+) -> Bound:
+    """Finds the greatest payload with which a servo-driven robot still stands.
+
+    It stands if the equilibrium under the load exists and is stable (``settled_pose``, feet
+    pinned), no foot slips or would have to pull, no motor saturates, no joint is at its limit, no
+    other part is on the ground, and it keeps half of its height. Masses are tried from a quarter of
+    what first order says on (``FirstOrder``), in steps of ``GROWTH``, and the first interval in
+    which it stops standing is bisected.
+
+    Args:
+        robot: The robot.
+        stand: How it stands, without payload.
+        point: (3,) where the mass is, in the base's frame (m).
+        command: What the servos are commanded.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        most: What motors and contacts bear (kg): where it still stands with that, on soft ground it
+            may stand with a little more.
+
+    Returns:
+        The limit, to ``RESOLUTION``, rounded down: with it the robot does stand.
+
+    Raises:
+        ConfigurationError: If the robot cannot stand, or kp is out of range.
+        ModelError: If the model has no position servos, and no kp is given.
+    """
+
+    def judge(mass: float) -> LoadedPose | Bound:
+        return loaded_pose(robot, stand, mass, point, command=command, kp=kp)
+
+    def fails(mass: float) -> bool:
+        found = judge(mass)
+        return isinstance(found, Bound) or found.failure is not None
+
+    ceiling = 2 * most if math.isfinite(most) else 1e4 * robot.total_mass
+    start = _guess(robot, stand, point, servos(robot, kp, None if kp is None else 0.0).kp) / 4
+    mass = 0.0 if fails(0.0) else first_failing(fails, min(start, most), ceiling)
+    if mass >= ceiling:
+        return Bound(math.inf, Failure.NOTHING, ())
+    above = judge(mass * (1 + 2 * RESOLUTION) if mass else 0.0)
+    failure = above.failure
+    assert failure is not None
+    return Bound(mass, failure, above.where)
+
+
+def _guess(robot: Robot, stand: Stand, point: ArrayLike, kp: Array) -> float:
+    """Returns about what a stand bears (kg), to begin the search at."""
+    mass = robot.total_mass / 10  # small: one that tips would tell nothing
+    loaded = with_payload(robot, mass, np.asarray(point, dtype=float).tolist())
+    try:
+        first = FirstOrder.of(robot, loaded, stand, kp)
+    except StaticsInfeasibleError:
+        return mass
+    guess = mass if first is None else first.limit(strengths(robot))
+    return guess if 0 < guess < math.inf else mass
+
+
+def first_failing(fails: Callable[[float], bool], start: float, ceiling: float) -> float:
+    """Returns the greatest mass (kg) below the first failure, or ``ceiling`` if there is none.
+
+    Args:
+        fails: Tells whether a mass (kg) is too much.
+        start: The first mass tried (kg); where it fails, smaller ones are.
+        ceiling: Nothing above is tried (kg).
+    """
+    low, high = 0.0, min(start, ceiling)
+    while not fails(high):
+        if high >= ceiling:
+            return ceiling
+        low, high = high, min(GROWTH * high, ceiling)
+    while high - low > RESOLUTION * high and high > LEAST * start:
+        middle = (low + high) / 2
+        low, high = (low, middle) if fails(middle) else (middle, high)
+    return low
+
+
+def loaded_pose(
+    robot: Robot,
+    stand: Stand,
+    mass: float,
+    point: ArrayLike,
+    *,
+    command: Command = Command.LOADED,
+    kp: ArrayLike | None = None,
+) -> LoadedPose | Bound:
+    """Finds where a loaded robot comes to rest under a command, and whether it stands so.
+
+    Args:
+        robot: The robot.
+        stand: How it stands, without payload.
+        mass: Of the payload (kg).
+        point: (3,) where the mass is, in the base's frame (m).
+        command: What the servos are commanded.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+
+    Returns:
+        The pose; or, where there is no balance to begin with, why, as a bound of that mass.
+
+    Raises:
+        ConfigurationError: If the robot cannot stand, or kp is out of range.
+        ModelError: If the model has no position servos, and no kp is given.
+    """
+    loaded = with_payload(robot, mass, np.asarray(point, dtype=float).tolist())
+    try:
+        sunk = loaded_stand(loaded, stand)
+        balance = stand_statics(loaded, sunk, sharing=LoadSharing.EVEN)
+    except StanceUnreachableError as error:
+        if error.blocked:
+            return Bound(mass, Failure.GROUND, tuple(error.blocked))
+        return Bound(mass, Failure.REACH, tuple(error.shortfall))
+    except StaticsInfeasibleError as error:
+        needed = error.friction_needed
+        failure = Failure.TIPPING if needed is None or needed > GRIPLESS else Failure.SLIDING
+        return Bound(mass, failure, error.feet)
+    except NoEquilibriumError:
+        return Bound(mass, Failure.BUCKLING, ())
+    drive = servos(loaded, kp, None if kp is None else 0.0)
+    target = sunk.joint_positions(loaded) + balance.joint_torques / drive.kp
+    if command is Command.UNLOADED:
+        empty = loaded_stand(robot, stand)
+        torques = stand_statics(robot, empty, sharing=LoadSharing.EVEN).joint_torques
+        target = empty.joint_positions(robot) + torques / drive.kp
+    try:
+        if command is Command.LOADED:
+            pose = settled_pose(loaded, sunk, kp=kp, feedforward=True)
+            start = pose.qpos
+        else:
+            start, pose = _settled_at(loaded, sunk, target, kp)
+    except NoEquilibriumError:
+        # With feed-forward for the load the only thing that can be missing is torque.
+        if command is Command.LOADED:
+            over = np.abs(balance.joint_torques) >= strengths(loaded)
+            names = tuple(loaded.joint_names[index] for index in np.flatnonzero(over))
+            if names:
+                return LoadedPose(loaded, sunk, target, sunk.qpos, None, Failure.MOTOR, names)
+        return LoadedPose(loaded, sunk, target, sunk.qpos, None, Failure.BUCKLING, ())
+    why, where = _judge(loaded, sunk, pose, target)
+    return LoadedPose(loaded, sunk, target, start, pose, why, where)
+
+
+def _settled_at(
+    robot: Robot, stand: Stand, target: Array, kp: ArrayLike | None
+) -> tuple[Array, SettledPose]:
+    """Follows the equilibrium from the stand, which full feed-forward holds, to another command.
+
+    Returns the qpos (nq,) there, and the equilibrium after ``LASTING`` of creep.
+    """
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    way = Way(Equilibrium(robot, stand, kp, "pinned"), target)
+    way.follow(1.0)
+    start = way.solution.qpos
+    way.creep(LASTING)
+    return start, pose_at(way, math.nan)
+
+
+def strengths(robot: Robot) -> Array:
+    """Returns the torque (nu,) that each motor can give by both files (N m)."""
+    model, actuators = robot.mj_model, robot.mj_convention.actuator_index
+    limited = model.actuator_forcelimited[actuators].astype(bool)
+    force = np.abs(model.actuator_forcerange[actuators]).min(axis=1)
+    force = force * np.abs(model.actuator_gear[actuators, 0])
+    strengths: Array = np.minimum(robot.effort_limits, np.where(limited, force, np.inf))
+    return strengths
+
+
+def _judge(
+    robot: Robot, stand: Stand, pose: SettledPose, target: Array
+) -> tuple[Failure | None, tuple[str, ...]]:
+    """Returns why a robot does not stand in an equilibrium, and where; None if it does."""
+
+    def joints(chosen: NDArray[np.bool_]) -> tuple[str, ...]:
+        return tuple(robot.joint_names[index] for index in np.flatnonzero(chosen))
+
+    model, actuators = robot.mj_model, robot.mj_convention.actuator_index
+    saturated = np.abs(pose.joint_torques) > strengths(robot) * (1 + 1e-9)
+    if pose.saturated or saturated.any():
+        return Failure.MOTOR, pose.saturated or joints(saturated)
+    ctrl = target * model.actuator_gear[actuators, 0]
+    low, high = model.actuator_ctrlrange[actuators].T
+    limited = model.actuator_ctrllimited[actuators].astype(bool)
+    if (beyond := limited & ((ctrl < low) | (ctrl > high))).any():
+        return Failure.COMMAND, joints(beyond)
+    angles = pose.qpos[7:]
+    if (beyond := (angles < robot.lower_limits) | (angles > robot.upper_limits)).any():
+        return Failure.JOINT, joints(beyond)
+    pulling, sliding = [], []
+    for foot in stand.carrying:
+        force = pose.contact_forces[foot]
+        normal = float(force @ stand.normals[foot])
+        tangential = float(np.linalg.norm(force - normal * stand.normals[foot]))
+        if normal <= 0:
+            pulling.append(foot)
+        elif tangential > robot.contacts[foot].sliding_friction * normal:
+            sliding.append(foot)
+    if pulling or sliding:
+        return (Failure.TIPPING, tuple(pulling)) if pulling else (Failure.SLIDING, tuple(sliding))
+    others = others_on_ground(robot, stand, pose.qpos)
+    if others:
+        return Failure.GROUND, others
+    if not pose.stable or pose.base_height < COLLAPSED * stand.qpos[2]:
+        return Failure.BUCKLING, ()
+    return None, ()
+
+
+def others_on_ground(robot: Robot, stand: Stand, qpos: Array) -> tuple[str, ...]:
+    """Returns the bodies, but for feet that carry, that touch the ground at a qpos (nq,)."""
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_forward(robot.mj_model, data)
+    forces, others = contact.ground_forces(robot.mj_model, data, robot.soles)
+    return tuple(sorted(others | (set(forces) - set(stand.carrying))))

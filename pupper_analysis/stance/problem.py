@@ -1,0 +1,118 @@
+"""A stand task in numbers: where one robot's feet, base and com shall be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.support_polygon import com_margin
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """A task in numbers, for one robot.
+
+    Attributes:
+        task: The task, with its height filled in.
+        targets: {foot: (3,)} of the feet's centres.
+        depths: {foot that carries: m} how deep these are in the ground.
+        carrying: The feet that carry.
+        contacts: (n, 3) contact points of these.
+        height: z of the base frame.
+        place: (2,) of the com, or of the base frame.
+        by_base: Whether ``place`` is the base frame's.
+        lower: (nu,) joint limits, less the margin.
+        upper: (nu,) likewise.
+    """
+
+    task: StandTask
+    targets: dict[str, Array]
+    depths: dict[str, float]
+    carrying: tuple[str, ...]
+    contacts: Array
+    height: float
+    place: Array
+    by_base: bool
+    lower: Array
+    upper: Array
+
+
+def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
+    """Works out what a task means for a robot.
+
+    Args:
+        robot: The robot.
+        task: How to stand.
+        depths: {foot that carries: how deep it sinks into the ground (m)}; 0 where not given.
+
+    Raises:
+        ConfigurationError: If the robot's base is fixed, or it has no feet; or if the margins leave
+            nothing.
+        UnknownNameError: If the task, or depths, name a foot that the robot does not have.
+    """
+    if not robot.floating:
+        raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
+    if not robot.feet:
+        raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
+    for foot in (*task.feet, *task.foot_offsets, *task.lifted, *task.ground.heights, *depths):
+        robot.check_foot(foot)
+    for foot, depth in depths.items():
+        if not 0 <= depth < math.inf:
+            raise ConfigurationError("depths", f"{foot}: {depth} m is not finite and >= 0")
+    carrying = tuple(foot for foot in robot.feet if foot not in task.lifted)
+    if len(carrying) < 3:
+        raise ConfigurationError("lifted", f"only {len(carrying)} feet carry; at least 3 must")
+    if task.posture is not None and len(task.posture) != robot.nu:
+        raise ConfigurationError("posture", f"it must have {robot.nu} values")
+    ground, normal = task.ground, task.ground.normal()
+    nominal = Configuration(robot, robot.neutral()).foot_positions()
+    targets = {}
+    for foot in robot.feet:
+        place = np.array(task.feet.get(foot, nominal[foot][:2])) + task.foot_offsets.get(foot, 0.0)
+        targets[foot] = ground.centre(foot, place, robot.foot_radius[foot])
+        targets[foot][2] += task.lifted.get(foot, 0.0)
+    contacts = np.array([targets[foot] - robot.foot_radius[foot] * normal for foot in carrying])
+    for foot in carrying:
+        targets[foot] = targets[foot] - depths.get(foot, 0.0) * normal
+    centre = contacts.mean(axis=0)
+    lower, upper = robot.lower_limits + task.joint_margin, robot.upper_limits - task.joint_margin
+    if (lower > upper).any():
+        name = robot.joint_names[int(np.argmax(lower - upper))]
+        raise ConfigurationError(
+            "joint_margin", f"{task.joint_margin} rad leaves nothing of the range of {name}"
+        )
+    place, by_base = centre[:2], False
+    if task.offset is not None:
+        place, by_base = centre[:2] + task.offset, True
+    elif not isinstance(task.com, str):
+        place = np.array(task.com)
+    points = dict(zip(carrying, contacts, strict=True))
+    if not by_base and com_margin(np.append(place, 0.0), points) < task.com_margin:
+        raise ConfigurationError(
+            "com_margin", f"{task.com_margin} m is more than the support polygon has at the com"
+        )
+    if task.height is None:
+        task = replace(task, height=robot.stand_height)
+    assert task.height is not None
+    return Goal(
+        task=task,
+        targets=targets,
+        depths={foot: float(depths.get(foot, 0.0)) for foot in carrying},
+        carrying=carrying,
+        contacts=contacts,
+        height=float(centre[2]) + task.height,
+        place=place,
+        by_base=by_base,
+        lower=lower,
+        upper=upper,
+    )

@@ -1,0 +1,1 @@
+"""Where position servos let a robot come to rest."""

@@ -1,0 +1,404 @@
+"""The equations of a servo-driven robot at rest on soft ground, and Newton's iteration on them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
+
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.friction import DryFriction
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.stance.stand import Stand
+
+Array = NDArray[np.float64]
+Feet = Literal["pinned", "sliding"]
+
+RESIDUAL_TOLERANCE = 1e-10
+"""What the equations of an equilibrium may leave over (N, N m, m)."""
+
+TOUCHING = 1e-9
+"""A foot this deep in the ground, or less, does not touch it yet (m): 1e-6 N on soft ground."""
+
+_MAX_ITERATIONS = 25
+_TRUST = 0.5  # rad, m: a longer Newton step has left the branch
+_STEP = 1e-6  # rad, m: of the numeric derivatives
+_WEAK = 1e-3  # N/m: holds a sliding robot in its place as creep does, with 1e-5 N
+_HEIGHT_TOLERANCE = 1e-8  # m: by less than this the base is at the end of friction's range
+_RHO = 1e3  # N/m: weighs slip against force in telling which way a foot slips; any would do
+_MAX_ROUNDS = 40  # of friction and pose, each by the other; 4 to 8 do
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """Where a foot touched the ground first: if it is pinned, it has rolled from there.
+
+    Attributes:
+        place: (3,) of the sphere's centre (m).
+        turned: (3, 3) of the foot's frame.
+    """
+
+    place: Array
+    turned: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A solution of the equations.
+
+    Attributes:
+        qpos: (nq,).
+        forces: {foot that touches: (3,)} in the ground's frame, whose z is its normal (N).
+        residuals: The largest element left after each Newton step (N, N m, m).
+    """
+
+    qpos: Array
+    forces: dict[str, Array]
+    residuals: tuple[float, ...] = ()
+
+    def force(self, foot: str) -> Array:
+        """Returns the force (3,) on a foot, zero if it does not touch (N)."""
+        return self.forces.get(foot, np.zeros(3))
+
+
+class Equilibrium:
+    """The equations of the equilibrium, for a servo ``target`` (nu,) and the feet that touch.
+
+        g(q) - S^T (tau + t) - sum (J_i^T f_i + W_i^T m_i) = 0,  depth_i(q) = depth of f_i
+
+    for the feet in ``anchors``, J_i and W_i being the Jacobians of the material point at the
+    contact and of the foot's rotation. Pinned, that point has not slipped, but for what it crept,
+    as long as |f_t| <= mu f_n; else it has slipped by s, and f_t = -mu f_n s / |s|. Both in one:
+    f_t is f_t - rho s, for any rho > 0, cut to the length mu f_n (Alart and Curnier 1991).
+    Sliding, f_t = 0.
+
+    t and m are dry friction. With ``lift`` 0 there is none. With +-1 it is the one with which the
+    base comes to rest highest or lowest, with a share of that with that share of friction. D being
+    the derivative of the equations and lambda = D^-T dz/dx, a joint's torque changes the height z
+    by lambda at that joint, a foot's moment by W lambda, and each is at the end of its range in
+    that direction (the conditions of Karush, Kuhn and Tucker for the extremum of z over all
+    friction).
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        stand: Stand,
+        kp: ArrayLike | None,
+        feet: Feet,
+        lift: float = 0.0,
+    ) -> None:
+        drive = servos(robot, kp, None if kp is None else 0.0)
+        actuators = robot.mj_convention.actuator_index
+        limited = drive.model.actuator_forcelimited[actuators].astype(bool)
+        limits = drive.model.actuator_forcerange[actuators] * drive.gear[:, None]
+        self.lower = np.where(limited, limits.min(axis=1), -np.inf)
+        self.upper = np.where(limited, limits.max(axis=1), np.inf)
+        self.robot, self.stand, self.feet, self.kp = robot, stand, feet, drive.kp
+        self.ground, self.normal = stand.task.ground, stand.task.ground.normal()
+        self.frame = pin.Quaternion.FromTwoVectors(self.normal, UP).matrix()
+        self.laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
+        self.target = stand.qpos[7:]
+        config = Configuration(robot, stand.qpos)
+        self.anchors = {
+            foot: Anchor(stand.foot_targets[foot], config.frame_rotation(robot.foot_frames[foot]))
+            for foot in stand.carrying
+        }
+        self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
+        self.yielding: dict[str, float] = {}  # m/N: creep in this step per force
+        self.friction, self.lift = DryFriction.of(robot), lift
+        self.joint_friction = np.zeros(robot.nu)
+        self.moments: dict[str, Array] = {}  # N m: on feet, in the ground's frame
+
+    # ---------------------------------------------------------------------------------- terms
+
+    def depths(self, config: Configuration) -> dict[str, float]:
+        """Returns how deep every foot is in the ground or its step; negative: above it (m)."""
+        cosine = float(self.normal[2])
+        return {
+            foot: self.robot.foot_radius[foot]
+            - (float(centre[2]) - self.ground.height(centre[:2], foot)) * cosine
+            for foot, centre in config.foot_positions().items()
+        }
+
+    def sunk(self, forces: Array) -> Array:
+        """Returns how deep the feet that touch sink (n,) under forces (n, 3)."""
+        laws = (self.laws[foot] for foot in self.anchors)
+        return np.array([law.depth(f) for law, f in zip(laws, forces[:, 2], strict=True)])
+
+    def torques(self, qpos: Array) -> Array:
+        """Returns the servos' torques (nu,)."""
+        return np.clip(self.kp * (self.target - qpos[7:]), self.lower, self.upper)
+
+    def terms(self, qpos: Array, forces: Array) -> tuple[Array, Array, Array]:
+        """Returns the balance (nv,), slips and depths (n, 3), and the Jacobian (3 n, nv)."""
+        config = Configuration(self.robot, qpos)
+        depths = self.depths(config)
+        balance, places, jacobians = config.gravity(), [], []
+        for (foot, anchor), force in zip(self.anchors.items(), forces, strict=True):
+            frame, radius = self.robot.foot_frames[foot], self.robot.foot_radius[foot]
+            # MuJoCo has the contact half way into the penetration.
+            arm = (radius - depths[foot] / 2) * self.normal
+            both = config.frame_jacobian(frame, -arm)
+            turn = pin.log3(config.frame_rotation(frame) @ anchor.turned.T)
+            moved = config.frame_position(frame) - anchor.place
+            slip = self.frame @ (moved - pin.skew(turn) @ arm)  # less what the sphere has rolled
+            places.append((slip[0], slip[1], depths[foot]))
+            jacobians.append(self.frame @ both[:3])
+            balance -= jacobians[-1].T @ force
+            if foot in self.moments:
+                balance -= (self.frame @ both[3:]).T @ self.moments[foot]
+        balance[6:] -= self.torques(qpos) + self.joint_friction
+        return (
+            balance,
+            np.array(places).reshape(-1, 3),
+            np.array(jacobians).reshape(-1, len(balance)),
+        )
+
+    def residual(self, qpos: Array, forces: Array) -> Array:
+        """Returns the equations (nv + 3 n,): balance, and per foot two of slip, one of depth."""
+        balance, places, _ = self.terms(qpos, forces)
+        if self.feet == "sliding":
+            places[:, :2] = forces[:, :2] + _WEAK * places[:, :2]
+        else:
+            places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
+            for row, mu, tried in self._slipping(forces, places):
+                along = tried / np.linalg.norm(tried)
+                places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
+        places[:, 2] -= self.sunk(forces)
+        return np.concatenate([balance, places.ravel()])
+
+    def derivative(self, qpos: Array, forces: Array) -> Array:
+        """Returns the residual's derivative: by qpos numeric, by forces in closed form."""
+        n = self.robot.nv
+        by_qpos = np.zeros((n + forces.size, n))
+        for column in range(n):
+            step = np.zeros(n)
+            step[column] = _STEP
+            ahead, behind = (self.terms(move(qpos, way), forces) for way in (step, -step))
+            by_qpos[:n, column] = (ahead[0] - behind[0]) / (2 * _STEP)
+            by_qpos[n:, column] = (ahead[1] - behind[1]).ravel() / (2 * _STEP)
+        if self.feet == "sliding":
+            by_qpos[n:].reshape(-1, 3, n)[:, :2] *= _WEAK
+        _, places, jacobian = self.terms(qpos, forces)
+        diagonal = np.zeros((len(forces), 3))
+        diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._yields()[:, None]
+        laws = self.laws
+        diagonal[:, 2] = [
+            -1 / laws[foot].rate(depth)
+            for foot, depth in zip(self.anchors, self.sunk(forces), strict=True)
+        ]
+        by_force = np.diag(diagonal.ravel())
+        if self.feet == "pinned":
+            places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
+        for row, mu, tried in self._slipping(forces, places):
+            length = float(np.linalg.norm(tried))
+            along, tangents = tried / length, slice(3 * row, 3 * row + 2)
+            turn = mu * forces[row, 2] / length * (np.eye(2) - np.outer(along, along))
+            by_qpos[n:][tangents] = _RHO * turn @ by_qpos[n:][tangents]
+            kept = 1 - _RHO * diagonal[row, 0]
+            by_force[tangents, tangents] = np.eye(2) - kept * turn
+            by_force[tangents, 3 * row + 2] = -mu * along
+        return np.hstack([by_qpos, np.vstack([-jacobian.T, by_force])])
+
+    def _yields(self) -> Array:
+        return np.array([self.yielding.get(foot, 0.0) for foot in self.anchors])
+
+    def _begun(self) -> Array:
+        """Returns the slips (n, 2) from which the feet that touch stick, or slip on (m)."""
+        begun = [self.crept.get(foot, np.zeros(2)) for foot in self.anchors]
+        return np.array(begun).reshape(-1, 2)
+
+    def _slipping(self, forces: Array, places: Array) -> list[tuple[int, float, Array]]:
+        """Returns number, mu and f_t - rho s (2,) of the pinned feet that slip.
+
+        Args:
+            forces: (n, 3).
+            places: (n, 3) with s in its first two columns.
+        """
+        if self.feet == "sliding":
+            return []
+        found = []
+        for row, (foot, force, place) in enumerate(zip(self.anchors, forces, places, strict=True)):
+            mu, tried = self.friction.sliding[foot], force[:2] - _RHO * place[:2]
+            # Without friction where it pulls: so nothing jumps when it is let go of there.
+            mu = mu if force[2] > 0 else 0.0
+            if np.linalg.norm(tried) > mu * force[2]:
+                found.append((row, mu, tried))
+        return found
+
+    # ---------------------------------------------------------------------------------- solving
+
+    def solve(self, guess: Solution) -> Solution | None:
+        """Solves the equations for the feet that touch, friction included; None if it fails."""
+        found = self._newton(guess)
+        if not self.lift:
+            return found
+        height, change, share = math.inf, math.inf, 1.0
+        for _ in range(_MAX_ROUNDS):
+            if found is None:
+                return None
+            last, change = change, abs(float(found.qpos[2]) - height)
+            if change < _HEIGHT_TOLERANCE:
+                return found
+            if change > last / 2:  # to and fro between two ways to rub: half way is between them
+                share /= 2
+            height = float(found.qpos[2])
+            if not self._rub(found, share):
+                return None
+            found = self._newton(found)
+        return None
+
+    def _rub(self, solution: Solution, share: float) -> bool:
+        """Moves friction, by a share, to what lifts the base most, or least; tells if it can."""
+        derivative = self.derivative(solution.qpos, self._stacked(solution))
+        height = np.zeros(len(derivative))
+        height[2] = np.sign(self.lift)
+        try:
+            effect = np.array(np.linalg.solve(derivative.T, height), float)[: self.robot.nv]
+        except np.linalg.LinAlgError:
+            return False
+        config = Configuration(self.robot, solution.qpos)
+        size = abs(self.lift)
+        joints = size * self.friction.torques(effect[6:])
+        self.joint_friction = (1 - share) * self.joint_friction + share * joints
+        for foot, force in solution.forces.items():
+            turns = self.frame @ config.frame_jacobian(self.robot.foot_frames[foot])[3:]
+            moment = size * self.friction.moment(foot, force, turns @ effect)
+            before = self.moments.get(foot, np.zeros(3))
+            self.moments[foot] = (1 - share) * before + share * moment
+        return True
+
+    def _stacked(self, solution: Solution) -> Array:
+        """Returns the forces (n, 3) on the feet that touch."""
+        return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
+
+    def _newton(self, guess: Solution) -> Solution | None:
+        qpos, n = guess.qpos, self.robot.nv
+        forces = self._stacked(guess)
+        residuals: list[float] = []
+        for _ in range(_MAX_ITERATIONS):
+            residual = self.residual(qpos, forces)
+            residuals.append(float(np.abs(residual).max()))
+            if residuals[-1] < RESIDUAL_TOLERANCE:
+                named = dict(zip(self.anchors, forces, strict=True))
+                return Solution(qpos, named, tuple(residuals))
+            try:
+                step = np.array(np.linalg.solve(self.derivative(qpos, forces), -residual), float)
+            except np.linalg.LinAlgError:
+                return None
+            if not np.abs(step[:n]).max() < _TRUST:
+                return None
+            qpos, forces = move(qpos, step[:n]), forces + step[n:].reshape(-1, 3)
+        return None
+
+    # ---------------------------------------------------------------------------------- feet
+
+    def against(self, solution: Solution) -> dict[str, float]:
+        """Returns the feet that a solution has wrong, and by how much.
+
+        They pull (N), or are in the ground without touching it (m).
+        """
+        depths = self.depths(Configuration(self.robot, solution.qpos))
+        return {
+            foot: amount for foot in depths if (amount := self.wrong(foot, solution, depths)) > 0
+        }
+
+    def wrong(self, foot: str, solution: Solution, depths: dict[str, float] | None = None) -> float:
+        """Returns with how much a touching foot pulls (N), or how deep another one is (m)."""
+        if foot in self.anchors:
+            return -float(solution.forces[foot][2])
+        if depths is None:
+            depths = self.depths(Configuration(self.robot, solution.qpos))
+        return depths[foot] - TOUCHING
+
+    def switch(self, foot: str, solution: Solution) -> Solution:
+        """Lets go of a foot that touches, or lets another one touch where it is.
+
+        Returns:
+            What to begin the next iteration with.
+        """
+        forces = dict(solution.forces)
+        if foot in self.anchors:
+            del self.anchors[foot], forces[foot]
+        else:
+            config = Configuration(self.robot, solution.qpos)
+            frame = self.robot.foot_frames[foot]
+            self.anchors[foot] = Anchor(config.frame_position(frame), config.frame_rotation(frame))
+            pressed = self.laws[foot].force(max(0.0, self.depths(config)[foot]))
+            forces[foot] = np.array([0.0, 0.0, pressed])
+        for kept in (self.crept, self.yielding, self.moments):
+            kept.pop(foot, None)
+        return Solution(solution.qpos, forces, solution.residuals)
+
+    def slipping(self, solution: Solution) -> tuple[str, ...]:
+        """Returns the pinned feet that slip."""
+        forces = self._stacked(solution)
+        _, places, _ = self.terms(solution.qpos, forces)
+        places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
+        names = tuple(self.anchors)
+        return tuple(names[row] for row, *_ in self._slipping(forces, places))
+
+    def begin_creep(self, solution: Solution, seconds: float) -> None:
+        """Begins a step of creep, with the viscosities of where it begins."""
+        _, places, _ = self.terms(solution.qpos, self._stacked(solution))
+        self.crept = dict(zip(self.anchors, places[:, :2], strict=True))
+        self.yielding = {
+            foot: seconds / self.viscosity(foot, depth)
+            for foot, depth in zip(self.anchors, places[:, 2], strict=True)
+        }
+
+    def viscosity(self, foot: str, depth: float) -> float:
+        """Returns tangential force per velocity (N s/m); infinite where a foot pulls."""
+        return self.laws[foot].viscosity(depth) if depth > 0 else math.inf
+
+    # ---------------------------------------------------------------------------------- judging
+
+    def friction_left(self, forces: dict[str, Array]) -> float:
+        """Returns the least of mu f_n - |f_t|, in parts of the weight."""
+        left = [
+            self.robot.contacts[foot].sliding_friction * force[2] - np.linalg.norm(force[:2])
+            for foot, force in forces.items()
+        ]
+        return float(min(left) / (self.robot.total_mass * np.linalg.norm(self.robot.gravity)))
+
+    def stiffness(self, solution: Solution) -> float:
+        """Returns the least eigenvalue of the Hessian where the feet allow it to move."""
+        config, n = Configuration(self.robot, solution.qpos), self.robot.nv
+        forces = self._stacked(solution)
+        derivative = self.derivative(solution.qpos, forces)
+        _, places, jacobian = self.terms(solution.qpos, forces)
+        normal = jacobian[2::3]
+        rates = np.array(
+            [self.laws[f].rate(d) for f, d in zip(self.anchors, places[:, 2], strict=True)]
+        )
+        pushed = normal.copy()  # where a foot's normal force acts, with the friction it brings
+        slipping = self.slipping(solution)
+        for row, foot in enumerate(self.anchors):
+            if foot in slipping:
+                force = solution.forces[foot]
+                pushed[row] += force[:2] / force[2] @ jacobian[3 * row : 3 * row + 2]
+        hessian = derivative[:n, :n] + pushed.T @ (rates[:, None] * normal)
+        sticks = [row for row, foot in enumerate(self.anchors) if foot not in slipping]
+        held = jacobian.reshape(-1, 3, n)[sticks, :2].reshape(-1, n)
+        if self.feet == "sliding":  # as a whole it may be anywhere, turned anyhow about z
+            held = np.eye(3, n)
+            held[2] = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
+        free = linalg.null_space(held)
+        reduced = free.T @ hessian @ free, free.T @ config.mass_matrix() @ free
+        return float(linalg.eigvals(*reduced).real.min())
+
+
+def move(qpos: Array, step: Array) -> Array:
+    """Returns the qpos (nq,) after a step (nv,) in the directions of qvel."""
+    w, x, y, z = qpos[3:7]
+    x, y, z, w = (pin.Quaternion(w, x, y, z) * pin.Quaternion(pin.exp3(step[3:6]))).coeffs()
+    moved: Array = np.concatenate([qpos[:3] + step[:3], (w, x, y, z), qpos[7:] + step[6:]])
+    return moved

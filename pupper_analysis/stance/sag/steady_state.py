@@ -1,0 +1,299 @@
+"""How far a standing robot sags: where its servos let it come to rest on soft ground."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
+from pupper_analysis.results import Result
+from pupper_analysis.robot import contact
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet, Solution
+from pupper_analysis.stance.sag.way import Way
+from pupper_analysis.stance.stand import Stand
+from pupper_analysis.statics.support_polygon import drop_at
+
+Array = NDArray[np.float64]
+
+RELEASE_MARGIN = 0.06
+"""A ``release_margin`` that keeps the feet in place: what contacts add to the first order."""
+
+HIGHEST_KP = 1e4
+"""The stiffest servos that ``least_kp`` tries (N m/rad): 2000 times v3's."""
+
+
+@dataclass(frozen=True, eq=False)
+class SettledPose(Result):
+    """An equilibrium of a servo-driven robot on its feet.
+
+    Attributes:
+        feet: What the feet do: ``pinned`` or ``sliding``.
+        qpos: (nq,) the configuration.
+        base_height: m.
+        height_loss: Stand's height less this one (m); the sum of the next two.
+        servo_sag: The part lost in the joints (m).
+        contact_sag: The part lost in the softness of feet and ground (m).
+        joint_torques: (nu,) of the motors (N m).
+        saturated: The joints whose servo is at its force limit.
+        carrying: The feet that carry: lifted ones that came down to the ground too, and without
+            those of the stand that the ground would have to pull.
+        contact_forces: {foot: (3,)} of the ground on every foot, in world axes (N); zero for those
+            that do not touch.
+        foot_creep: {foot that carries: speed} at which MuJoCo's friction lets it creep, if pinned
+            (m/s).
+        height_drift: The rate of the base's height that comes of it (m/s). A simulated height is
+            the predicted one within D for about D / |height_drift| seconds.
+        iterations: Newton steps, on all of the way from the stand.
+        residual: The largest element left of the equations (N, N m, m).
+        residuals: The same after each step of the last Newton iteration.
+        stiffness: The least eigenvalue of the energy's Hessian on the null space of what the feet
+            hold, relative to the mass matrix (rad^2/s^2): the square of the lowest natural
+            frequency without damping.
+        stable: Whether it is positive.
+        release_margin: What friction has left, at the foot that has the least, in parts of the
+            weight, as the robot overshoots when its feed-forward is taken away at once: it is then
+            twice as far from the stand as the equilibrium, to first order. Below
+            ``RELEASE_MARGIN`` a foot may slip or lift in that fall, and the robot comes to rest
+            elsewhere, by up to millimetres. Let down slowly they stay; but then dry friction, which
+            is left out, holds the robot above the equilibrium: v3 by 1.8 mm (``settled_band``).
+        failures: Why the robot will not stand so; empty if it will.
+    """
+
+    feet: Feet
+    qpos: Array
+    base_height: float
+    height_loss: float
+    servo_sag: float
+    contact_sag: float
+    joint_torques: Array
+    saturated: tuple[str, ...]
+    carrying: tuple[str, ...]
+    contact_forces: dict[str, Array]
+    foot_creep: dict[str, float]
+    height_drift: float
+    iterations: int
+    residual: float
+    residuals: tuple[float, ...]
+    stiffness: float
+    stable: bool
+    release_margin: float
+    failures: tuple[str, ...]
+
+
+def settled_pose(
+    robot: Robot,
+    stand: Stand,
+    *,
+    kp: ArrayLike | None = None,
+    feedforward: bool = False,
+    feet: Feet = "pinned",
+    seconds: float = 0.0,
+) -> SettledPose:
+    """Predicts where position servos let a standing robot sag to.
+
+    The equilibrium of tau = clip(kp (ctrl - q), +- limit), gravity, and feet on the soft ground:
+
+        g(q) - S^T tau - sum J_i(q)^T f_i = 0
+        depth_i = r_i - z_i(q) = depth of f_i  if f_i > 0,   depth_i <= 0  if f_i = 0
+
+    J_i is the Jacobian of the material point at the contact. Pinned, that point stays (the foot
+    rolls on it), or creeps with -f_t / c as MuJoCo's friction has it, if ``seconds`` are given;
+    sliding, its tangential force is zero. Newton's iteration follows the equilibrium from the stand
+    itself, which full feed-forward holds, while feed-forward is taken away. Where on that way a
+    lifted foot touches the ground it is pinned there and carries from then on; where a foot would
+    have to pull it lets go. Then backward Euler steps follow the creep.
+
+    Dry friction, of joints and of rolling feet, is left out; ``settled_band`` has it.
+
+    Args:
+        robot: The robot.
+        stand: How it shall stand.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        feet: ``pinned``: friction holds, as rubber's does for good and MuJoCo's for seconds.
+            ``sliding``: no tangential force is left, where MuJoCo's creeping feet end.
+        seconds: How long pinned feet have crept (s).
+
+    Returns:
+        The equilibrium; ``failures`` says why the robot will not stand so.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the robot cannot stand.
+        UnknownNameError: If the stand is another robot's, with other feet.
+        ModelError: If a joint has no motor, or the model has no servos and no kp is given.
+        StaticsInfeasibleError: If no contact forces balance the stand itself.
+        NoEquilibriumError: If there is no equilibrium that continues the stand.
+    """
+    check_request(robot, stand, feet, seconds)
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    way = Way(Equilibrium(robot, stand, kp, feet))
+    return settle(way, feedforward=feedforward, seconds=seconds)
+
+
+def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
+    """Checks what a prediction is asked for.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the robot cannot stand.
+        UnknownNameError: If the stand is another robot's, with other feet.
+    """
+    if not robot.floating or not robot.contacts or stand.qpos.shape != (robot.nq,):
+        raise ConfigurationError("robot", f"{robot.name} cannot stand on its feet like that")
+    for foot in stand.foot_targets:
+        robot.check_foot(foot)
+    if feet not in ("pinned", "sliding"):
+        raise ConfigurationError("feet", f"{feet!r} is neither 'pinned' nor 'sliding'")
+    if not 0 <= seconds < math.inf or (seconds and feet == "sliding"):
+        raise ConfigurationError("seconds", f"{seconds} s: feet that are pinned creep for >= 0 s")
+    if feet == "sliding" and stand.task.ground.slope:
+        raise ConfigurationError("feet", "on a slope only friction holds a robot: they are pinned")
+    slippery = [foot for foot in robot.feet if robot.contacts[foot].sliding_friction <= 0]
+    if feet == "pinned" and slippery:
+        raise ConfigurationError(
+            "feet", f"{', '.join(slippery)} have no friction on the ground: they are 'sliding'"
+        )
+
+
+def settle(way: Way, *, feedforward: bool, seconds: float = 0.0) -> SettledPose:
+    """Goes a way to its end; see ``settled_pose``.
+
+    Args:
+        way: The way, at its beginning.
+        feedforward: Keep the feed-forward.
+        seconds: How long pinned feet creep then (s).
+
+    Raises:
+        NoEquilibriumError: If there is no equilibrium that continues the stand.
+    """
+    way.follow(0.0 if feedforward else 1.0)
+    margin = release_margin(way)
+    if seconds:
+        way.creep(seconds)
+    return pose_at(way, margin)
+
+
+def release_margin(way: Way) -> float:
+    """Returns the ``release_margin`` of a ``SettledPose`` at the end of a way."""
+    held = {f: way.system.frame @ force for f, force in way.balance.contact_forces.items()}
+    overshot = {
+        foot: 2 * way.solution.force(foot) - held.get(foot, np.zeros(3))
+        for foot in {*held, *way.solution.forces}
+    }
+    return way.system.friction_left(overshot)
+
+
+def least_kp(
+    robot: Robot, stand: Stand, *, feet: Feet = "pinned", tolerance: float = 0.01
+) -> float:
+    """Finds the least uniform kp with which a robot stands without feed-forward, by bisection.
+
+    It stands if ``settled_pose`` has no failures (so a lifted foot that comes down to the ground
+    is none of its standing) and keeps half of the stand's height.
+
+    Args:
+        robot: The robot.
+        stand: How it shall stand.
+        feet: What the feet do, as in ``settled_pose``.
+        tolerance: Relative, of the result.
+
+    Returns:
+        kp (N m/rad), rounded up: with it the robot does stand.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the robot cannot stand.
+        UnknownNameError: If the stand is another robot's, with other feet.
+        ModelError: If a joint has no motor.
+        StaticsInfeasibleError: If no contact forces balance the stand itself.
+        NoStiffnessError: If it does not stand with any kp up to ``HIGHEST_KP``; says why.
+    """
+    if not 0 < tolerance < 1:
+        raise ConfigurationError("tolerance", f"{tolerance} is not between 0 and 1")
+
+    def obstacle(kp: float) -> str:
+        try:
+            pose = settled_pose(robot, stand, kp=kp, feet=feet)
+        except NoEquilibriumError as error:
+            return str(error)
+        if pose.base_height <= 0.5 * float(stand.qpos[2]):
+            return f"the base sags to {pose.base_height:.3f} m"
+        return "; ".join(pose.failures)
+
+    low, high = 0.0, 1.0
+    while problem := obstacle(high):
+        low, high = high, 2 * high
+        if high > HIGHEST_KP:
+            raise NoStiffnessError(robot.name, low, problem)
+    while high - low > tolerance * high:
+        middle = (low + high) / 2
+        low, high = (middle, high) if obstacle(middle) else (low, middle)
+    return high
+
+
+def pose_at(way: Way, margin: float) -> SettledPose:
+    """Looks at where a way has come to, from all sides; ``margin`` is its release margin."""
+    system, solution = way.system, way.solution
+    robot, stand, qpos = system.robot, system.stand, solution.qpos
+    forces = np.array(list(solution.forces.values())).reshape(-1, 3)
+    derivative = system.derivative(qpos, forces)
+    stiffness = system.stiffness(solution)
+    depths = system.depths(Configuration(robot, qpos))
+    creep, flow = np.zeros((len(forces), 2)), np.zeros(len(derivative))
+    if system.feet == "pinned":
+        viscosities = [system.viscosity(foot, depths[foot]) for foot in system.anchors]
+        creep = -forces[:, :2] / np.array(viscosities)[:, None]
+    flow[robot.nv :].reshape(-1, 3)[:, :2] = creep
+    targets = np.array([stand.foot_targets[foot] for foot in stand.carrying])
+    centres = Configuration(robot, qpos).foot_positions()
+    reached = np.array([centres[foot] for foot in stand.carrying])
+    loss = float(stand.qpos[2] - qpos[2])
+    contact_sag = drop_at(stand.qpos[:2], targets, (targets - reached)[:, 2])
+    torques = system.torques(qpos)
+    names = np.array(robot.joint_names)
+    return SettledPose(
+        feet=system.feet,
+        qpos=qpos,
+        base_height=float(qpos[2]),
+        height_loss=loss,
+        servo_sag=loss - contact_sag,
+        contact_sag=contact_sag,
+        joint_torques=torques,
+        saturated=tuple(names[(torques <= system.lower) | (torques >= system.upper)].tolist()),
+        carrying=tuple(foot for foot in robot.feet if foot in solution.forces),
+        contact_forces={foot: system.frame.T @ solution.force(foot) for foot in robot.feet},
+        foot_creep=dict(zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)),
+        height_drift=float(np.linalg.solve(derivative, flow)[2]),
+        iterations=way.iterations,
+        residual=solution.residuals[-1],
+        residuals=solution.residuals,
+        stiffness=stiffness,
+        stable=stiffness > 0,
+        release_margin=margin,
+        failures=_failures(system, solution, stiffness),
+    )
+
+
+def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tuple[str, ...]:
+    robot, stand, slipping = system.robot, system.stand, system.slipping(solution)
+    failures = [] if stiffness > 0 else [f"the equilibrium is not stable ({stiffness:.3g} 1/s^2)"]
+    for foot, force in solution.forces.items():
+        if foot not in stand.carrying:
+            failures.append(f"foot {foot}, lifted, touches the ground, with {force[2]:.2f} N")
+        elif foot in slipping:
+            failures.append(f"foot {foot} slides")
+    idle = [foot for foot in stand.carrying if foot not in solution.forces]
+    failures += [f"foot {foot} carries nothing" for foot in idle]
+    qpos = solution.qpos
+    beyond = (qpos[7:] < robot.lower_limits) | (qpos[7:] > robot.upper_limits)
+    failures += [f"joint {robot.joint_names[i]} is at its limit" for i in np.flatnonzero(beyond)]
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_forward(robot.mj_model, data)
+    _, others = contact.ground_forces(robot.mj_model, data, robot.soles)
+    return (*failures, *(f"{body} touches the ground" for body in sorted(others)))

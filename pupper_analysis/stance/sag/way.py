@@ -1,0 +1,194 @@
+"""The way of a robot from its stand to where it comes to rest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from pupper_analysis.errors import NoEquilibriumError
+from pupper_analysis.stance.sag.equilibrium import Equilibrium, Solution
+from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.statics.equilibrium import GravityCompensation, LoadSharing
+
+Array = NDArray[np.float64]
+
+_LEAST_STEP = 1 / 64  # of the feed-forward, or of friction, in one step
+_SHARE_TOLERANCE = 1e-7  # of the feed-forward: when a foot touches or lets go, to nanometres
+_MAX_EVENTS = 24  # feet that touch or let go on the way: more is chatter
+_NEARLY = 0.95  # of its friction: a foot that is about to slide, as far as a step can tell
+_CREEP_STEPS = 20
+
+
+class Way:
+    """The way of an equilibrium from the stand: feed-forward is taken away, then the feet creep.
+
+    Args:
+        system: The equations.
+        end: (nu,) what the servos are commanded at its end (rad); by default the stand's joint
+            positions, without any feed-forward.
+
+    Attributes:
+        system: The equations; their feet touch as they do where the way has come to.
+        balance: What holds the stand itself.
+        share: Of the feed-forward, how much is taken away.
+        solution: The equilibrium there.
+        iterations: Newton steps so far.
+
+    Raises:
+        StaticsInfeasibleError: If no contact forces balance the stand itself.
+        NoEquilibriumError: If it is no equilibrium on soft ground.
+    """
+
+    def __init__(self, system: Equilibrium, end: Array | None = None) -> None:
+        self.system, stand = system, system.stand
+        self.end: Array = stand.qpos[7:] if end is None else end
+        self.balance: GravityCompensation = stand_statics(
+            system.robot, stand, sharing=LoadSharing.EVEN
+        )
+        self.share, self.iterations, self._events = 0.0, 0, 0
+        forces = {f: system.frame @ force for f, force in self.balance.contact_forces.items()}
+        sunk = system.sunk(np.array(list(forces.values())))
+        qpos = stand.qpos.copy()
+        qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
+        self._command(0.0)
+        self.solution = self._settled(Solution(qpos, forces), "as it stands, with feed-forward,")
+
+    def follow(self, goal: float) -> None:
+        """Takes away the share ``goal`` of the feed-forward, in one step or in smaller ones.
+
+        Raises:
+            NoEquilibriumError: If the equilibrium ends before.
+        """
+        step = 1.0
+        while self.share < goal:
+            wanted = min(self.share + step, goal)
+            found = self._at(wanted)
+            if found is not None:
+                wrong = self.system.against(found)
+                if not wrong:
+                    self.share, self.solution = wanted, found
+                    continue
+                if self._event(list(wrong), wanted):
+                    continue
+            step /= 2
+            if step < _LEAST_STEP:
+                raise NoEquilibriumError(
+                    self.share,
+                    f"with {self.system.feet} feet and kp = {self.system.kp.min():.3g} N m/rad it "
+                    f"ends where {self.share:.0%} of the feed-forward is taken away"
+                    f"{self._about_to_slide()}",
+                )
+
+    def creep(self, seconds: float) -> None:
+        """Lets pinned feet creep.
+
+        Raises:
+            NoEquilibriumError: If the equilibrium ends before.
+        """
+        for number in range(_CREEP_STEPS):
+            self.system.begin_creep(self.solution, seconds / _CREEP_STEPS)
+            after = f"after {number * seconds / _CREEP_STEPS:.1f} s of creep"
+            self.solution = self._settled(self.solution, after)
+
+    def rub(self, goal: float) -> float:
+        """Brings in dry friction, from where it is to ``lift`` = goal, in one step or in smaller.
+
+        Returns:
+            How far it got: less than ``goal`` if a stable equilibrium ends before.
+        """
+        system, step = self.system, goal - self.system.lift
+        while abs(goal - system.lift) > _LEAST_STEP**2:
+            before = system.lift, dict(system.anchors), dict(system.moments), self.solution
+            joints = system.joint_friction
+            system.lift = system.lift + step if abs(goal - system.lift) > abs(step) else goal
+            try:
+                self.solution = self._settled(self.solution, "with friction")
+                stable = system.stiffness(self.solution) > 0
+            except NoEquilibriumError:
+                stable = False
+            if not stable:
+                system.lift, system.anchors, system.moments, self.solution = before
+                system.joint_friction = joints
+                step /= 2
+                if abs(step) < _LEAST_STEP:
+                    break
+        return system.lift
+
+    def _about_to_slide(self) -> str:
+        mu = self.system.friction.sliding
+        feet = [
+            foot
+            for foot, force in self.solution.forces.items()
+            if np.linalg.norm(force[:2]) > _NEARLY * mu[foot] * force[2]
+        ]
+        pinned = self.system.feet == "pinned"
+        return f": there {' and '.join(feet)} begin to slide" if feet and pinned else ""
+
+    def _command(self, share: float) -> None:
+        system = self.system
+        full = system.stand.qpos[7:] + self.balance.joint_torques / system.kp
+        system.target = full + share * (self.end - full)
+
+    def _at(self, share: float) -> Solution | None:
+        """Returns the equilibrium at a share, the feet touching as they do; None if none."""
+        self._command(share)
+        found = self.system.solve(self.solution)
+        self.iterations += 0 if found is None else len(found.residuals) - 1
+        return found
+
+    def _event(self, feet: list[str], wanted: float) -> bool:
+        """Goes on to where, before ``wanted``, the first of some feet touches or lets go.
+
+        Returns:
+            Whether that place was found.
+        """
+
+        def amount(share: float, foot: str) -> float:
+            found = self._at(share)
+            if found is None:
+                raise ArithmeticError
+            return self.system.wrong(foot, found)
+
+        first, place = "", math.inf
+        for foot in feet:
+            try:
+                if amount(self.share, foot) >= 0:  # it just touched, and would let go at once
+                    share = self.share
+                else:
+                    share = optimize.brentq(
+                        amount, self.share, wanted, (foot,), xtol=_SHARE_TOLERANCE
+                    )
+            except ArithmeticError:
+                return False
+            if share < place:
+                first, place = foot, share
+        found = self._at(place)
+        if found is None:
+            return False
+        self.share = place
+        self._switch(first, found)
+        return True
+
+    def _switch(self, foot: str, found: Solution) -> None:
+        self._events += 1
+        if self._events > _MAX_EVENTS:
+            raise NoEquilibriumError(
+                self.share, f"foot {foot} neither carries nor clears the ground"
+            )
+        self.solution = self.system.switch(foot, found)
+
+    def _settled(self, guess: Solution, when: str) -> Solution:
+        """Returns the equilibrium with the feet that touch in it, beginning with those that do."""
+        self.solution = guess
+        while True:
+            found = self.system.solve(self.solution)
+            if found is None:
+                raise NoEquilibriumError(self.share, f"{when} it ends")
+            self.iterations += len(found.residuals) - 1
+            wrong = self.system.against(found)
+            if not wrong:
+                return found
+            self._switch(next(iter(wrong)), found)

@@ -1,0 +1,329 @@
+"""The search for a stand: in every branch of the legs, and with the com wherever it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.branches import Branch, Limb, branches, combinations
+from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.problem import Goal
+from pupper_analysis.stance.solver import TASK_TOLERANCE, TOUCHING, Point, Solver, Stand, measure
+from pupper_analysis.statics.support_polygon import support_polygon
+
+Array = NDArray[np.float64]
+
+_NEAR_MISS = 1e-3  # m: feet that miss by less may be in reach with the com's last micrometres
+
+_ATTEMPTS = 64
+"""The most choices of branches that are tried in full for one place of the com."""
+
+_CLEARED = 4
+"""Stands with a part in the ground that are tried once more with it kept out (SLSQP, slow)."""
+
+_OUTWARDS = 0.8
+"""How far towards the support polygon's corners searches begin: there the com can still move."""
+
+_SAME = 1e-3
+"""Configurations that differ by less come to the same stand (rad, m)."""
+
+_ATTEMPTS_INSIDE = 8
+"""The same for each of the places where a com that may be anywhere inside begins."""
+
+_SLACK = 1.5
+"""How much further than the legs' branches shift the com the base may be off, for a com's place."""
+
+
+def search(shapes: Shapes, goal: Goal, hints: Sequence[Array] = ()) -> Stand:
+    """Looks for a stand everywhere: from the usual starts, then in every branch of the legs.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: The goal.
+        hints: Joint positions (nu,) from which to start first.
+
+    Returns:
+        A stand that is solved, or else the best failure: with the feet as near as they came, or
+        where they are in place, with something in the way.
+    """
+    there = _At(shapes, goal)
+    best = there.search(hints)
+    if best.solved or goal.task.com != "inside" or goal.by_base:
+        return best
+    return _search_inside(shapes, goal, best, there.found, hints)
+
+
+class _At:
+    """The search with the com, or the base, at the goal's place.
+
+    What it came to: feet in place count first, then what is in the way.
+    """
+
+    def __init__(self, shapes: Shapes, goal: Goal) -> None:
+        self.shapes, self.goal = shapes, goal
+        self.points: list[Point] = []
+        self.reached: list[Stand] = []
+        self.found: dict[Limb, tuple[Branch, ...]] = {}
+
+    def search(self, hints: Sequence[Array]) -> Stand:
+        """Tries all starts, until one leads to a stand."""
+        robot, goal = self.shapes.robot, self.goal
+        solver = Solver(self.shapes, goal)
+        if self._any(solver, (*hints, *starts(robot, goal))):
+            return self.result()
+        base = min(self.points, key=lambda point: point.miss).qpos
+        self.found = branches(robot, base, goal.targets, goal.lower, goal.upper)
+        reach = 0.0 if goal.by_base else _shift(robot, base, self.found)
+        bent = tuple(choices(robot, goal, self.found, reach, _ATTEMPTS))
+        if self._any(solver, bent):
+            return self.result()
+        if goal.task.self_clearance is not None:  # without the avoidance they may be apart as well
+            solver = Solver(self.shapes, goal, apart=False)
+            self._any(solver, (*starts(robot, goal), *bent))
+        return self.result()
+
+    def _any(self, solver: Solver, joints: Iterable[Array]) -> bool:
+        return any(self.add(solver.run(start)) for start in joints)
+
+    def add(self, point: Point) -> bool:
+        """Adds where a solver ended; returns whether it is a solved stand."""
+        self.points.append(point)
+        if point.miss >= 2 * TASK_TOLERANCE:
+            return False
+        self.reached.append(self._measure(point))
+        return self.reached[-1].solved
+
+    def result(self) -> Stand:
+        """Returns the solved stand; or that with the least in the way; or what misses least."""
+        if self.reached:
+            return max(self.reached, key=lambda stand: (stand.solved, _room(stand)))
+        return self._measure(min(self.points, key=lambda point: point.miss))
+
+    def _measure(self, point: Point) -> Stand:
+        iterations = sum(tried.iterations for tried in self.points)
+        return measure(self.shapes, self.goal, point.qpos, iterations)
+
+
+def _search_inside(
+    shapes: Shapes,
+    goal: Goal,
+    centred: Stand,
+    bent: Mapping[Limb, tuple[Branch, ...]],
+    hints: Sequence[Array],
+) -> Stand:
+    """The search with the com anywhere inside, where the centre is out of reach.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: The goal.
+        centred: The best failure with the com over the centre.
+        bent: The legs' branches there.
+        hints: Joint positions (nu,) from which to start first.
+    """
+    robot = shapes.robot
+    reach = _radius(goal) + _shift(robot, centred.qpos, bent)
+    if any(ways[0].miss > reach for ways in bent.values()):
+        return centred  # too far for the com to make up
+    solver, found, seen = Solver(shapes, goal, inside=True), [centred], list[Array]()
+    candidates = (
+        *(*hints, centred.joint_positions(robot), *starts(robot, goal)),
+        *choices(robot, goal, bent, reach, _ATTEMPTS_INSIDE),
+    )
+    for place in _places(goal):
+        for start in candidates:
+            point = solver.run(start, place)
+            if any(np.abs(point.qpos - other).max() < _SAME for other in seen):
+                continue
+            seen.append(point.qpos)
+            if point.miss >= _NEAR_MISS and point.miss >= found[-1].foot_error:
+                continue
+            found.append(_exactly(shapes, goal, point))
+            if found[-1].solved:
+                return found[-1]
+    blocked = [stand for stand in found if stand.foot_error < TASK_TOLERANCE]
+    for stand in sorted(blocked, key=_room, reverse=True)[:_CLEARED]:
+        clear = nearest(shapes, goal, stand.qpos, clear=True)
+        cleared = _exactly(shapes, goal, Point(clear.qpos, clear.foot_error, 0))
+        if cleared.solved:
+            return cleared
+    return max(found, key=lambda stand: (stand.foot_error < TASK_TOLERANCE, -stand.foot_error))
+
+
+def _exactly(shapes: Shapes, goal: Goal, point: Point) -> Stand:
+    """Solves once more with the com where it is, or just inside: PlaCo's polygon is soft."""
+    if point.miss >= _NEAR_MISS:
+        return measure(shapes, goal, point.qpos, point.iterations)
+    com = Configuration(shapes.robot, point.qpos).center_of_mass()[:2]
+    exact = replace(goal, place=pushed_inside(com, goal))
+    again = Solver(shapes, exact).run(point.qpos[7:])
+    return measure(shapes, exact, again.qpos, point.iterations + again.iterations)
+
+
+def _places(goal: Goal) -> list[Array]:
+    """Returns where a com that may be anywhere inside begins: the centre, corners and sides."""
+    centre = goal.contacts[:, :2].mean(axis=0)
+    corners = centre + _OUTWARDS * (support_polygon(goal.contacts) - centre)
+    sides = (corners + np.roll(corners, 1, axis=0)) / 2
+    return [pushed_inside(place, goal) for place in (centre, *corners, *sides)]
+
+
+def pushed_inside(place: Array, goal: Goal) -> Array:
+    """Returns the nearest place (2,) to one that has the task's margin in the support polygon."""
+    polygon = shapely.Polygon(support_polygon(goal.contacts))
+    inner = polygon.buffer(-(goal.task.com_margin + TASK_TOLERANCE), join_style="mitre")
+    point = shapely.Point(place)
+    if inner.is_empty or inner.contains(point):
+        return place
+    line = shapely.shortest_line(inner, point)  # from the polygon to the point
+    return np.array(line.coords[0])
+
+
+def _room(stand: Stand) -> float:
+    """How much nearer than allowed anything is, negative (m)."""
+    ground, links = stand.ground_clearance, stand.self_clearance
+    room = 0.0
+    if ground is not None:
+        room = min(room, ground.distance - stand.task.ground_clearance)
+    if links is not None:
+        room = min(room, links.distance - (stand.task.self_clearance or 0.0))
+    return room
+
+
+def starts(robot: Robot, goal: Goal) -> Iterator[Array]:
+    """Yields joint positions to start from: the posture, home, the middle of the limits."""
+    if goal.task.posture is not None:
+        yield np.array(goal.task.posture)
+    yield robot.home[7:]
+    bounded = np.isfinite(goal.lower) & np.isfinite(goal.upper)
+    middle = (np.where(bounded, goal.lower, 0) + np.where(bounded, goal.upper, 0)) / 2
+    yield np.where(bounded, middle, 0.0)
+
+
+def choices(
+    robot: Robot, goal: Goal, found: Mapping[Limb, tuple[Branch, ...]], reach: float, most: int
+) -> Iterator[Array]:
+    """Yields a start for every choice of the legs' branches that may be in reach.
+
+    Args:
+        robot: The robot.
+        goal: The goal.
+        found: {limb: its branches}.
+        reach: How far the base may be from where they were found (m): a foot that misses by more
+            stays out of reach, since its distance changes by no more than the base moves.
+        most: How many at most.
+    """
+    near = robot.home[7:] if goal.task.posture is None else np.array(goal.task.posture)
+    likely = {
+        limb: tuple(branch for branch in ways if branch.miss <= reach + _NEAR_MISS)
+        for limb, ways in found.items()
+    }
+    yield from islice(combinations(likely, near), most)
+
+
+def _radius(goal: Goal) -> float:
+    """Returns how far from the centre a com inside may be (m)."""
+    centre = goal.contacts[:, :2].mean(axis=0)
+    return float(np.linalg.norm(support_polygon(goal.contacts) - centre, axis=1).max())
+
+
+def _shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) -> float:
+    """Returns how far the choice of branches may move the base under a com that stays (m)."""
+    total = 0.0
+    for limb, ways in found.items():
+        coms = []
+        for branch in ways:
+            bent = qpos.copy()
+            bent[robot.nq - robot.nu + limb.joints] = branch.positions
+            coms.append(Configuration(robot, bent).center_of_mass()[:2])
+        total += float(np.max(np.linalg.norm(np.array(coms) - coms[0], axis=1)))
+    return _SLACK * total + _NEAR_MISS
+
+
+def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) -> Stand:
+    """Finds how near the feet can come to targets that are out of reach.
+
+    The sum of the squared distances is minimised over the base's place and the joints, inside their
+    limits, with the base's orientation and height and the com's place as the task has them. PlaCo's
+    Gauss-Newton steps, made for errors that vanish, stop short of that minimum. If ``clear``, no
+    part but the feet may be lower than the task allows.
+    """
+    from scipy import optimize  # slow to import
+
+    robot = shapes.robot
+    free = [0, 1, *range(7, robot.nq)]
+    columns = [0, 1, *range(6, robot.nv)]
+
+    def at(values: Array) -> Configuration:
+        qpos = start.copy()
+        qpos[free] = values
+        return Configuration(robot, qpos)
+
+    def distances(values: Array) -> tuple[float, Array]:
+        config = at(values)
+        positions, jacobians = config.foot_positions(), config.foot_jacobians()
+        total, gradient = 0.0, np.zeros(len(free))
+        for foot, target in goal.targets.items():
+            error = positions[foot] - target
+            total += float(error @ error)
+            gradient += 2 * error @ jacobians[foot][:, columns]
+        return total, gradient
+
+    constraint: dict[str, object]
+    if goal.task.com == "inside":
+        sides = _sides(goal.contacts)
+        constraint = {
+            "type": "ineq",
+            "fun": lambda values: (
+                sides[:, :2] @ at(values).center_of_mass()[:2] + sides[:, 2] - goal.task.com_margin
+            ),
+            "jac": lambda values: sides[:, :2] @ at(values).com_jacobian()[:2, columns],
+        }
+    elif goal.by_base:
+        constraint = {
+            "type": "eq",
+            "fun": lambda values: values[:2] - goal.place,
+            "jac": lambda values: np.eye(2, len(values)),
+        }
+    else:
+        constraint = {
+            "type": "eq",
+            "fun": lambda values: at(values).center_of_mass()[:2] - goal.place,
+            "jac": lambda values: at(values).com_jacobian()[:2, columns],
+        }
+    constraints = [constraint]
+    if clear:
+
+        def room(values: Array) -> Array:
+            heights = shapes.heights(at(values).qpos, goal.task.ground, goal.targets, goal.depths)
+            finite: Array = heights[np.isfinite(heights)]
+            return finite - (goal.task.ground_clearance + TOUCHING)
+
+        constraints.append({"type": "ineq", "fun": room})
+    outcome = optimize.minimize(
+        distances,
+        start[free],
+        jac=True,
+        method="SLSQP",
+        bounds=[(None, None), (None, None), *zip(goal.lower, goal.upper, strict=True)],
+        constraints=constraints,
+        options={"ftol": 1e-14, "maxiter": 200},
+    )
+    return measure(shapes, goal, at(outcome.x).qpos, 0)
+
+
+def _sides(contacts: Array) -> Array:
+    """Returns the support polygon as (n, 3): a x + b y + c is the distance inside each edge (m)."""
+    corners = support_polygon(contacts)
+    rows = []
+    for one, two in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along = (two - one) / np.linalg.norm(two - one)
+        inward = np.array([-along[1], along[0]])  # the corners run counter-clockwise
+        rows.append([*inward, -float(inward @ one)])
+    return np.array(rows)

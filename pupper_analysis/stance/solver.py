@@ -1,0 +1,286 @@
+"""A stand task solved by PlaCo: a sequence of quadratic programmes on the whole body."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+import placo
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.results import Result
+from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.clearance import Clearance, Shapes
+from pupper_analysis.stance.problem import Goal
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.support_polygon import support_polygon
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where a sequence of programmes has ended."""
+
+    qpos: Array
+    miss: float
+    iterations: int
+
+
+TASK_TOLERANCE = 1e-9
+"""Error up to which a task counts as satisfied (m, rad)."""
+
+
+TOUCHING = 1e-6
+"""How much nearer than allowed parts may come (m): rounding."""
+
+
+_STEP_TOLERANCE = 1e-13
+
+
+_MAX_ITERATIONS = 200
+
+
+_TRIGGER = 0.02  # m: links that are further than this from their least distance are left alone
+
+
+_APART_WEIGHT = 1e3  # of links staying apart, against feet
+
+
+_INSIDE_WEIGHT = 1e3  # of the com staying inside the support polygon, likewise
+
+
+_TRUST_RADIUS = 0.5  # rad per joint and iteration
+
+
+@dataclass(frozen=True, eq=False)
+class Stand(Result):
+    """A solved stand. Its errors are Pinocchio's, computed anew from ``qpos``.
+
+    Attributes:
+        task: The task, with its height filled in.
+        qpos: (nq,) the configuration.
+        foot_targets: {foot: (3,)} where the centre of each foot's sphere shall be (m).
+        depths: {foot that carries: how deep it has sunk into the ground (m)}; 0 on rigid ground.
+        carrying: The feet that carry.
+        normals: {foot that carries: (3,) direction out of the ground}.
+        contact_points: {foot that carries: (3,) where it touches the ground (m)}.
+        foot_error: The largest distance of a foot from its target (m).
+        orientation_error: Angle between the base's orientation and the task's (rad).
+        height_error: Of the base frame (m).
+        com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
+            base frame.
+        ground_clearance: How high the lowest part other than the feet is above the ground, by the
+            URDF's shapes; None if it has none.
+        self_clearance: The least distance between links that are not neighbours; None if it was
+            not asked for.
+        iterations: Quadratic programmes solved.
+        robot: Whose stand it is: the ``fingerprint`` of the robot.
+    """
+
+    task: StandTask
+    qpos: Array
+    foot_targets: dict[str, Array]
+    depths: dict[str, float]
+    carrying: tuple[str, ...]
+    normals: dict[str, Array]
+    contact_points: dict[str, Array]
+    foot_error: float
+    orientation_error: float
+    height_error: float
+    com_error: float
+    ground_clearance: Clearance | None
+    self_clearance: Clearance | None
+    iterations: int
+    robot: str
+
+    @property
+    def blocked(self) -> tuple[str, ...]:
+        """What comes nearer to the ground, or to another link, than the task allows."""
+        found = []
+        near, least = self.ground_clearance, self.task.ground_clearance
+        if near is not None and near.distance < least - TOUCHING:
+            found.append(f"{near.links[0]} is {_distance(near, 'above', 'in')} the ground")
+        near, least = self.self_clearance, self.task.self_clearance or 0.0
+        if near is not None and near.distance < least - TOUCHING:
+            found.append(f"{near.links[0]} is {_distance(near, 'from', 'in')} {near.links[1]}")
+        return tuple(found)
+
+    @property
+    def solved(self) -> bool:
+        """Whether the feet are where they shall be, and nothing is in the way."""
+        return self.foot_error < TASK_TOLERANCE and not self.blocked
+
+    def check(self, robot: Robot) -> None:
+        """Checks that it is a robot's stand.
+
+        Raises:
+            ConfigurationError: If it is another robot's.
+        """
+        if self.robot.rpartition(" ")[2] != robot.fingerprint.rpartition(" ")[2]:
+            whose = self.robot.rpartition(" ")[0]
+            raise ConfigurationError(
+                "stand", f"it is a stand of {whose}, as that was loaded; solve it for {robot.name}"
+            )
+
+    def joint_positions(self, robot: Robot) -> Array:
+        """Returns the joints' part (nu,) of ``qpos`` (rad)."""
+        return self.qpos[robot.nq - robot.nu :]
+
+
+def _distance(near: Clearance, apart: str, inside: str) -> str:
+    return f"{1e3 * abs(near.distance):.1f} mm {apart if near.distance >= 0 else inside}"
+
+
+class Solver:
+    """PlaCo's tasks for one goal, solved from any start.
+
+    The base's orientation and height and the com's place are hard constraints, which the free base
+    can always satisfy; the feet are the objective, which vanishes if the stance is in reach. Where
+    links shall stay apart, PlaCo's avoidance of self-collisions weighs more than the feet.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: The goal.
+        inside: The com may be anywhere in the support polygon with the task's margin, instead of
+            at ``goal.place``.
+        apart: Heed the task's least distance between links.
+    """
+
+    def __init__(
+        self, shapes: Shapes, goal: Goal, *, inside: bool = False, apart: bool = True
+    ) -> None:
+        self.shapes, self.goal, self.inside = shapes, goal, inside
+        apart = apart and goal.task.self_clearance is not None
+        if apart:
+            shapes.pair()  # before the state is set: it moves the robot
+        robot, wrapper = shapes.robot, shapes.wrapper
+        solver = self._solver = placo.KinematicsSolver(wrapper)
+        for name, low, high in zip(robot.joint_names, goal.lower, goal.upper, strict=True):
+            if np.isfinite(low) and np.isfinite(high):
+                wrapper.set_joint_limits(name, low, high)
+        solver.enable_joint_limits(True)
+        wrapper.set_velocity_limits(1.0)
+        solver.enable_velocity_limits(True)
+        self._feet = []
+        for foot, target in goal.targets.items():
+            self._feet.append(solver.add_position_task(robot.foot_frames[foot], target))
+            self._feet[-1].configure(foot, "soft", 1.0)
+        orientation = solver.add_orientation_task(robot.base, goal.task.rotation())
+        orientation.configure("orientation", "hard")
+        height = solver.add_position_task(robot.base, goal.height * UP)
+        height.mask.set_axises("z")
+        height.configure("height", "hard")
+        self._place = None
+        if inside:
+            corners = list(support_polygon(goal.contacts)[::-1])  # clockwise
+            polygon = solver.add_com_polygon_constraint(corners, goal.task.com_margin)
+            polygon.configure("inside", "soft", _INSIDE_WEIGHT)
+        else:
+            where = np.array([*goal.place, 0.0])
+            if goal.by_base:
+                self._place = solver.add_position_task(robot.base, where)
+            else:
+                self._place = solver.add_com_task(where)
+            self._place.mask.set_axises("xy")
+            self._place.configure("place", "hard")
+        if apart:
+            least = goal.task.self_clearance or 0.0
+            avoid = solver.add_avoid_self_collisions_constraint()
+            avoid.self_collisions_margin = least
+            avoid.self_collisions_trigger = least + _TRIGGER
+            avoid.configure("apart", "soft", _APART_WEIGHT)
+        # Decides between configurations that place the feet equally well; too small to move a foot.
+        solver.add_regularization_task(1e-9)
+
+    def run(self, joints: Array, place: Array | None = None) -> Point:
+        """Solves from joint positions (nu,); the base begins where it puts the com in its place.
+
+        Args:
+            joints: (nu,) where to start (rad).
+            place: (2,) where the com, or the base, begins (m); by default where it shall be.
+        """
+        wrapper, convention = self.shapes.wrapper, self.shapes.robot.pin_convention
+        qpos = upright(self.shapes.robot, self.goal, np.clip(joints, *self._range()), place)
+        wrapper.state.q = convention.q(qpos)
+        wrapper.update_kinematics()
+        # A trust region: where a step makes things worse it is undone, and the next one is shorter.
+        radius, iterations = _TRUST_RADIUS, 0
+        q, error = np.array(wrapper.state.q), math.inf
+        while iterations < _MAX_ITERATIONS and radius > _STEP_TOLERANCE:
+            iterations += 1
+            self._solver.dt = radius
+            try:
+                step = self._solver.solve(True)
+            except (
+                RuntimeError
+            ):  # an infeasible programme: within a shorter step it may be feasible
+                radius /= 4
+                wrapper.state.q = q
+                wrapper.update_kinematics()
+                continue
+            wrapper.update_kinematics()
+            new_error = sum(foot.error_norm() ** 2 for foot in self._feet)
+            if self._place is not None:
+                new_error += self._place.error_norm() ** 2
+            if new_error > error and new_error > TASK_TOLERANCE**2:
+                radius /= 4
+                wrapper.state.q = q
+                wrapper.update_kinematics()
+                continue
+            error, q = new_error, np.array(wrapper.state.q)
+            if np.abs(step).max() < _STEP_TOLERANCE:
+                break
+        miss = max(foot.error_norm() for foot in self._feet)
+        return Point(convention.qpos(np.array(wrapper.state.q)), float(miss), iterations)
+
+    def _range(self) -> tuple[Array, Array]:
+        return self.goal.lower, self.goal.upper
+
+
+def upright(robot: Robot, goal: Goal, joints: Array, place: Array | None = None) -> Array:
+    """Returns the qpos (nq,) with a goal's base, and its com or base over a place (2,) (m)."""
+    place = goal.place if place is None else place
+    qpos = robot.neutral()
+    qpos[:3] = (*place, goal.height)
+    x, y, z, w = pin.Quaternion(goal.task.rotation()).coeffs()
+    qpos[3:7] = w, x, y, z
+    qpos[7:] = joints
+    if not goal.by_base:
+        qpos[:2] += place - Configuration(robot, qpos).center_of_mass()[:2]
+    return qpos
+
+
+def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
+    """Returns the stand at a configuration, with its errors and clearances."""
+    config = Configuration(shapes.robot, qpos)
+    feet = config.foot_positions()
+    turn = goal.task.rotation().T @ config.base_rotation()
+    at = config.qpos[:2] if goal.by_base else config.center_of_mass()[:2]
+    errors = [float(np.linalg.norm(feet[foot] - target)) for foot, target in goal.targets.items()]
+    normal = goal.task.ground.normal()
+    return Stand(
+        task=goal.task,
+        qpos=config.qpos.copy(),
+        foot_targets=goal.targets,
+        depths=goal.depths,
+        carrying=goal.carrying,
+        normals=dict.fromkeys(goal.carrying, normal),
+        contact_points=dict(zip(goal.carrying, goal.contacts, strict=True)),
+        foot_error=max(errors),
+        orientation_error=float(np.linalg.norm(pin.log3(turn))),
+        height_error=abs(float(config.qpos[2]) - goal.height),
+        com_error=float(np.linalg.norm(at - goal.place)),
+        ground_clearance=shapes.above_ground(
+            config.qpos, goal.task.ground, goal.targets, goal.depths
+        ),
+        self_clearance=(
+            None if goal.task.self_clearance is None else shapes.between_links(config.qpos)
+        ),
+        iterations=iterations,
+        robot=shapes.robot.fingerprint,
+    )

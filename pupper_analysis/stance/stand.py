@@ -1,0 +1,90 @@
+"""How the robot can stand: a whole-body configuration with planted feet, solved by PlaCo."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.clearance import Shapes, shapes_of
+from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.relaxation import unreachable
+from pupper_analysis.stance.search import nearest, search
+from pupper_analysis.stance.solver import TASK_TOLERANCE, Stand
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.equilibrium import (
+    GravityCompensation,
+    LoadSharing,
+    gravity_compensation,
+)
+
+__all__ = ["Stand", "solve_stand", "stand_statics"]
+
+
+def solve_stand(
+    robot: Robot,
+    task: StandTask | None = None,
+    *,
+    depths: Mapping[str, float] | None = None,
+    explain: bool = True,
+) -> Stand:
+    """Finds the configuration that satisfies a stand task, within the joint limits.
+
+    PlaCo solves a sequence of quadratic programmes on the floating base, from the task's posture,
+    from home, and, where these do not lead there, from every way to bend the legs that may
+    (``branches``). With ``com="inside"`` the com moves to where the feet are in reach.
+
+    Args:
+        robot: A robot with a floating base.
+        task: How to stand; the nominal stand by default.
+        depths: {foot that carries: how deep it sinks into the ground (m)}; 0 where not given. The
+            base stays where the task has it. ``sunk_stand`` finds MuJoCo's.
+        explain: Where the stance is out of reach, find out how near the feet can come, which
+            demands are in the way, as few as possible, and how far they would have to give (a
+            second, or some where the com may be anywhere inside).
+            Otherwise the shortfall is PlaCo's, which may be a little too large.
+
+    Returns:
+        The stand; every error is under 1e-9 m or rad.
+
+    Raises:
+        ConfigurationError: If the robot's base is fixed, or it has no feet; or if the margins leave
+            nothing.
+        UnknownNameError: If the task, or depths, name a foot that the robot does not have.
+        StanceUnreachableError: If it is out of reach; names the feet and how far they miss, and the
+            demands of which one would have to give.
+    """
+    goal = goal_of(robot, task or StandTask(), depths or {})
+    # Distances between links remember where they were found last: they begin anew.
+    shapes = shapes_of(robot) if goal.task.self_clearance is None else Shapes(robot)
+    stand = search(shapes, goal)
+    if stand.solved:
+        return stand
+    if explain and stand.foot_error >= TASK_TOLERANCE:
+        closest = nearest(shapes, goal, stand.qpos)
+        stand = min(stand, closest, key=lambda found: found.foot_error)
+    raise unreachable(shapes, goal, stand, explain=explain)
+
+
+def stand_statics(
+    robot: Robot, stand: Stand, *, sharing: LoadSharing | str = LoadSharing.EVEN
+) -> GravityCompensation:
+    """Computes what the motors hold in a stand, on the feet that carry and on its ground.
+
+    Args:
+        robot: The robot.
+        stand: The stand.
+        sharing: Which of the feasible contact forces: by default ``EVEN``, those that last.
+
+    Raises:
+        ConfigurationError: If the stand is another robot's, or ``sharing`` is unknown.
+        StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.
+    """
+    stand.check(robot)
+    return gravity_compensation(
+        Configuration(robot, stand.qpos),
+        stand.carrying,
+        normals=stand.normals,
+        depths=stand.depths,
+        sharing=sharing,
+    )

@@ -1,0 +1,100 @@
+"""Stands on MuJoCo's soft ground: the feet sink by what they carry, and the base stays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import NotSettlingError
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.equilibrium import LoadSharing
+
+Array = NDArray[np.float64]
+
+
+def loaded_stand(loaded: Robot, stand: Stand) -> Stand:
+    """Returns a stand of the unloaded robot as the loaded one has it on MuJoCo's soft ground.
+
+    The base stays where it is, and the feet where they are seen from above: each leg is longer by
+    what its foot sinks in under the load. The com is where the load takes it.
+
+    Args:
+        loaded: The robot with its payload.
+        stand: The unloaded robot's.
+
+    Raises:
+        StanceUnreachableError: If the legs do not reach down so far.
+        StaticsInfeasibleError: If no contact forces balance it.
+    """
+    centre = np.mean(list(stand.contact_points.values()), axis=0)
+    x, y = (stand.qpos[:2] - centre[:2]).tolist()
+    task = replace(
+        stand.task,
+        offset=(x, y),
+        com="centre",
+        # Margins are demands of the unloaded stance; what a load breaks is judged elsewhere.
+        com_margin=0.0,
+        joint_margin=0.0,
+        ground_clearance=0.0,
+        self_clearance=None,
+        posture=tuple(stand.joint_positions(loaded).tolist()),
+    )
+    return sunk_stand(loaded, task, explain=False)
+
+
+DEPTH_TOLERANCE = 1e-9
+"""Change of the feet's depths between iterations that counts as none (m)."""
+
+
+_MAX_ITERATIONS = 50
+
+
+def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = True) -> Stand:
+    """Finds the stand that satisfies a task on ground as soft as MuJoCo's.
+
+    On rigid ground only the feet's places count. MuJoCo's ground gives way by millimetres, in
+    proportion to what a foot carries: a robot that is commanded the joints of ``solve_stand`` sinks
+    and, where its feet bear unequal loads, tilts, by which the loads change too. Here the legs are
+    longer by what their feet sink in, so that base and com are where the task has them, and the
+    forces are those of ``LoadSharing.EVEN``. The depths and forces determine each other; repeated
+    substitution finds them in 1 to 3 rounds.
+
+    Args:
+        robot: A robot with a floating base and a ground.
+        task: How to stand; the nominal stand by default.
+        explain: Where the stance is out of reach, find out why.
+
+    Returns:
+        The stand; its ``depths`` are those of MuJoCo's contacts under its forces.
+
+    Raises:
+        ConfigurationError: As ``solve_stand``.
+        StanceUnreachableError: If it is out of reach, at least with its feet sunk.
+        StaticsInfeasibleError: If no contact forces balance it.
+        NotSettlingError: If the depths do not settle.
+    """
+    task = task or StandTask()
+    stand = solve_stand(robot, task, explain=explain)
+    asked = stand.task
+    if task.com == "inside":
+        x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
+        task = replace(task, com=(float(x), float(y)), com_margin=0.0)
+    laws = {foot: GroundLaw.of(robot, foot) for foot in stand.carrying}
+    for _ in range(_MAX_ITERATIONS):
+        forces = stand_statics(robot, stand, sharing=LoadSharing.EVEN).contact_forces
+        depths = {
+            foot: law.depth(max(0.0, float(forces[foot] @ stand.normals[foot])))
+            for foot, law in laws.items()
+        }
+        change = max(abs(depths[foot] - stand.depths[foot]) for foot in depths)
+        if change < DEPTH_TOLERANCE:
+            return replace(stand, task=asked)
+        posture = tuple(stand.joint_positions(robot).tolist())
+        stand = solve_stand(robot, replace(task, posture=posture), depths=depths, explain=explain)
+    raise NotSettlingError(change, f"the feet's depths do not settle, by {1e3 * change:.3g} mm")

@@ -1,0 +1,154 @@
+"""What is asked of a stand: the ground, the feet and which of them carry, the base, the com."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.arguments import finite
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.robot.ground import Ground
+
+Array = NDArray[np.float64]
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class StandTask:
+    """How the robot shall stand.
+
+    By default on level ground at z = 0, on all feet: every foot's sphere touches the ground where
+    the foot is, seen from above, at zero angles with the base at the origin; the com is above the
+    centre of the feet, the mean of the contact points of those that carry.
+
+    Attributes:
+        height: Of the base frame above the mean of the contact points (m); the robot's
+            ``stand_height`` by default.
+        roll: About x, forward (rad). The base's orientation is Rz(yaw) Ry(pitch) Rx(roll).
+        pitch: About y, left (rad); positive looks down.
+        yaw: About z, up (rad), against the feet.
+        offset: (x, y) of the base from the centre of the feet, in world axes (m). With an offset
+            the com is where it then is; without one, ``com`` decides where the base is.
+        feet: {foot: (x, y) in the world (m)}, instead of its nominal place.
+        foot_offsets: {foot: (x, y) from its nominal place (m)}.
+        lifted: {foot that does not carry: height of its sphere above the ground (m)}.
+        ground: Plane and steps.
+        com: ``"centre"``, a point (x, y) in the world (m), or ``"inside"``: anywhere in the support
+            polygon with at least ``com_margin``, over the centre if that is in reach.
+        com_margin: Least distance of the com's projection from the polygon's edge (m).
+        joint_margin: Least distance of every joint from its limits (rad).
+        ground_clearance: Least height above the ground of every part but the feet (m).
+        self_clearance: Least distance between links that are not neighbours (m); by default they
+            are not looked at.
+        posture: (nu,) joint positions to start from (rad), which decides between ways to bend a
+            knee; the robot's ``home`` by default.
+    """
+
+    height: float | None = None
+    roll: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
+    offset: Point | None = None
+    feet: Mapping[str, Point] = field(default_factory=dict)
+    foot_offsets: Mapping[str, Point] = field(default_factory=dict)
+    lifted: Mapping[str, float] = field(default_factory=dict)
+    ground: Ground = field(default_factory=Ground)
+    com: str | Point = "centre"
+    com_margin: float = 0.0
+    joint_margin: float = 0.0
+    ground_clearance: float = 0.0
+    self_clearance: float | None = None
+    posture: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        if self.self_clearance is not None:
+            put("self_clearance", finite("self_clearance", self.self_clearance))
+        for name in ("roll", "pitch", "yaw", "com_margin", "joint_margin", "ground_clearance"):
+            put(name, finite(name, getattr(self, name)))
+        for name in ("roll", "pitch", "yaw"):
+            if abs(getattr(self, name)) > math.pi:
+                value = getattr(self, name)
+                raise ConfigurationError(name, f"{value} rad is not between -pi and pi")
+        for name in ("com_margin", "joint_margin", "ground_clearance", "self_clearance"):
+            if (getattr(self, name) or 0.0) < 0:
+                raise ConfigurationError(name, f"{getattr(self, name)} is negative")
+        if self.height is not None:
+            put("height", finite("height", self.height))
+            if not self.height > 0:
+                raise ConfigurationError("height", f"{self.height} m is not above the ground")
+        if self.offset is not None:
+            put("offset", _point("offset", self.offset))
+            if self.com != "centre":
+                raise ConfigurationError("offset", "give an offset of the base, or a com, not both")
+        for name in ("feet", "foot_offsets"):
+            places = {foot: _point(f"{name}[{foot}]", p) for foot, p in getattr(self, name).items()}
+            put(name, places)
+        both = sorted(set(self.feet) & set(self.foot_offsets))
+        if both:
+            raise ConfigurationError("feet", f"{both[0]} is in feet and in foot_offsets")
+        lifted = {foot: finite(f"lifted[{foot}]", h) for foot, h in self.lifted.items()}
+        for foot, height in lifted.items():
+            if height <= 0:
+                raise ConfigurationError("lifted", f"{foot}: {height} m is not above the ground")
+        put("lifted", lifted)
+        if isinstance(self.com, str):
+            if self.com not in ("centre", "inside"):
+                problem = f"{self.com!r} is not 'centre', 'inside' or a point (x, y)"
+                raise ConfigurationError("com", problem)
+        else:
+            put("com", _point("com", self.com))
+        if self.posture is not None:
+            put("posture", tuple(finite("posture", value) for value in self.posture))
+
+    def rotation(self) -> Array:
+        """Returns the base's rotation (3, 3) in the world."""
+        rotation: Array = pin.rpy.rpyToMatrix(self.roll, self.pitch, self.yaw)
+        return rotation
+
+    def __str__(self) -> str:
+        """Names the values, with units."""
+        parts = [] if self.height is None else [f"height {self.height:.4f} m"]
+        parts += [
+            f"{name} {math.degrees(getattr(self, name)):.1f} deg"
+            for name in ("roll", "pitch", "yaw")
+        ]
+        if self.offset is not None:
+            parts.append(f"base {_millimetres(self.offset)} from the centre")
+        parts += [f"{foot} at {_millimetres(place)}" for foot, place in self.feet.items()]
+        parts += [f"{foot} moved by {_millimetres(p)}" for foot, p in self.foot_offsets.items()]
+        parts += [f"{foot} lifted {1e3 * height:.0f} mm" for foot, height in self.lifted.items()]
+        if self.ground.slope:
+            parts.append(
+                f"slope {math.degrees(self.ground.slope):.1f} deg, rising towards "
+                f"{math.degrees(self.ground.uphill):.0f} deg"
+            )
+        parts += [f"{foot} on {1e3 * h:.0f} mm" for foot, h in self.ground.heights.items()]
+        if self.com == "inside":
+            parts.append(f"com inside by {1e3 * self.com_margin:.0f} mm")
+        elif not isinstance(self.com, str):
+            parts.append(f"com at {_millimetres(self.com)}")
+        if self.joint_margin:
+            parts.append(f"{math.degrees(self.joint_margin):.1f} deg off the joint limits")
+        if self.ground_clearance:
+            parts.append(f"{1e3 * self.ground_clearance:.0f} mm off the ground")
+        if self.self_clearance is not None:
+            parts.append(f"links {1e3 * self.self_clearance:.0f} mm apart")
+        return ", ".join(parts)
+
+
+def _millimetres(point: Point) -> str:
+    return f"({1e3 * point[0]:.0f}, {1e3 * point[1]:.0f}) mm"
+
+
+def _point(name: str, value: object) -> Point:
+    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2:
+        raise ConfigurationError(name, f"{value!r} is not a point (x, y)")
+    return finite(name, value[0]), finite(name, value[1])

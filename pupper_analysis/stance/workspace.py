@@ -1,0 +1,157 @@
+"""How far a robot's stand can go with its feet planted: heights, angles and shifts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
+from pupper_analysis.results import Result
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.support_polygon import com_margin
+
+Array = NDArray[np.float64]
+
+RESOLUTION = 1e-3
+"""To what part of the step first tried a limit is found."""
+
+DIRECTIONS = ("height", "roll", "pitch", "yaw", "x", "y")
+_STEP = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05, "y": 0.05}
+_MOST = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
+
+
+@dataclass(frozen=True)
+class Interval(Result):
+    """How far one coordinate can go, all others as they are.
+
+    Attributes:
+        low: The least value (m, or rad).
+        high: The greatest (m, or rad).
+    """
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEnvelope(Result):
+    """How far the base can go from a stand, in each direction alone, with the feet planted.
+
+    Attributes:
+        start: The stand where the search began.
+        intervals: {``height`` (m, absolute), ``roll``, ``pitch``, ``yaw`` (rad, absolute), ``x``,
+            ``y`` (m, of the base from the centre of the feet)}.
+    """
+
+    start: Stand
+    intervals: dict[str, Interval]
+
+
+def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
+    """Finds the least and the greatest height of the base (m) with all else as the task has it.
+
+    Args:
+        robot: The robot.
+        task: Its height is where the search begins; the nominal stand by default.
+
+    Raises:
+        StanceUnreachableError: If the task itself is out of reach.
+        ConfigurationError: If the robot cannot stand.
+    """
+    return _interval(robot, solve_stand(robot, task), "height")
+
+
+def pose_envelope(robot: Robot, task: StandTask | None = None) -> PoseEnvelope:
+    """Finds how far the base can rise, roll, pitch, yaw and shift with its feet planted.
+
+    Each direction is searched on its own, outwards from the task, to where a stand is first out of
+    reach, with the com where the task has it; if that may lie anywhere inside the support polygon,
+    where the task's stand has it. Shifts are those of the base; the com follows, and must stay
+    inside with the task's margin.
+
+    Args:
+        robot: The robot.
+        task: Where the search begins; the nominal stand by default.
+
+    Raises:
+        StanceUnreachableError: If the task itself is out of reach.
+        ConfigurationError: If the robot cannot stand.
+    """
+    start = solve_stand(robot, task)
+    return PoseEnvelope(
+        start=start,
+        intervals={direction: _interval(robot, start, direction) for direction in DIRECTIONS},
+    )
+
+
+def _interval(robot: Robot, start: Stand, direction: str) -> Interval:
+    low, high = (_limit(robot, start, direction, sign) for sign in (-1.0, 1.0))
+    return Interval(low, high)
+
+
+def _limit(robot: Robot, start: Stand, direction: str, sign: float) -> float:
+    """Steps outwards until a stand is out of reach, then halves the step."""
+    value, step = _value(start, direction), _STEP[direction]
+    least = RESOLUTION * step
+    while step > least:
+        further = value + sign * step
+        if abs(further) <= _MOST.get(direction, math.inf) and _reached(
+            robot, start, direction, further
+        ):
+            value = further
+        else:
+            step /= 2
+    return value
+
+
+def _value(start: Stand, direction: str) -> float:
+    if direction in ("x", "y"):
+        return float(_offset(start)["xy".index(direction)])
+    return float(getattr(start.task, direction))
+
+
+def _offset(start: Stand) -> Array:
+    """Returns the base's place from the centre of the feet (2,) (m)."""
+    centre = np.mean(list(start.contact_points.values()), axis=0)
+    offset: Array = start.qpos[:2] - centre[:2]
+    return offset
+
+
+def _reached(robot: Robot, start: Stand, direction: str, value: float) -> bool:
+    try:
+        stand = stand_at(robot, start, direction, value)
+    except (StanceUnreachableError, ConfigurationError):
+        return False
+    com = Configuration(robot, stand.qpos).center_of_mass()
+    margin = com_margin(com, stand.contact_points)
+    return direction not in ("x", "y") or margin >= start.task.com_margin
+
+
+def stand_at(robot: Robot, start: Stand, direction: str, value: float) -> Stand:
+    """Returns a stand with one of its coordinates changed.
+
+    Args:
+        robot: The robot.
+        start: The stand.
+        direction: One of ``DIRECTIONS``.
+        value: The coordinate's value, as in ``PoseEnvelope.intervals`` (m, or rad).
+
+    Raises:
+        StanceUnreachableError: If it is out of reach.
+    """
+    changes: dict[str, Any] = {direction: value}
+    if start.task.com == "inside":
+        x, y, _ = Configuration(robot, start.qpos).center_of_mass()
+        changes |= {"com": (float(x), float(y)), "com_margin": 0.0}
+    if direction in ("x", "y"):
+        x, y = _offset(start)
+        place = (value, float(y)) if direction == "x" else (float(x), value)
+        changes = {"com": "centre", "com_margin": 0.0, "offset": place}
+    return solve_stand(robot, replace(start.task, **changes), explain=False)

@@ -1,0 +1,198 @@
+"""Contact forces in friction cones that balance a robot: a second-order cone programme."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+Array = NDArray[np.float64]
+
+BALANCE_TOLERANCE = 1e-9
+"""Residual of the static balance that counts as zero, relative to the weight."""
+
+
+_INSIDE = 1e-6
+"""The cones are narrowed by this much for the solver, so that its rounding stays inside them."""
+
+
+_TANGENTIAL = 1e3
+"""Weight of tangential forces against normal ones, for even load."""
+
+
+_PEAK_SLACK = 1e-7
+"""How much above the least peak the second search may be: ten times the first one's rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,)."""
+
+    base: Array
+    weight: Array
+    joints: Array
+    torques: Array
+    normals: Array
+
+    def even(self, friction: Array | None, grip: Array) -> Array | None:
+        """Returns the least tangential f (3 n,), or None if there is none.
+
+        Args:
+            friction: (n,) coefficients.
+            grip: (n,) the feet's viscosities, relative to each other.
+        """
+        metric = self._metric(grip)
+        return self.solve(friction, metric, np.zeros(len(metric)))
+
+    def least_peak(self, friction: Array | None, limits: Array) -> Array | None:
+        """Returns the f (3 n,) of least peak |tau| / limit, or None if there is none.
+
+        A motor without a limit, or with none of its own strength (0), does not count, but where no
+        motor has a limit all count alike.
+        """
+        rated = np.isfinite(limits) & (limits > 0)
+        share = np.where(rated, 1 / np.where(rated, limits, 1.0), 0.0) if rated.any() else None
+        share = np.ones(len(limits)) if share is None else share
+        cost, target = share[:, None] * self.joints, share * self.torques
+        return self.solve(friction, cost, target, peak=True)
+
+    def solve(
+        self, friction: Array | None, cost: Array, target: Array, *, peak: bool = False
+    ) -> Array | None:
+        """Returns the f (3 n,) with the least |cost f - target|, or None if there is none.
+
+        Args:
+            friction: (n,) coefficients; None if feet are held to the ground and may pull and slip.
+            cost: (m, 3 n).
+            target: (m,).
+            peak: The least greatest element comes first.
+        """
+        particular = np.asarray(np.linalg.lstsq(self.base, self.weight, rcond=1e-12)[0], float)
+        if not self._balances(particular):
+            return None
+        # Over f = particular + free z.
+        free = linalg.null_space(self.base, rcond=1e-12)
+        cost, target = cost @ free, target - cost @ particular
+        if peak and friction is not None:
+            coordinates = self._solve_peak(particular, free, cost, target, friction)
+            return None if coordinates is None else particular + free @ coordinates
+        forces: Array = particular + free @ np.linalg.lstsq(cost, target)[0]
+        if friction is not None and self._violation(forces, friction) > 0:
+            coordinates = self._solve_cones(particular, free, cost, target, friction)
+            if coordinates is None:
+                return None
+            forces = particular + free @ coordinates
+        return forces
+
+    def _metric(self, grip: Array) -> Array:
+        """Returns the (3 n, 3 n) matrix whose product with f shall be short for even load."""
+        blocks = []
+        for normal, share in zip(self.normals, grip, strict=True):
+            along = np.outer(normal, normal)
+            blocks.append(along + _TANGENTIAL / math.sqrt(share) * (np.eye(3) - along))
+        metric: Array = linalg.block_diag(*blocks)
+        return metric
+
+    def normal_forces(self, forces: Array) -> Array:
+        """Returns the normal parts (n,) of forces (3 n,)."""
+        normal: Array = np.sum(forces.reshape(-1, 3) * self.normals, axis=1)
+        return normal
+
+    def _balances(self, forces: Array) -> bool:
+        error = np.abs(self.base @ forces - self.weight).max()
+        return bool(error < BALANCE_TOLERANCE * np.abs(self.weight).max())
+
+    def _violation(self, forces: Array, friction: Array) -> float:
+        per_foot, normal = forces.reshape(-1, 3), self.normal_forces(forces)
+        sliding = np.linalg.norm(per_foot - normal[:, None] * self.normals, axis=1)
+        return float(np.max(sliding - friction * normal))
+
+    def _cones(self, friction: Array) -> Array:
+        """Returns rows (4 n, 3 n) that take f to (mu f_n, f_t) per foot, to be in the cone."""
+        rows = np.zeros((4 * len(self.normals), 3 * len(self.normals)))
+        for index, (normal, coefficient) in enumerate(zip(self.normals, friction, strict=True)):
+            block = slice(3 * index, 3 * index + 3)
+            rows[4 * index, block] = coefficient * (1 - _INSIDE) * normal
+            rows[4 * index + 1 : 4 * index + 4, block] = np.eye(3) - np.outer(normal, normal)
+        return rows
+
+    def _solve_peak(
+        self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
+    ) -> Array | None:
+        """Minimises the greatest |cost z - target|, then their squares, in the cones."""
+        size = len(target)
+        scale = float(np.abs(cost @ np.linalg.lstsq(cost, target)[0] - target).max(initial=0.0))
+        scale = max(scale, float(np.abs(target).max(initial=0.0)), 1e-300)
+        # Variables: z and the peak, which bounds every element from both sides.
+        above = np.column_stack([cost, -np.full(size, scale)])
+        below = np.column_stack([-cost, -np.full(size, scale)])
+        bounds = (np.concatenate([above, below]), np.concatenate([target, -target]))
+        wide = np.column_stack([free, np.zeros(len(free))])
+        peak = np.zeros(free.shape[1] + 1)
+        peak[-1] = 1.0
+        found = self._conic(particular, wide, np.zeros((len(peak),) * 2), peak, friction, bounds)
+        if found is None:
+            return None
+        least = float(np.abs(cost @ found[:-1] - target).max(initial=0.0))
+        room = np.full(2 * size, least * (1 + _PEAK_SLACK))
+        bounds = (np.concatenate([cost, -cost]), np.concatenate([target, -target]) + room)
+        again = self._solve_cones(particular, free, cost, target, friction, bounds)
+        return found[:-1] if again is None else again
+
+    def _solve_cones(
+        self,
+        particular: Array,
+        free: Array,
+        cost: Array,
+        target: Array,
+        friction: Array,
+        bounds: tuple[Array, Array] | None = None,
+    ) -> Array | None:
+        """Minimises |cost z - target|^2 over the z with particular + free z in the cones."""
+        quadratic = cost.T @ cost
+        # Where legs are singular some forces cost no torque: the smallest of those.
+        quadratic += 1e-10 * np.trace(quadratic) * np.eye(len(quadratic))
+        return self._conic(particular, free, quadratic, -cost.T @ target, friction, bounds)
+
+    def _conic(
+        self,
+        particular: Array,
+        free: Array,
+        quadratic: Array,
+        linear: Array,
+        friction: Array,
+        bounds: tuple[Array, Array] | None,
+    ) -> Array | None:
+        """Minimises z^T quadratic z / 2 + linear z, particular + free z in the cones.
+
+        ``bounds`` are rows A and b of A z <= b.
+        """
+        scale = np.linalg.norm(self.weight[:3]) or 1.0  # nothing to carry: a robot in free fall
+        rows = self._cones(friction)
+        matrix, right = [-rows @ free], [rows @ particular / scale]
+        cones: list[object] = [clarabel.SecondOrderConeT(4)] * len(self.normals)
+        if bounds is not None:
+            matrix.insert(0, bounds[0])
+            right.insert(0, bounds[1] / scale)
+            cones.insert(0, clarabel.NonnegativeConeT(len(bounds[1])))
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
+        solver = clarabel.DefaultSolver(
+            sparse.csc_matrix(np.triu(quadratic)),
+            linear / scale,
+            sparse.csc_matrix(np.concatenate(matrix)),
+            np.concatenate(right),
+            cones,
+            settings,
+        )
+        coordinates = np.array(solver.solve().x) * scale
+        if not np.abs(coordinates).max(initial=0.0) < 1e9 * scale:
+            return None  # the certificate of an infeasible problem
+        # Judge the answer itself, not the solver's opinion of it.
+        excess = self._violation(particular + free @ coordinates, friction)
+        return coordinates if excess <= 1e-9 * scale else None

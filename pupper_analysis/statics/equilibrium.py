@@ -1,0 +1,373 @@
+"""What the motors hold: gravity compensation of a standing, or hanging, robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from numbers import Real
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
+from pupper_analysis.results import Result
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance
+from pupper_analysis.statics.support_polygon import com_margin
+
+Array = NDArray[np.float64]
+
+_LIGHTEST = 1e-3
+"""Share of the largest force below which a foot's viscosity is not looked at."""
+
+
+_MAX_ITERATIONS = 50
+
+
+_NO_SLIDING = 1e4
+"""A friction coefficient that stands for a foot that cannot slide."""
+
+
+class LoadSharing(StrEnum):
+    """Which of the feasible contact forces is meant, where balance leaves a choice.
+
+    EVEN has the least tangential forces, and of those that remain the least sum of squared normal
+    forces: how the feet share the load on ground that is equally soft under each. These are what
+    MuJoCo holds for good, because its regularised friction lets feet creep against each other until
+    no tangential force is left that they can get rid of: none on level ground and steps, and on a
+    slope those with which all feet creep down it together. (The least sum of f_t^2 / c, with c the
+    viscosity of ``GroundLaw``: its optimality condition is f_t = c (v + omega x r).) It is what to
+    send to a robot or a simulator.
+    LEAST_TORQUE has the least sum of squared motor torques, and so the least heat. It needs feet
+    that press against each other for good, which a simulator's creeping friction does not bear.
+    LEAST_PEAK has the least peak motor utilisation (peak torque, where no motor has an effort
+    limit), and of those the least sum of squared utilisations: whether the motors can hold it at
+    all.
+    """
+
+    EVEN = "even"
+    LEAST_TORQUE = "least torque"
+    LEAST_PEAK = "least peak"
+
+
+@dataclass(frozen=True, eq=False)
+class GravityCompensation(Result):
+    """The static equilibrium of a robot.
+
+    Attributes:
+        joint_names: Names of the joints, in actuator order.
+        joint_torques: (nu,) what the motors hold (N m).
+        motor_utilisation: (nu,) torque / effort limit, absolute.
+        contact_forces: {foot: (3,)} force of the ground on the foot, in world axes (N).
+        contact_points: {foot: (3,)} where it acts, in the world (m).
+        friction_utilisation: {foot: tangential force / (friction coefficient x normal force)}.
+        base_wrench: (6,) what holds the base from outside: force in world axes (N), torque in base
+            axes (N m). Zero for a standing robot.
+        center_of_mass: (3,) in the world (m).
+        com_margin: Distance from the com's vertical projection to the edge of the support polygon
+            (m), positive inside; None without contacts.
+        residual_force: Norm of what is left of the balance of forces (N).
+        residual_torque: Norm of what is left of the balance of moments and joint torques (N m).
+    """
+
+    joint_names: tuple[str, ...]
+    joint_torques: Array
+    motor_utilisation: Array
+    contact_forces: dict[str, Array]
+    contact_points: dict[str, Array]
+    friction_utilisation: dict[str, float]
+    base_wrench: Array
+    center_of_mass: Array
+    com_margin: float | None
+    residual_force: float
+    residual_torque: float
+
+
+def gravity_compensation(
+    config: Configuration,
+    contacts: Iterable[str] | None = None,
+    *,
+    friction: float | Mapping[str, float] | None = None,
+    normals: Mapping[str, ArrayLike] | None = None,
+    depths: Mapping[str, float] | None = None,
+    sharing: LoadSharing | str = LoadSharing.EVEN,
+) -> GravityCompensation:
+    """Computes motor torques and contact forces that hold a robot still.
+
+    With S selecting the joints and J the Jacobians of the contact points, balance means
+    g(q) = J^T f + S^T tau. Its six base rows fix the total wrench of the contact forces f; among
+    the f inside the friction cones that give it, ``sharing`` chooses one. (Without contacts the
+    base is held from outside, and tau is the joint part of g.)
+
+    The problem is a second-order cone programme in the coordinates of the null space of the base
+    rows, so that balance holds to rounding whatever the solver's tolerance.
+
+    Args:
+        config: Where the robot is. Its velocity does not matter.
+        contacts: The feet that carry; all by default, none for a fixed base.
+        friction: Friction coefficient, for all or per foot; by default that of MuJoCo's contact.
+        normals: Per foot, the direction (3,) in the world out of the ground; up where not given.
+        depths: Per foot, how deep it has sunk into the ground (m), 0 where not given. The force
+            acts half way, as MuJoCo has it.
+        sharing: Which of the feasible forces: by default ``EVEN``, those that last.
+
+    Returns:
+        The equilibrium.
+
+    Raises:
+        UnknownNameError: If a foot is unknown.
+        ConfigurationError: If a friction coefficient, a normal or ``sharing`` is no such thing, or
+            a robot with a fixed base is given contacts.
+        StaticsInfeasibleError: If no forces do; it says why.
+    """
+    return equilibrium(
+        config,
+        config.gravity(),
+        config.center_of_mass(),
+        contacts,
+        friction=friction,
+        normals=normals,
+        depths=depths,
+        sharing=sharing,
+    )
+
+
+def equilibrium(
+    config: Configuration,
+    load: Array,
+    point: Array,
+    contacts: Iterable[str] | None = None,
+    *,
+    friction: float | Mapping[str, float] | None = None,
+    normals: Mapping[str, ArrayLike] | None = None,
+    depths: Mapping[str, float] | None = None,
+    sharing: LoadSharing | str = LoadSharing.EVEN,
+    tipping: Infeasibility = Infeasibility.COM_OUTSIDE,
+    held: bool = False,
+) -> GravityCompensation:
+    """Balances any generalised force, as ``gravity_compensation`` balances gravity.
+
+    With M qacc + h for g it is inverse dynamics (``pupper_analysis.dynamics``).
+
+    Args:
+        config: Where the robot is.
+        load: (nv,) what motors and contacts must add up to (N, N m).
+        point: (3,) whose vertical projection must be inside the support polygon: the com at rest,
+            the zero-moment point in motion (m). ``com_margin`` is this point's.
+        contacts: As in ``gravity_compensation``, like the next three and ``sharing``.
+        friction: Likewise.
+        normals: Likewise.
+        depths: Likewise.
+        sharing: Likewise.
+        tipping: What it is called if ``point`` is outside the polygon.
+        held: Let feet pull and slip, as if they were held to the ground: what the motion would
+            need, feasible or not.
+
+    Raises:
+        UnknownNameError: As ``gravity_compensation``; so are the other two.
+        ConfigurationError: Likewise.
+        StaticsInfeasibleError: Likewise.
+    """
+    robot, wanted = config.robot, _sharing(sharing)
+    feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
+    for foot in feet:
+        robot.check_foot(foot)
+    if len(set(feet)) != len(feet):
+        raise ConfigurationError("contacts", f"a foot is named twice in {', '.join(feet)}")
+    if feet and not robot.floating:
+        raise ConfigurationError("contacts", f"{robot.name} has a fixed base, which carries it")
+    base_rows = robot.nv - robot.nu
+    if not feet:
+        return _result(config, load, point, {}, {}, {}, {}, {}, load[:base_rows])
+
+    for given in (normals, depths, friction):
+        for foot in given if isinstance(given, Mapping) else ():
+            robot.check_foot(foot)
+    directions = {foot: _normal(foot, (normals or {}).get(foot, UP)) for foot in feet}
+    coefficients = {foot: _friction(config, foot, friction) for foot in feet}
+    points, columns = {}, {}
+    for foot in feet:
+        depth = (depths or {}).get(foot, 0.0)
+        offset = -(robot.foot_radius[foot] - depth / 2) * directions[foot]
+        frame = robot.foot_frames[foot]
+        points[foot] = config.frame_position(frame) + offset
+        columns[foot] = config.frame_jacobian(frame, offset)[:3].T
+    stacked = np.concatenate(list(columns.values()), axis=1)  # (nv, 3 n)
+    problem = Balance(
+        base=stacked[:base_rows],
+        weight=load[:base_rows],
+        joints=stacked[base_rows:],
+        torques=load[base_rows:],
+        normals=np.array(list(directions.values())),
+    )
+    limits = None if held else np.array(list(coefficients.values()))
+    if wanted is LoadSharing.LEAST_PEAK:
+        forces = problem.least_peak(limits, robot.effort_limits)
+    elif wanted is LoadSharing.LEAST_TORQUE:
+        forces = problem.solve(limits, problem.joints, problem.torques)
+    else:
+        forces = problem.even(limits, np.ones(len(feet)))
+        if forces is not None and robot.contacts and limits is not None:
+            laws = [GroundLaw.of(robot, foot) for foot in feet]
+            forces = _creeping(problem, forces, limits, laws)
+    if forces is None:
+        raise _explain(point, problem, points, coefficients, tipping)
+    per_foot = dict(zip(feet, forces.reshape(-1, 3), strict=True))
+    return _result(
+        config,
+        load,
+        point,
+        columns,
+        per_foot,
+        points,
+        directions,
+        coefficients,
+        np.zeros(base_rows),
+    )
+
+
+def _sharing(value: str) -> LoadSharing:
+    try:
+        return LoadSharing(value)
+    except ValueError as error:
+        known = ", ".join(repr(kind.value) for kind in LoadSharing)
+        raise ConfigurationError("sharing", f"{value!r} is none of {known}") from error
+
+
+def _creeping(
+    problem: Balance, forces: Array, friction: Array, laws: Sequence[GroundLaw]
+) -> Array | None:
+    """Finds the even forces (3 n,) for the viscosities that the normal forces themselves give."""
+    scale = np.abs(forces).max()
+    if np.linalg.norm(problem.normals - UP) < BALANCE_TOLERANCE:
+        return forces  # nothing creeps
+    for _ in range(_MAX_ITERATIONS):
+        loads = np.maximum(problem.normal_forces(forces), _LIGHTEST * scale)
+        grip = np.array(
+            [law.viscosity(law.depth(load)) for law, load in zip(laws, loads, strict=True)]
+        )
+        if not grip.all():
+            return forces  # without friction there is no creep
+        found = problem.even(friction, grip / grip.mean())
+        if found is None or np.abs(found - forces).max() < BALANCE_TOLERANCE * scale:
+            return found
+        forces = found
+    return forces
+
+
+def _explain(
+    point: Array,
+    problem: Balance,
+    points: Mapping[str, Array],
+    friction: Mapping[str, float],
+    tipping: Infeasibility,
+) -> StaticsInfeasibleError:
+    """Finds out why no forces do."""
+    feet = tuple(points)
+    margin = com_margin(point, points)
+    even = np.ones(len(feet))
+    if problem.even(np.full(len(feet), _NO_SLIDING), even) is not None:
+        low, high = 0.0, _NO_SLIDING
+        while high - low > 1e-6 * high:
+            middle = (low * high) ** 0.5 if low > 0 else high / 2
+            if problem.even(np.full(len(feet), middle), even) is None:
+                low = middle
+            else:
+                high = middle
+            if high < 1e-6:
+                break
+        least = min(friction.values())
+        return StaticsInfeasibleError(
+            Infeasibility.FRICTION,
+            f"the coefficient is {least:.3f}, and {high:.3f} is needed",
+            margin=margin,
+            friction_needed=high,
+            feet=feet,
+        )
+    bilateral = np.linalg.lstsq(problem.base, problem.weight, rcond=1e-12)[0].reshape(-1, 3)
+    pulls = {
+        foot: float(force @ normal)
+        for foot, force, normal in zip(feet, bilateral, problem.normals, strict=True)
+        if force @ normal < 0
+    }
+    pulling = ", ".join(f"{foot} with {-force:.2f} N" for foot, force in pulls.items())
+    if -math.inf < margin < 0:
+        detail = f"its projection is {-1e3 * margin:.1f} mm outside that of {', '.join(feet)}"
+        if pulls:
+            detail += f"; {pulling} would have to pull"
+        return StaticsInfeasibleError(tipping, detail, margin=margin, feet=pulls or feet)
+    return StaticsInfeasibleError(
+        Infeasibility.PULL, pulling or ", ".join(feet), margin=margin, feet=pulls or feet
+    )
+
+
+def _result(
+    config: Configuration,
+    load: Array,
+    point: Array,
+    columns: Mapping[str, Array],
+    forces: dict[str, Array],
+    points: dict[str, Array],
+    normals: Mapping[str, Array],
+    friction: Mapping[str, float],
+    base_wrench: Array,
+) -> GravityCompensation:
+    robot = config.robot
+    base_rows = robot.nv - robot.nu
+    remainder = load.copy()
+    for foot, force in forces.items():
+        remainder -= columns[foot] @ force
+    torques = remainder[base_rows:].copy()
+    remainder[base_rows:] -= torques
+    remainder[:base_rows] -= base_wrench
+    with np.errstate(divide="ignore", invalid="ignore"):
+        utilisation = np.abs(torques) / robot.effort_limits
+    sliding: dict[str, float] = {}
+    for foot, force in forces.items():
+        normal = float(force @ normals[foot])
+        tangential = float(np.linalg.norm(force - normal * normals[foot]))
+        if tangential < BALANCE_TOLERANCE * np.linalg.norm(load[:3]):
+            sliding[foot] = 0.0
+        else:
+            sliding[foot] = tangential / (friction[foot] * normal)
+    return GravityCompensation(
+        joint_names=robot.joint_names,
+        joint_torques=torques,
+        motor_utilisation=utilisation,
+        contact_forces=forces,
+        contact_points=points,
+        friction_utilisation=sliding,
+        base_wrench=base_wrench,
+        center_of_mass=config.center_of_mass(),
+        com_margin=com_margin(point, points) if points else None,
+        residual_force=float(np.linalg.norm(remainder[:3])) if base_rows else 0.0,
+        residual_torque=float(np.linalg.norm(remainder[3:])),
+    )
+
+
+def _normal(foot: str, normal: ArrayLike) -> Array:
+    try:
+        vector = np.array(normal, dtype=float)
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise ConfigurationError("normals", f"{foot}: {normal!r} is not a direction (3,)")
+    unit: Array = vector / np.linalg.norm(vector)
+    return unit
+
+
+def _friction(
+    config: Configuration, foot: str, friction: float | Mapping[str, float] | None
+) -> float:
+    robot = config.robot
+    if friction is None:
+        if foot not in robot.contacts:
+            raise ConfigurationError("friction", f"{robot.name} has no ground; give a coefficient")
+        return robot.contacts[foot].sliding_friction
+    value: object = friction.get(foot) if isinstance(friction, Mapping) else friction
+    if not isinstance(value, Real) or not math.isfinite(value) or value < 0:
+        raise ConfigurationError("friction", f"{foot}: {value} is no coefficient; it must be >= 0")
+    return float(value)

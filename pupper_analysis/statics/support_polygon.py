@@ -1,0 +1,63 @@
+"""The support polygon, and what is inside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where a sequence of programmes has ended."""
+
+    qpos: Array
+    miss: float
+    iterations: int
+
+
+def drop_at(place: Array, feet: Array, drops: Array) -> float:
+    """Returns how much a plane through the feet has sunk at a place.
+
+    Args:
+        place: (2,) where (m).
+        feet: (n, 3) the feet (m); their heights do not matter.
+        drops: (n,) how much each has sunk (m).
+    """
+    plane = np.linalg.lstsq(np.column_stack([np.ones(len(feet)), feet[:, :2]]), drops)[0]
+    return float(plane @ (1.0, place[0], place[1]))
+
+
+def com_margin(com: Array, points: Mapping[str, Array]) -> float:
+    """Returns the distance (m) from a com's projection to the edge of the support polygon.
+
+    Args:
+        com: (3,) centre of mass (m).
+        points: The contact points {foot: (3,)} (m); the polygon is the convex hull of their
+            vertical projection.
+
+    Returns:
+        The distance; positive inside, negative outside; minus infinity if the point is not a
+        number, as the zero-moment point of feet that would have to pull.
+    """
+    if not np.isfinite(com[:2]).all():
+        return -math.inf
+    polygon = shapely.MultiPoint([point[:2] for point in points.values()]).convex_hull
+    projection = shapely.Point(com[:2])
+    if polygon.geom_type == "Polygon" and polygon.contains(projection):
+        return float(polygon.exterior.distance(projection))
+    return -float(polygon.distance(projection))
+
+
+def support_polygon(contacts: Array) -> Array:
+    """Returns the corners (n, 2) of the convex hull of contact points (k, 3), counter-clockwise."""
+    hull = shapely.MultiPoint(contacts[:, :2]).convex_hull
+    ring = shapely.geometry.polygon.orient(hull).exterior
+    corners: Array = np.array(shapely.get_coordinates(ring))[:-1]
+    return corners
