@@ -46,9 +46,9 @@ class Run:
 
 
 def simulate(
-    robot: pa.Robot, stand: pa.Stand, sharing: pa.LoadSharing, options: dict[str, float]
+    robot: pa.Robot, stand: pa.Stand, distribution: pa.ForceDistribution, options: dict[str, float]
 ) -> Run:
-    torques = stand_statics(robot, stand, sharing=sharing).joint_torques
+    torques = stand_statics(robot, stand, distribution=distribution).joint_torques
     drive = servos(robot)
     for name, value in options.items():
         setattr(drive.model.opt, name, value)
@@ -90,12 +90,12 @@ def main(count: int, seed: int) -> None:
     out = Console(width=120)
     robots = [pa.load_variant(name) for name in ("v3", "original")]
     stands = [(robot, stand) for robot in robots for stand in random_stands(robot, count, seed)]
-    table = Table("contact", *pa.LoadSharing, title="hold for 12 s (1e-3 rad, 1 % of torque)")
-    worst = Table("contact", *pa.LoadSharing, title="median error of the torques (%)")
+    table = Table("contact", *pa.ForceDistribution, title="hold for 12 s (1e-3 rad, 1 % of torque)")
+    worst = Table("contact", *pa.ForceDistribution, title="median error of the torques (%)")
     for label, options in CONTACTS.items():
         runs = {
-            sharing: [simulate(robot, stand, sharing, options) for robot, stand in stands]
-            for sharing in pa.LoadSharing
+            distribution: [simulate(robot, stand, distribution, options) for robot, stand in stands]
+            for distribution in pa.ForceDistribution
         }
         table.add_row(label, *(f"{sum(r.holds for r in rs)} of {len(rs)}" for rs in runs.values()))
         worst.add_row(
@@ -103,8 +103,8 @@ def main(count: int, seed: int) -> None:
         )
     peaks = [
         [
-            stand_statics(robot, stand, sharing=sharing).motor_utilisation.max()
-            for sharing in pa.LoadSharing
+            stand_statics(robot, stand, distribution=distribution).motor_utilisation.max()
+            for distribution in pa.ForceDistribution
         ]
         for robot, stand in stands
     ]
@@ -117,7 +117,7 @@ def main(count: int, seed: int) -> None:
     mean = np.mean(peaks, axis=0)
     out.print(
         "mean peak utilisation: "
-        + ", ".join(f"{s} {100 * m:.1f} %" for s, m in zip(pa.LoadSharing, mean, strict=True))
+        + ", ".join(f"{s} {100 * m:.1f} %" for s, m in zip(pa.ForceDistribution, mean, strict=True))
     )
 
 

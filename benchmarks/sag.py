@@ -20,10 +20,10 @@ from pupper_analysis.robot import contact
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import STATE, place_on_ground
-from pupper_analysis.stance.sag.band import settled_band
-from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SettledPose, settled_pose
+from pupper_analysis.stance.sag.band import steady_state_band
+from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState, steady_state
 from pupper_analysis.stance.stand import stand_statics
-from pupper_analysis.statics.equilibrium import LoadSharing
+from pupper_analysis.statics.equilibrium import ForceDistribution
 
 SECONDS = 12.0
 """A simulation's length (s). Its settled height is the mean of the last second."""
@@ -45,7 +45,9 @@ def changed(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Rob
     model = copy.copy(robot.mj_model)
     change(model)
     ground = contact.ground_geom(model)
-    contacts = {foot: contact.combine(model, sole, ground) for sole, foot in robot.soles.items()}
+    contacts = {
+        foot: contact.combine(model, sole, ground) for sole, foot in robot.foot_geoms.items()
+    }
     return replace(robot, mj_model=model, contacts=contacts)
 
 
@@ -70,7 +72,7 @@ class Case:
     foot: str
     lift: float
     kp: float
-    pose: SettledPose | None
+    pose: SteadyState | None
     run: pa.StandVerification
 
     @property
@@ -82,7 +84,7 @@ class Case:
 
     @property
     def touches(self) -> bool:
-        return self.pose is not None and self.foot in self.pose.carrying
+        return self.pose is not None and self.foot in self.pose.stance_feet
 
     @property
     def error(self) -> float:
@@ -97,7 +99,7 @@ class Case:
 def stands(robot: pa.Robot, stand: pa.Stand, kp: float) -> bool:
     """Tells whether it stands, on the lifted foot as well if that comes down."""
     try:
-        pose = settled_pose(robot, stand, kp=kp)
+        pose = steady_state(robot, stand, kp=kp)
     except PupperAnalysisError:
         return False
     return not [text for text in pose.failures if ", lifted," not in text]
@@ -116,13 +118,13 @@ def softest(does: Callable[[float], bool]) -> float:
 def cases(robot: pa.Robot, lifts: tuple[float, ...], times: tuple[float, ...]) -> Iterator[Case]:
     for foot in robot.feet:
         for lift in lifts:
-            task = pa.StandTask(lifted={foot: lift}, com="inside", com_margin=0.01)
+            task = pa.StandTask(swing={foot: lift}, com="inside", com_margin=0.01)
             stand = pa.solve_stand(robot, task)
             least = softest(lambda kp, stand=stand: stands(robot, stand, kp))
             for kp in least * np.array(times):
                 run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=SECONDS)
                 try:
-                    pose = settled_pose(robot, stand, kp=kp, seconds=SECONDS - 0.5)
+                    pose = steady_state(robot, stand, kp=kp, seconds=SECONDS - 0.5)
                 except pa.NoEquilibriumError:
                     pose = None
                 yield Case(foot, lift, float(kp), pose, run)
@@ -130,7 +132,7 @@ def cases(robot: pa.Robot, lifts: tuple[float, ...], times: tuple[float, ...]) -
 
 @main.command()
 @click.option("--variant", type=click.Choice(list(pa.VARIANTS)), multiple=True)
-@click.option("--lift", type=float, multiple=True, default=(0.002, 0.006, 0.02), show_default=True)
+@click.option("--swing", type=float, multiple=True, default=(0.002, 0.006, 0.02), show_default=True)
 @click.option("--times", type=float, multiple=True, default=(1.05, 1.5, 3.0), show_default=True)
 @click.option("--verbose", is_flag=True, help="Print every case.")
 def lifted(
@@ -189,7 +191,9 @@ def led(robot: pa.Robot, stand: pa.Stand, shares: tuple[float, ...], seconds: fl
     """
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     drive = servos(robot, integrator="implicitfast")
-    torques = stand_statics(robot, stand, sharing=LoadSharing.EVEN).joint_torques
+    torques = stand_statics(
+        robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
+    ).joint_torques
     positions, steps = stand.joint_positions(robot), round(seconds / drive.model.opt.timestep)
     full, none = drive.command(robot, positions, torques), drive.command(robot, positions)
     ways = [np.linspace(*pair, steps) for pair in pairwise(shares)]
@@ -236,7 +240,7 @@ def band(variant: tuple[str, ...], deep: float, seconds: float) -> None:
     for name in variant or pa.VARIANTS:
         robot = changed(pa.load_variant(name), gripping)
         stand = pa.solve_stand(robot)
-        found = settled_band(robot, stand)
+        found = steady_state_band(robot, stand)
         go = pa.verify_stand(robot, stand, feedforward=False, duration=SECONDS)
         ends = [found.highest, found.frictionless, found.lowest]
         heights = [None if pose is None else pose.base_height for pose in ends]
@@ -257,7 +261,7 @@ def limits() -> None:
     """Let v3 go on servos a little above its least kp, and heavy on motors a little too weak."""
     robot = pa.load_variant("v3")
     stand, table = pa.solve_stand(robot), Table("impratio", "kp / least kp", "lost (mm)", "knees")
-    least = pa.least_kp(robot, stand)
+    least = pa.minimum_stiffness(robot, stand)
     for impratio in (1.0, 100.0, 1e4):
 
         def grip(model: mujoco.MjModel, impratio: float = impratio) -> None:
@@ -280,7 +284,7 @@ def limits() -> None:
 
         weak = changed(robot, weaken)
         try:
-            predicted = f"{1e3 * settled_pose(weak, stand).height_loss:.3f} mm"
+            predicted = f"{1e3 * steady_state(weak, stand).height_loss:.3f} mm"
         except pa.NoEquilibriumError:
             predicted = "no equilibrium"
         run = pa.verify_stand(weak, stand, feedforward=False, duration=SECONDS)

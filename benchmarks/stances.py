@@ -28,7 +28,7 @@ from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, settled_pose
+from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, steady_state
 from pupper_analysis.stance.stand import stand_statics
 
 EXACT = 1e-9
@@ -85,9 +85,9 @@ def random_task(robot: pa.Robot, random: np.random.Generator) -> pa.StandTask:
     height = leg * random.uniform(0.75, 1.25) if chance(0.7) else None
     roll, pitch, yaw = (random.uniform(-0.3, 0.3) if chance(0.4) else 0.0 for _ in range(3))
     offsets = {foot: point(0.15 * leg) for foot in feet if chance(0.15)}
-    lifted = {}
+    swing = {}
     if chance(0.25):
-        lifted[str(random.choice(feet))] = float(random.uniform(0.02, 0.25) * leg)
+        swing[str(random.choice(feet))] = float(random.uniform(0.02, 0.25) * leg)
     slope = uphill = 0.0
     if chance(0.35):
         slope, uphill = random.uniform(0.0, 0.3), random.uniform(-math.pi, math.pi)
@@ -111,7 +111,7 @@ def random_task(robot: pa.Robot, random: np.random.Generator) -> pa.StandTask:
         yaw=yaw,
         offset=offset,
         foot_offsets=offsets,
-        lifted=lifted,
+        swing=swing,
         ground=pa.Ground(slope, uphill, heights),
         com=com,
         com_margin=margin,
@@ -150,9 +150,9 @@ class Demand:
             x, y = nominal[foot][:2] + task.foot_offsets.get(foot, (0.0, 0.0))
             # The plane at distance radius: normal . (x, y, z - step) = radius
             z = (radius - self.normal[:2] @ (x, y)) / self.normal[2]
-            z += ground.heights.get(foot, 0.0) + task.lifted.get(foot, 0.0)
+            z += ground.heights.get(foot, 0.0) + task.swing.get(foot, 0.0)
             self.centres[foot] = np.array([x, y, z])
-            if foot not in task.lifted:
+            if foot not in task.swing:
                 contacts[foot] = self.centres[foot] - radius * self.normal
         self.contacts = contacts
         self.centre = np.mean(list(contacts.values()), axis=0)
@@ -205,7 +205,7 @@ class Demand:
         return any(
             touch.dist < -REACHED
             and 0 in model.geom_bodyid[touch.geom]
-            and not robot.soles.keys() & set(touch.geom.tolist())
+            and not robot.foot_geoms.keys() & set(touch.geom.tolist())
             for touch in data.contact
         )
 
@@ -453,7 +453,7 @@ def sag(robot: pa.Robot, stand: pa.Stand) -> Sag:
     """Compares predictions of the sag with simulations."""
     run = pa.verify_stand(robot, stand, feedforward=False)
     try:
-        begin, end = (settled_pose(robot, stand, seconds=seconds) for seconds in (0.0, 4.5))
+        begin, end = (steady_state(robot, stand, seconds=seconds) for seconds in (0.0, 4.5))
     except NoEquilibriumError:
         return Sag(run.passed)
     if end.failures:

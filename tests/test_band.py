@@ -5,7 +5,7 @@ import pytest
 from conftest import V3_NAMES, benchmark, load, stand_of
 
 import pupper_analysis as pa
-from pupper_analysis.stance.sag.band import SettledBand, settled_band
+from pupper_analysis.stance.sag.band import SteadyStateBand, steady_state_band
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
 from pupper_analysis.stance.sag.way import Way
 
@@ -13,7 +13,7 @@ sag = benchmark("sag")
 STANDING_V3 = tuple(name for name in V3_NAMES if name != "v3-long-leg")
 
 
-def heights(band: SettledBand) -> tuple[float, float, float]:
+def heights(band: SteadyStateBand) -> tuple[float, float, float]:
     assert band.lowest is not None
     assert band.frictionless is not None
     return tuple(pose.base_height for pose in (band.lowest, band.frictionless, band.highest))
@@ -34,7 +34,7 @@ def without_joints(model: object) -> None:
 def test_friction_of_any_kind_stays_inside(name: str) -> None:
     """Equilibria with random torques and moments in their sets are between the ends."""
     robot, stand, random = load(name), stand_of(name), np.random.default_rng(0)
-    band = settled_band(robot, stand)
+    band = steady_state_band(robot, stand)
     low, middle, high = heights(band)
     assert low < middle < high
     assert band.friction == 1
@@ -60,7 +60,7 @@ def test_friction_of_any_kind_stays_inside(name: str) -> None:
 @pytest.mark.parametrize("name", STANDING_V3)
 def test_robots_on_gripping_ground_end_inside_and_near_the_ends(name: str) -> None:
     robot, stand = sag.changed(load(name), sag.gripping), stand_of(name)
-    band = settled_band(robot, stand)
+    band = steady_state_band(robot, stand)
     low, middle, high = heights(band)
     assert not band.failures
     let_down = sag.led(robot, stand, (0.0, 1.0), 6.0)
@@ -79,7 +79,7 @@ def test_robots_on_gripping_ground_end_inside_and_near_the_ends(name: str) -> No
 @pytest.mark.parametrize("change", [without_rolling, without_joints])
 def test_each_kind_of_friction_alone(change: object) -> None:
     robot, stand = sag.changed(load("v3"), change), stand_of("v3")
-    low, middle, high = heights(settled_band(robot, stand))
+    low, middle, high = heights(steady_state_band(robot, stand))
     # Slowly: on the way down each joint's friction opposes its own motion, which is nearly, not
     # exactly, what holds the base up most.
     let_down = sag.led(robot, stand, (0.0, 1.0), 20.0)
@@ -91,7 +91,7 @@ def test_each_kind_of_friction_alone(change: object) -> None:
 @pytest.mark.slow
 def test_friction_carries_what_does_not_stand_without() -> None:
     robot, stand = sag.changed(load("v3-long-leg"), sag.gripping), stand_of("v3-long-leg")
-    band = settled_band(robot, stand)
+    band = steady_state_band(robot, stand)
     assert band.frictionless is None
     assert band.lowest is None
     assert band.width is None
@@ -105,30 +105,30 @@ def test_friction_carries_what_does_not_stand_without() -> None:
 
 def test_without_friction_there_is_no_band() -> None:
     robot, stand = sag.changed(load("v3"), sag.without_dry_friction), stand_of("v3")
-    band = settled_band(robot, stand)
+    band = steady_state_band(robot, stand)
     assert band.width == pytest.approx(0, abs=1e-9)
-    assert band.highest.base_height == pytest.approx(pa.settled_pose(robot, stand).base_height)
+    assert band.highest.base_height == pytest.approx(pa.steady_state(robot, stand).base_height)
 
 
 def test_feedforward_and_stiff_servos_narrow_it() -> None:
     robot, stand = load("v3"), stand_of("v3")
-    soft, stiff = (settled_band(robot, stand, kp=kp).width for kp in (5.0, 20.0))
+    soft, stiff = (steady_state_band(robot, stand, kp=kp).width for kp in (5.0, 20.0))
     assert soft > 3 * stiff > 0
-    low, middle, high = heights(settled_band(robot, stand, feedforward=True))
+    low, middle, high = heights(steady_state_band(robot, stand, feedforward=True))
     assert low < middle < high
-    assert middle == pytest.approx(pa.settled_pose(robot, stand, feedforward=True).base_height)
+    assert middle == pytest.approx(pa.steady_state(robot, stand, feedforward=True).base_height)
 
 
 @pytest.mark.slow
 def test_it_is_refused_where_nothing_holds() -> None:
     robot, stand = load("v3"), stand_of("v3")
     with pytest.raises(pa.NoEquilibriumError, match="not even with friction"):
-        settled_band(robot, stand, kp=0.5)
+        steady_state_band(robot, stand, kp=0.5)
     with pytest.raises(pa.ConfigurationError, match="kp"):
-        settled_band(robot, stand, kp=-1.0)
+        steady_state_band(robot, stand, kp=-1.0)
 
 
 def test_result_is_json() -> None:
-    result = settled_band(load("v3"), stand_of("v3")).to_dict()
+    result = steady_state_band(load("v3"), stand_of("v3")).to_dict()
     assert 0.0100 < result["highest"]["height_loss"] < 0.0101
     assert 0.0140 < result["lowest"]["height_loss"] < 0.0141

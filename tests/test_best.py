@@ -13,19 +13,19 @@ import pupper_analysis as pa
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation.payload import payload_trial
 from pupper_analysis.stance.optimize.best import Objective, StanceSearch, Subspace, best_stance
-from pupper_analysis.stance.optimize.space import BASE, LEAST_MOBILITY, StanceSpace
+from pupper_analysis.stance.optimize.space import BASE, LEAST_SINGULAR_VALUE, StanceSpace
 from pupper_analysis.stance.payload.first_order import FirstOrder
 from pupper_analysis.stance.stand import stand_statics
 
-EVEN = pa.LoadSharing.EVEN
+EVEN = pa.ForceDistribution.MIN_TANGENTIAL
 
 
 def utilisation(robot: pa.Robot, stand: pa.Stand) -> float:
-    return float(stand_statics(robot, stand, sharing=EVEN).motor_utilisation.max())
+    return float(stand_statics(robot, stand, distribution=EVEN).motor_utilisation.max())
 
 
 def com_margin(robot: pa.Robot, stand: pa.Stand) -> float:
-    margin = stand_statics(robot, stand, sharing=EVEN).com_margin
+    margin = stand_statics(robot, stand, distribution=EVEN).com_margin
     assert margin is not None
     return margin
 
@@ -53,7 +53,7 @@ def neighbours(robot: pa.Robot, found: pa.BestStance, count: int) -> list[pa.Sta
             stand = pa.solve_stand(robot, task, explain=False)
         except pa.StanceUnreachableError:
             continue
-        if (mobility(robot, stand) >= LEAST_MOBILITY * mobility(robot, found.nominal)).all():
+        if (mobility(robot, stand) >= LEAST_SINGULAR_VALUE * mobility(robot, found.nominal)).all():
             stands.append(stand)
     return stands
 
@@ -66,9 +66,9 @@ def check_kept(robot: pa.Robot, found: pa.BestStance) -> None:
     assert (joints <= robot.upper_limits + 1e-9).all()
     for name, interval in found.bounds.items():
         assert interval.low - 1e-12 <= found.coordinates[name] <= interval.high + 1e-12
-    least = LEAST_MOBILITY * mobility(robot, found.nominal)
+    least = LEAST_SINGULAR_VALUE * mobility(robot, found.nominal)
     assert (mobility(robot, found.stand) >= least * (1 - 1e-9)).all()
-    statics = stand_statics(robot, found.stand, sharing=EVEN)
+    statics = stand_statics(robot, found.stand, distribution=EVEN)
     assert statics.residual_force < 1e-9
     assert com_margin(robot, found.stand) > 0
 
@@ -166,11 +166,11 @@ def test_differential_evolution_finds_no_better_one(objective: Objective) -> Non
 def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
     """On three legs the com moves sideways: without that it would be outside the triangle."""
     robot = load("v3")
-    task = pa.StandTask(lifted={"FL": 0.02}, com="inside", com_margin=0.01)
+    task = pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
     found = best_stance(robot, task=task)
     assert not StanceSpace(robot, task).symmetric
     assert StanceSpace(robot, pa.StandTask()).symmetric
-    assert found.stand.carrying == tuple(foot for foot in robot.feet if foot != "FL")
+    assert found.stand.stance_feet == tuple(foot for foot in robot.feet if foot != "FL")
     assert found.value < 0.8 * found.nominal_value
     assert found.coordinates["y"] < -0.005
     assert com_margin(robot, found.stand) >= 0.01
@@ -205,9 +205,9 @@ def test_the_simulation_confirms_it() -> None:
 
 
 def test_least_torque() -> None:
-    robot, sharing = load("v3"), pa.LoadSharing.LEAST_TORQUE
-    found = best_stance(robot, sharing=sharing)
-    statics = stand_statics(robot, found.stand, sharing=sharing)
+    robot, distribution = load("v3"), pa.ForceDistribution.MIN_TORQUE
+    found = best_stance(robot, distribution=distribution)
+    statics = stand_statics(robot, found.stand, distribution=distribution)
     assert found.value == pytest.approx(statics.motor_utilisation.max(), rel=1e-6)
     assert found.value < 0.6 * found.nominal_value
 

@@ -14,7 +14,7 @@ from pupper_analysis.stance.payload.buckling import _geometric, _jacobian, buckl
 from pupper_analysis.stance.sag.equilibrium import move
 from pupper_analysis.stance.sunk import loaded_stand
 
-EVEN = pa.LoadSharing.EVEN
+EVEN = pa.ForceDistribution.MIN_TANGENTIAL
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ def test_stiffness_is_the_slope_of_the_balance(name: str, slope: float) -> None:
     """Of gravity less forces that keep their direction, by central differences."""
     robot = load(name)
     stand = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(slope, 0.5)))
-    forces = pa.stand_statics(robot, stand, sharing=EVEN).contact_forces
+    forces = pa.stand_statics(robot, stand, distribution=EVEN).contact_forces
 
     def balance(qpos: np.ndarray) -> np.ndarray:
         config = pa.Configuration(robot, qpos)
@@ -57,14 +57,14 @@ def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(name: str) -> 
     for _ in range(4):
         loaded = with_payload(robot, mass)
         sunk = loaded_stand(loaded, stand)
-        empty, laden = (pa.stand_statics(one, sunk, sharing=EVEN) for one in (robot, loaded))
+        empty, laden = (pa.stand_statics(one, sunk, distribution=EVEN) for one in (robot, loaded))
         modes = buckling_modes(robot, loaded, sunk, kp, empty, laden)
         assert modes is not None
         mass = float(1 / modes[0])
     signs = []
     for share in (0.98, 1.02):
         heavy = with_payload(robot, share * mass)
-        pose = pa.settled_pose(heavy, loaded_stand(heavy, stand), feedforward=True)
+        pose = pa.steady_state(heavy, loaded_stand(heavy, stand), feedforward=True)
         signs.append(np.sign(pose.stiffness))
     assert signs == [1, -1]
 
@@ -72,5 +72,5 @@ def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(name: str) -> 
 def test_servos_too_soft_without_any_payload() -> None:
     robot, stand = load("v3"), stand_of("v3")
     loaded = with_payload(robot, 0.3)
-    empty, laden = (pa.stand_statics(one, stand, sharing=EVEN) for one in (robot, loaded))
+    empty, laden = (pa.stand_statics(one, stand, distribution=EVEN) for one in (robot, loaded))
     assert buckling_modes(robot, loaded, stand, np.full(12, 0.5), empty, laden) is None

@@ -47,14 +47,14 @@ def test_what_is_typed_with_units_is_the_same(
     tasks = []
     for number, arguments in enumerate(
         (
-            ("--pitch", "0.1", "--height", "0.14", "--lift", "FL=0.01", "--offset", "0.01,0"),
-            ("--pitch", f"{math.degrees(0.1)}deg", "--height", "14cm", "--lift", "FL=10mm",
+            ("--pitch", "0.1", "--height", "0.14", "--swing", "FL=0.01", "--offset", "0.01,0"),
+            ("--pitch", f"{math.degrees(0.1)}deg", "--height", "14cm", "--swing", "FL=10mm",
              "--offset", "1cm,0"),
         )
     ):  # fmt: skip
         path = tmp_path / f"{number}.json"
         run_command(capfd, "stand", "v3", *arguments, "--json", str(path))
         task = json.loads(path.read_text())["stand"]["task"]
-        tasks.append([task["pitch"], task["height"], task["lifted"]["FL"], *task["offset"]])
+        tasks.append([task["pitch"], task["height"], task["swing"]["FL"], *task["offset"]])
     assert tasks[0] == pytest.approx(tasks[1], rel=1e-12)
     assert tasks[0] == pytest.approx([0.1, 0.14, 0.01, 0.01, 0.0])

@@ -21,7 +21,7 @@ FAR = 10.0  # m
 
 
 def shapes_of(robot: pa.Robot, body: int) -> list[int]:
-    """The geoms of a body that touch things, but for the soles."""
+    """The geoms of a body that touch things, but for the foot_geoms."""
     model = robot.mj_model
     return [
         geom
@@ -40,7 +40,7 @@ def ground_distances(robot: pa.Robot, qpos: np.ndarray) -> Iterator[float]:
     model, data = robot.mj_model, mujoco_at(robot, qpos)
     for body in range(1, model.nbody):
         for part in shapes_of(robot, body):
-            if part in robot.soles:
+            if part in robot.foot_geoms:
                 continue
             for obstacle in shapes_of(robot, 0):
                 if model.geom_type[obstacle] == mujoco.mjtGeom.mjGEOM_PLANE.value:
@@ -220,7 +220,7 @@ def test_a_posture_with_its_links_apart_is_found() -> None:
     assert stand.self_clearance.distance >= 0.014 - 1e-6
     nearer = pa.solve_stand(robot, pa.StandTask(yaw=math.radians(30), self_clearance=0.0))
     again = pa.solve_stand(
-        robot, replace(nearer.task, posture=tuple(nearer.joint_positions(robot).tolist()))
+        robot, replace(nearer.task, ik_seed=tuple(nearer.joint_positions(robot).tolist()))
     )
     np.testing.assert_allclose(again.qpos, nearer.qpos, atol=1e-6)
 

@@ -18,7 +18,7 @@ TASK = pa.StandTask(
     pitch=-0.4,
     offset=(0.02, -0.04),
     foot_offsets={"FL": (0.02, 0.01)},
-    lifted={"RR": 0.02},
+    swing={"RR": 0.02},
     ground=pa.Ground(0.1, 0.5, {"FR": 0.02}),
     ground_clearance=0.01,
 )
@@ -30,7 +30,7 @@ def test_none_of_it_is_the_nominal_stand_and_all_of_it_the_task() -> None:
     nominal = shrunk(robot, TASK, DEMANDS, 0.0)
     stand, plain = (
         pa.solve_stand(robot, nominal),
-        pa.solve_stand(robot, pa.StandTask(lifted={"RR": 1e-9})),
+        pa.solve_stand(robot, pa.StandTask(swing={"RR": 1e-9})),
     )
     np.testing.assert_allclose(stand.qpos[2:7], plain.qpos[2:7], atol=1e-9)
     assert not differ(robot, pa.StandTask(yaw=0.3), ["roll", "height", "ground"])
@@ -49,7 +49,7 @@ def test_one_gives_way_and_the_others_stay(demand: str) -> None:
         "pitch": -0.2,
         "offset": (0.01, -0.02),
         "foot_offsets": {"FL": (0.01, 0.005)},
-        "lifted": {"RR": 0.01},
+        "swing": {"RR": 0.01},
         "ground": pa.Ground(0.05, 0.5, {"FR": 0.01}),
         "ground_clearance": 0.005,
     }
@@ -76,7 +76,7 @@ def test_in_words() -> None:
     assert in_words(TASK, "offset") == "(20.0, -40.0) mm"
     slope = pa.StandTask(ground=pa.Ground(math.radians(5.7), 0.5, {"FR": 0.02}))
     assert in_words(slope, "ground") == "slope 5.7 deg (0.0994 rad), steps FR 20.0 mm"
-    assert in_words(TASK, "lifted") == "RR 20.0 mm"
+    assert in_words(TASK, "swing") == "RR 20.0 mm"
     assert in_words(TASK, "ground_clearance") == "10.0 mm"
     assert in_words(TASK, "foot_offsets") == "FL (20.0, 10.0) mm"
     assert in_words(pa.StandTask(com=(0.0123, -0.004)), "com") == "(12.3, -4.0) mm"
@@ -85,17 +85,17 @@ def test_in_words() -> None:
 def test_rounding_is_towards_the_nominal_stand_and_by_little() -> None:
     robot = load("v3")  # which stands at 0.1315 m
     task = pa.StandTask(
-        height=0.19247, roll=0.33651, pitch=-0.12345, lifted={"FL": 0.00123456}, joint_margin=0.4003
+        height=0.19247, roll=0.33651, pitch=-0.12345, swing={"FL": 0.00123456}, joint_margin=0.4003
     )
     near = rounded(robot, task, DEMANDS)
     assert near.height == 0.1924
     assert rounded(robot, replace(task, height=0.10013), ["height"]).height == 0.1002
     assert math.degrees(near.roll) == pytest.approx(19.28)  # 19.2806
     assert math.degrees(near.pitch) == pytest.approx(-7.07)  # -7.0732
-    assert near.lifted["FL"] == pytest.approx(0.001234)
+    assert near.swing["FL"] == pytest.approx(0.001234)
     assert near.joint_margin <= task.joint_margin
     assert rounded(robot, near, DEMANDS) == near
-    for demand in ("height", "roll", "pitch", "lifted", "joint_margin"):
+    for demand in ("height", "roll", "pitch", "swing", "joint_margin"):
         assert in_words(near, demand) != in_words(task, demand)
 
 
@@ -103,7 +103,7 @@ def test_a_com_gives_way_towards_the_middle_of_the_feet_that_carry() -> None:
     robot = load("v3")
     feet = pa.Configuration(robot, robot.neutral()).foot_positions()
     middle = np.mean([feet[foot][:2] for foot in ("FR", "FL", "RR")], axis=0)
-    task = pa.StandTask(com=(0.03, 0.01), lifted={"RL": 0.01})
+    task = pa.StandTask(com=(0.03, 0.01), swing={"RL": 0.01})
     np.testing.assert_allclose(
         shrunk(robot, task, ["com"], 0.25).com, middle + 0.25 * ((0.03, 0.01) - middle)
     )

@@ -83,7 +83,7 @@ def test_at_rest_it_is_gravity_compensation(name: str) -> None:
     robot, stand = load(name), stand_of(name)
     config = pa.Configuration(robot, stand.qpos)
     found = inverse_dynamics(config, np.zeros(robot.nv))
-    still = pa.gravity_compensation(config, sharing=pa.LoadSharing.EVEN)
+    still = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
     np.testing.assert_allclose(found.joint_torques, still.joint_torques, atol=1e-12)
     assert found.zmp_margin == pytest.approx(still.com_margin, abs=1e-12)
     np.testing.assert_allclose(found.zero_moment_point[:2], still.center_of_mass[:2], atol=1e-12)
@@ -140,7 +140,7 @@ def test_ground_resists_rolling_as_mujocos_does() -> None:
             axes = data.contact.frame[number].reshape(3, 3)
             sign = 1 if pair[0] == 0 else -1
             moment = sign * axes.T @ wrench[3:]
-            foot = robot.soles[int(pair.max())]
+            foot = robot.foot_geoms[int(pair.max())]
             # Its contact gives way vertically here, so the share is not quite even.
             np.testing.assert_allclose(
                 levers[foot][:2], moment[:2] / wrench[0], atol=0.03 * np.abs(moment).max()

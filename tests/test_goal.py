@@ -13,7 +13,7 @@ from pupper_analysis.stance.problem import goal_of
 @pytest.mark.parametrize("name", NAMES)
 def test_spheres_touch_plane_and_steps(name: str) -> None:
     robot, ground = load(name), pa.Ground(0.2, 0.7, {"FL": 0.02})
-    goal = goal_of(robot, pa.StandTask(ground=ground, lifted={"RR": 0.03}), {"FR": 0.002})
+    goal = goal_of(robot, pa.StandTask(ground=ground, swing={"RR": 0.03}), {"FR": 0.002})
     normal = np.array([-np.sin(0.2) * np.cos(0.7), -np.sin(0.2) * np.sin(0.7), np.cos(0.2)])
     above = {foot: float(normal @ centre) for foot, centre in goal.targets.items()}
     radius = robot.foot_radius
@@ -21,8 +21,8 @@ def test_spheres_touch_plane_and_steps(name: str) -> None:
     assert above["FL"] == pytest.approx(radius["FL"] + 0.02 * np.cos(0.2))
     assert above["RR"] == pytest.approx(radius["RR"] + 0.03 * np.cos(0.2))
     assert above["RL"] == pytest.approx(radius["RL"])
-    assert set(goal.carrying) == {"FR", "FL", "RL"}
-    heights = dict(zip(goal.carrying, goal.contacts @ normal, strict=True))
+    assert set(goal.stance_feet) == {"FR", "FL", "RL"}
+    heights = dict(zip(goal.stance_feet, goal.contacts @ normal, strict=True))
     assert heights["FR"] == pytest.approx(0, abs=1e-12)  # the ground itself does not sink
     assert goal.height == pytest.approx(goal.contacts[:, 2].mean() + robot.stand_height)
     np.testing.assert_allclose(goal.place, goal.contacts[:, :2].mean(axis=0))

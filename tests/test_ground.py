@@ -37,16 +37,20 @@ def test_law_is_mujocos(name: str, change: object) -> None:
     assert ground is not None
     robot = replace(
         robot,
-        contacts={f: pa.contact.combine(robot.mj_model, s, ground) for s, f in robot.soles.items()},
+        contacts={
+            f: pa.contact.combine(robot.mj_model, s, ground) for s, f in robot.foot_geoms.items()
+        },
     )
     for drop in (1e-4, 2e-3, 5e-3, 9e-3):
         qpos = stand_of(name).qpos.copy()
         qpos[2] -= drop
         data = mujoco_at(robot, qpos)
-        touches = [touch for touch in data.contact if set(touch.geom) <= {ground, *robot.soles}]
+        touches = [
+            touch for touch in data.contact if set(touch.geom) <= {ground, *robot.foot_geoms}
+        ]
         assert len(touches) == 4
         for touch in touches:
-            foot = robot.soles[max(touch.geom)]
+            foot = robot.foot_geoms[max(touch.geom)]
             law = GroundLaw.of(robot, foot)
             row = touch.efc_address
             r, aref = data.efc_R[row], data.efc_aref[row]

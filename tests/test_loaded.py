@@ -76,7 +76,7 @@ def test_the_base_stays_as_the_feet_sink() -> None:
     loaded = with_payload(robot, 2.0, (0.08, 0.0, 0.05))
     sunk = loaded_stand(loaded, stand)
     np.testing.assert_allclose(sunk.qpos[:7], stand.qpos[:7], atol=1e-9)
-    statics = pa.stand_statics(loaded, sunk, sharing=pa.LoadSharing.EVEN)
+    statics = pa.stand_statics(loaded, sunk, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
     assert sum(f[2] for f in statics.contact_forces.values()) == pytest.approx(
         9.81 * (robot.total_mass + 2.0)
     )

@@ -32,7 +32,7 @@ def lift(name: str, foot: str, height: float = 0.02) -> list[pa.StandTask]:
     robot = load(name)
     feet = pa.Configuration(robot, robot.neutral()).foot_positions()
     x, y = np.mean([feet[other][:2] for other in robot.feet if other != foot], axis=0)
-    over, up = Task(com=(x, y)), Task(com=(x, y), lifted={foot: height})
+    over, up = Task(com=(x, y)), Task(com=(x, y), swing={foot: height})
     return [Task(), over, up, up, over, Task()]
 
 
@@ -66,7 +66,7 @@ def test_every_sample_is_a_stand_in_balance(name: str, kind: str, rolling: bool)
     assert 0 < path.peak_utilisation < 1
     assert (path.com_margin > 0).all()
     assert (path.loads >= 0).all()
-    assert ((path.loads > 0) <= path.carrying).all()
+    assert ((path.loads > 0) <= path.stance_feet).all()
     assert not path.infeasible.any()
     nominal = pa.Configuration(robot, path.qpos[0]).foot_positions()
     for index in range(0, len(path.time), 3):
@@ -108,7 +108,7 @@ def test_rolling_feet_do_not_slip(name: str, kind: str) -> None:
     for index in range(len(path.time) - 1):
         one, two = (pa.Configuration(robot, path.qpos[i]) for i in (index, index + 1))
         for column, foot in enumerate(robot.feet):
-            if not path.carrying[index : index + 2, column].all():
+            if not path.stance_feet[index : index + 2, column].all():
                 continue
             frame, down = robot.foot_frames[foot], -robot.foot_radius[foot] * UP
             turn = two.frame_rotation(frame) @ one.frame_rotation(frame).T
@@ -201,7 +201,7 @@ def test_inertia_counts_as_one_over_time_squared() -> None:
         resistance = np.array([joint_resistance(robot, *row)[6:] for row in motion])
         torques.append(path.torques - resistance)
         at_rest = pa.gravity_compensation(
-            pa.Configuration(robot, path.qpos[5]), sharing=pa.LoadSharing.EVEN
+            pa.Configuration(robot, path.qpos[5]), distribution=pa.ForceDistribution.MIN_TANGENTIAL
         )
         if seconds == 1e4:
             np.testing.assert_allclose(path.torques[5], at_rest.joint_torques, atol=5e-3)
@@ -243,7 +243,7 @@ def test_a_foot_is_unloaded_before_it_lifts() -> None:
 def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
     robot, ground = load("v3"), pa.Ground(slope=0.05, uphill=0.5)
     moved = [
-        pa.StandTask(com=t.com, lifted=t.lifted, ground=ground, foot_offsets={"FL": (place, 0.0)})
+        pa.StandTask(com=t.com, swing=t.swing, ground=ground, foot_offsets={"FL": (place, 0.0)})
         for t, place in zip(lift("v3", "FL")[1:5], (0, 0, 0.01, 0.01), strict=True)
     ]
     path = stance_path(robot, moved, 4.0, rate=20.0, rolling=False)
@@ -272,7 +272,15 @@ def test_files_hold_the_path(tmp_path: Path) -> None:
             np.testing.assert_array_equal(arrays["joints"], path.joint_positions())
             for key in ("qvel", "qacc", "forces", "moments", "zero_moment_point", "zmp_margin"):
                 np.testing.assert_array_equal(arrays[key], getattr(path, key))
-            for key in ("time", "qpos", "torques", "carrying", "loads", "clearance", "com_margin"):
+            for key in (
+                "time",
+                "qpos",
+                "torques",
+                "stance_feet",
+                "loads",
+                "clearance",
+                "com_margin",
+            ):
                 np.testing.assert_array_equal(arrays[key], getattr(path, key))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["new", "path.data", "path.npz"]
     with pytest.raises(pa.OutputError):
@@ -301,8 +309,8 @@ FL, FR, RL = ({foot: 0.02} for foot in ("FL", "FR", "RL"))
         ([Task(com="inside"), Task(com=(0.0, 0.0))], 1.0, 50.0, "inside"),
         ([Task(com="inside"), Task(offset=(0.0, 0.0))], 1.0, 50.0, "inside"),
         ([Task(), Task(foot_offsets={"FL": (0.01, 0.0)})], 1.0, 50.0, "FL carries between"),
-        ([Task(lifted=FL), Task(lifted=FR)], 1.0, 50.0, "only 2 feet carry between stances 1 and"),
-        ([Task(lifted=FL), Task(), Task(lifted=FR)], 1.0, 50.0, "lands and another lifts"),
+        ([Task(swing=FL), Task(swing=FR)], 1.0, 50.0, "only 2 feet carry between stances 1 and"),
+        ([Task(swing=FL), Task(), Task(swing=FR)], 1.0, 50.0, "lands and another lifts"),
         ([Task(), Task(yaw=0.3), Task(yaw=-0.3)], 1.0, 0.1, "jumps"),
     ],
 )
@@ -322,7 +330,7 @@ def test_refusals_name_the_moment() -> None:
     with pytest.raises(
         pa.StaticsInfeasibleError, match=r"at 0\.00 s, between stances 1 and 2: .*insert"
     ):
-        stance_path(robot, [Task(), Task(lifted=FL)], 1.0)
+        stance_path(robot, [Task(), Task(swing=FL)], 1.0)
     over = lift("v3", "FL")
     with pytest.raises(pa.StaticsInfeasibleError, match=r"at 1.00 s, between .* 1 and 2") as caught:
         stance_path(robot, [over[1], Task(), over[2]], 2.0, rolling=False)
@@ -334,7 +342,7 @@ def test_refusals_name_the_moment() -> None:
         stance_path(robot, [Task(), Task(height=0.4)], 1.0)
     assert missed.value.shortfall
     with pytest.raises(pa.UnknownNameError):
-        stance_path(robot, [Task(), Task(lifted={"XX": 0.01})], 1.0)
+        stance_path(robot, [Task(), Task(swing={"XX": 0.01})], 1.0)
 
 
 def test_a_path_keeps_its_clearances() -> None:

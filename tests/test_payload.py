@@ -18,7 +18,7 @@ from pupper_analysis.stance.payload.limit import _problem, contact_limit, motor_
 from pupper_analysis.stance.payload.servo_limit import Command, Failure, first_failing, servo_limit
 from pupper_analysis.stance.sunk import loaded_stand
 
-EVEN = pa.LoadSharing.EVEN
+EVEN = pa.ForceDistribution.MIN_TANGENTIAL
 ON_TOP, AHEAD = (0.0, 0.0, 0.05), (0.2, 0.0, 0.05)
 
 
@@ -67,8 +67,8 @@ def test_forces_act_where_the_statics_have_them() -> None:
     stand = pa.sunk_stand(robot, task)
     assert min(stand.depths.values()) > 1e-3
     problem = _problem(robot, stand, np.array(ON_TOP))
-    forces = pa.stand_statics(robot, stand, sharing=EVEN).contact_forces
-    stacked = np.concatenate([forces[foot] for foot in stand.carrying])
+    forces = pa.stand_statics(robot, stand, distribution=EVEN).contact_forces
+    stacked = np.concatenate([forces[foot] for foot in stand.stance_feet])
     np.testing.assert_allclose(problem.contacts @ stacked, problem.gravity, atol=1e-10)
 
 
@@ -89,13 +89,15 @@ def test_a_plane_slides_at_one_angle_whatever_it_carries() -> None:
 def test_at_the_motors_limit_one_is_at_its_end_with_the_forces_that_last(name: str) -> None:
     robot, stand = load(name), stand_of(name)
     limit = motor_limit(robot, stand, ON_TOP)
-    held = pa.stand_statics(with_payload(robot, limit.mass, ON_TOP), stand, sharing=EVEN)
+    held = pa.stand_statics(with_payload(robot, limit.mass, ON_TOP), stand, distribution=EVEN)
     assert held.motor_utilisation.max() == pytest.approx(1.0, abs=1e-9)
     busiest = robot.joint_names[int(held.motor_utilisation.argmax())]
     assert limit.failure is Failure.MOTOR
     assert busiest in limit.where
     assert max(held.friction_utilisation.values()) == 0.0  # vertical forces
-    below = pa.stand_statics(with_payload(robot, 0.9 * limit.mass, ON_TOP), stand, sharing=EVEN)
+    below = pa.stand_statics(
+        with_payload(robot, 0.9 * limit.mass, ON_TOP), stand, distribution=EVEN
+    )
     assert below.motor_utilisation.max() < 1
 
 
@@ -105,7 +107,7 @@ def test_where_a_foot_lets_go_the_motors_limit_is_found_by_search() -> None:
     point = (0.04, 0.035, 0.05)
     limit = motor_limit(robot, stand, point)
     assert limit.failure is Failure.MOTOR
-    held = pa.stand_statics(with_payload(robot, limit.mass, point), stand, sharing=EVEN)
+    held = pa.stand_statics(with_payload(robot, limit.mass, point), stand, distribution=EVEN)
     assert held.motor_utilisation.max() == pytest.approx(1.0, abs=2e-3)
     assert held.motor_utilisation.max() <= 1.0
 
@@ -114,7 +116,7 @@ def test_on_a_slope_the_motors_limit_is_found_by_search() -> None:
     robot = load("v3")
     stand = pa.sunk_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.2), pitch=-0.2))
     limit = motor_limit(robot, stand, ON_TOP)
-    held = pa.stand_statics(with_payload(robot, limit.mass, ON_TOP), stand, sharing=EVEN)
+    held = pa.stand_statics(with_payload(robot, limit.mass, ON_TOP), stand, distribution=EVEN)
     assert held.motor_utilisation.max() == pytest.approx(1.0, abs=2e-3)
     assert held.motor_utilisation.max() <= 1.0
 
@@ -150,7 +152,7 @@ def test_a_limit_of_zero_carries_nothing_and_divides_nothing() -> None:
 def test_motors_too_weak_for_the_robot_itself() -> None:
     robot = pa.load_variant(pa.VariantSpec(base="v3", torso_mass_scale=12.0))
     stand = pa.solve_stand(robot)
-    limit, held = payload_limit(robot, stand), pa.stand_statics(robot, stand, sharing=EVEN)
+    limit, held = payload_limit(robot, stand), pa.stand_statics(robot, stand, distribution=EVEN)
     assert limit.mass == limit.motors.mass == 0.0
     assert limit.failure is Failure.MOTOR
     over = [n for n, u in zip(held.joint_names, held.motor_utilisation, strict=True) if u > 1]
@@ -168,7 +170,7 @@ def test_at_the_servos_limit_the_equilibrium_stops_being_stable() -> None:
     stiffness = []
     for share in (0.98, 1.02):
         heavy = with_payload(robot, share * bound.mass, ON_TOP)
-        pose = pa.settled_pose(heavy, loaded_stand(heavy, stand), feedforward=True)
+        pose = pa.steady_state(heavy, loaded_stand(heavy, stand), feedforward=True)
         stiffness.append(pose.stiffness)
         assert max(abs(pose.joint_torques)) < 0.6 * robot.effort_limits.max()
     assert stiffness[0] > 0 > stiffness[1]

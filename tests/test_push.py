@@ -41,7 +41,7 @@ def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool
     robot, stand = load(name), stand_of(name)
     drive, model = servos(robot), robot.description.mjcf.copy().compile()
     torques = pa.gravity_compensation(
-        pa.Configuration(robot, stand.qpos), sharing=pa.LoadSharing.EVEN
+        pa.Configuration(robot, stand.qpos), distribution=pa.ForceDistribution.MIN_TANGENTIAL
     ).joint_torques
     data = mujoco.MjData(model)
     start = place_on_ground(robot, drive, stand, torques)
@@ -279,7 +279,7 @@ def test_bad_figures_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "task",
     [
-        pa.StandTask(lifted={"FL": 0.02}, com="inside", com_margin=0.02),
+        pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.02),
         pa.StandTask(pitch=-0.1, ground=pa.Ground(0.1, 0.0, {"RR": 0.01})),
     ],
 )
@@ -289,12 +289,12 @@ def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
     stand = pa.sunk_stand(robot, task)
     result = push_recovery(robot, stand, directions=8, resolution=0.1)
     assert result.weakest_impulse > 0.2
-    if task.lifted:
+    if task.swing:
         config = pa.Configuration(robot, stand.qpos)
         axes = np.array([[1.0, 1.0]]) / math.sqrt(2)
         point = np.asarray(result.point)
         three, four = (
-            tipping_impulses(config, point, axes, feet) for feet in (stand.carrying, robot.feet)
+            tipping_impulses(config, point, axes, feet) for feet in (stand.stance_feet, robot.feet)
         )
         assert three < four
         assert result.impulses[1] > three

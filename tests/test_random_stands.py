@@ -81,7 +81,7 @@ def test_the_check_sees_a_stand_that_is_a_little_off() -> None:
     for task in (
         pa.StandTask(roll=0.05, yaw=0.1, ground=pa.Ground(0.05, 1.0, {"FL": 0.01})),
         pa.StandTask(offset=(0.01, 0.01)),
-        pa.StandTask(lifted={"FL": 0.01}, com="inside", com_margin=0.01),
+        pa.StandTask(swing={"FL": 0.01}, com="inside", com_margin=0.01),
     ):
         stand, demand = pa.solve_stand(robot, task), stances.Demand(robot, task)
         error, wrong = stances.check_reached(demand, stand)

@@ -366,7 +366,7 @@ def test_mini_cheetah_stands_as_predicted() -> None:
     robot = stances.other_robot(folder, "mini-cheetah")
     with pytest.raises(pa.ModelError, match="no position servo"):
         pa.verify_stand(robot, pa.solve_stand(robot))
-    for task in (pa.StandTask(), pa.StandTask(lifted={"FL": 0.03}, com="inside", com_margin=0.02)):
+    for task in (pa.StandTask(), pa.StandTask(swing={"FL": 0.03}, com="inside", com_margin=0.02)):
         run = pa.verify_stand(robot, pa.sunk_stand(robot, task), kp=100, kd=3)
         assert run.passed, run.failures
         assert max(run.torque_error, run.force_error) < 1e-3

@@ -303,14 +303,16 @@ def test_a_foot_on_a_low_step_touches_the_step_alone() -> None:
     qpos[2] -= 0.003
     data = mujoco_at(on_step, qpos)
     touched = {
-        on_step.soles[int(sole)]: on_step.mj_model.geom(int(other)).name
+        on_step.foot_geoms[int(sole)]: on_step.mj_model.geom(int(other)).name
         for pair in data.contact.geom
         for sole, other in (pair, pair[::-1])
-        if int(sole) in on_step.soles
+        if int(sole) in on_step.foot_geoms
     }
     assert len(data.contact.geom) == 4
     floor = robot.mj_model.geom(pa.contact.ground_geom(robot.mj_model)).name
     assert touched == {"FR": floor, "FL": floor, "RR": "step_RR", "RL": floor}
     qpos[2] -= 0.12  # other parts still touch the floor
-    bodies = pa.contact.bodies_on_ground(on_step.mj_model, mujoco_at(on_step, qpos), on_step.soles)
+    bodies = pa.contact.bodies_on_ground(
+        on_step.mj_model, mujoco_at(on_step, qpos), on_step.foot_geoms
+    )
     assert "base_link" in bodies

@@ -12,7 +12,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.sag import steady_state as settle
 from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet, move
-from pupper_analysis.stance.sag.steady_state import least_kp, settled_pose
+from pupper_analysis.stance.sag.steady_state import minimum_stiffness, steady_state
 from pupper_analysis.stance.sag.way import Way
 
 LASTING = 1e-4
@@ -41,16 +41,16 @@ def firm_grip(model: mujoco.MjModel) -> None:
 @pytest.mark.parametrize("name", SETTLING)
 def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
     robot, stand = load(name), stand_of(name)
-    pose = settled_pose(robot, stand, feet=feet)
+    pose = steady_state(robot, stand, feet=feet)
     data = mujoco_at(robot, pose.qpos)
     rest = data.qfrc_bias[robot.mj_convention.qvel_index].copy()
     torques = servos(robot).kp * (stand.qpos[7:] - pose.qpos[7:])
     np.testing.assert_allclose(pose.joint_torques, torques, rtol=0, atol=1e-12)
     rest[6:] -= pose.joint_torques
     for touch in data.contact:
-        if max(touch.geom) not in robot.soles:
+        if max(touch.geom) not in robot.foot_geoms:
             continue
-        foot = robot.soles[max(touch.geom)]
+        foot = robot.foot_geoms[max(touch.geom)]
         jacobian = np.zeros((3, robot.mj_model.nv))
         body = robot.foot_places[foot][0]
         mujoco.mj_jac(robot.mj_model, data, jacobian, None, touch.pos, body)
@@ -66,7 +66,7 @@ def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
 def test_it_is_a_minimum_of_the_energy(name: str) -> None:
     """Sliding, the energy is a function of qpos alone: it grows in every direction."""
     robot, stand = load(name), stand_of(name)
-    pose = settled_pose(robot, stand, feet="sliding")
+    pose = steady_state(robot, stand, feet="sliding")
     kp, g = servos(robot).kp, -robot.gravity[2]
     laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
 
@@ -91,7 +91,7 @@ def test_it_is_a_minimum_of_the_energy(name: str) -> None:
 
 def test_newton_converges_quadratically() -> None:
     for name in SETTLING:
-        residuals = settled_pose(load(name), stand_of(name)).residuals
+        residuals = steady_state(load(name), stand_of(name)).residuals
         assert residuals[-1] < 1e-10
         assert len(residuals) <= 6
         for last, this in zip(residuals[-4:-1], residuals[-3:], strict=True):
@@ -101,7 +101,7 @@ def test_newton_converges_quadratically() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_feedforward_leaves_only_the_contact(name: str) -> None:
     robot, stand = load(name), stand_of(name)
-    pose = settled_pose(robot, stand, feedforward=True)
+    pose = steady_state(robot, stand, feedforward=True)
     run = pa.verify_stand(robot, stand)
     assert pose.height_loss == pytest.approx(run.height_loss, abs=2e-5)
     assert abs(pose.servo_sag) < 2e-5
@@ -111,7 +111,7 @@ def test_feedforward_leaves_only_the_contact(name: str) -> None:
 # ------------------------------------------------------------------------------------- simulation
 
 
-def assert_predicts(pose: settle.SettledPose, run: pa.StandVerification, tolerance: float) -> None:
+def assert_predicts(pose: settle.SteadyState, run: pa.StandVerification, tolerance: float) -> None:
     assert pose.base_height == pytest.approx(run.base_height, abs=tolerance)
     assert pose.contact_sag == pytest.approx(run.contact_sag, abs=1e-5 + 0.02 * tolerance)
     for foot, force in run.foot_forces.items():
@@ -121,7 +121,7 @@ def assert_predicts(pose: settle.SettledPose, run: pa.StandVerification, toleran
 @pytest.mark.parametrize("name", SETTLING)
 def test_nominal_stands(name: str) -> None:
     robot, stand = load(name), stand_of(name)
-    pose = settled_pose(robot, stand)
+    pose = steady_state(robot, stand)
     assert pose.stable
     assert not pose.failures
     run = pa.verify_stand(robot, stand, feedforward=False)
@@ -141,7 +141,7 @@ def test_random_stands(name: str) -> None:
         count += 1
         run = pa.verify_stand(robot, stand, feedforward=False)
         try:
-            pose = settled_pose(robot, stand)
+            pose = steady_state(robot, stand)
         except pa.NoEquilibriumError:
             pose = None
         if pose and not pose.failures and abs(pose.height_drift) < LASTING:
@@ -158,7 +158,7 @@ def test_random_stands(name: str) -> None:
 @pytest.mark.parametrize("name", ["original", "heavy", "v3"])
 def test_creeping_feet_end_sliding(name: str) -> None:
     robot, stand = load(name), stand_of(name)
-    pose = settled_pose(robot, stand, feet="sliding")
+    pose = steady_state(robot, stand, feet="sliding")
     run = pa.verify_stand(changed(robot, fast_creep), stand, feedforward=False, duration=8)
     assert_predicts(pose, run, 5e-6)
 
@@ -166,7 +166,7 @@ def test_creeping_feet_end_sliding(name: str) -> None:
 @pytest.mark.parametrize("name", ["v3", "v3-heavy"])
 def test_creep_of_pinned_feet(name: str) -> None:
     """Once dry friction in the joints, which delays it, has crept away."""
-    pose = settled_pose(load(name), stand_of(name))
+    pose = steady_state(load(name), stand_of(name))
     run = pa.verify_stand(load(name), stand_of(name), feedforward=False, duration=8)
     assert run.height_drift == pytest.approx(pose.height_drift, rel=0.15)
 
@@ -181,13 +181,13 @@ def with_torque_limit(limit: float) -> pa.Robot:
 def test_force_limits_of_servos() -> None:
     """The knees need 0.639 N m. With 0.636 the others help out; with 0.632 there is no holding."""
     stand = stand_of("heavy")
-    free, pose = (settled_pose(with_torque_limit(x), stand) for x in (0.7, 0.636))
+    free, pose = (steady_state(with_torque_limit(x), stand) for x in (0.7, 0.636))
     assert not free.saturated
     assert np.abs(free.joint_torques).max() == pytest.approx(0.6393, abs=1e-4)
     assert pose.saturated == ("RL_KFE", "RR_KFE")
     assert pose.stiffness < 0.5 * free.stiffness
     with pytest.raises(pa.NoEquilibriumError):
-        settled_pose(with_torque_limit(0.632), stand)
+        steady_state(with_torque_limit(0.632), stand)
     run = pa.verify_stand(with_torque_limit(0.632), stand, feedforward=False)
     assert "it fell over" in run.failures[0]
 
@@ -195,7 +195,7 @@ def test_force_limits_of_servos() -> None:
 ANYWHERE = {
     "slope": pa.StandTask(pitch=-0.2, ground=pa.Ground(0.25, 0.3), com="inside"),
     "steps": pa.StandTask(ground=pa.Ground(heights={"FR": 0.012, "RL": 0.006})),
-    "three legs": pa.StandTask(lifted={"FL": 0.03}, com="inside", com_margin=0.01),
+    "three legs": pa.StandTask(swing={"FL": 0.03}, com="inside", com_margin=0.01),
     "off the centre": pa.StandTask(offset=(-0.01, 0.02)),
 }
 
@@ -206,13 +206,13 @@ def test_slopes_steps_and_three_legs(name: str, what: str) -> None:
     kp = 20.0 if name == "v3" else None  # its own servos let the lifted foot down to the ground
     kd = 0.5 if name == "v3" else None
     robot, stand = load(name), pa.solve_stand(load(name), ANYWHERE[what])
-    pose = settled_pose(robot, stand, kp=kp, seconds=4.5)
+    pose = steady_state(robot, stand, kp=kp, seconds=4.5)
     assert not pose.failures
     run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, kd=kd)
     assert pose.base_height == pytest.approx(run.base_height, abs=1e-4)
     np.testing.assert_allclose(pose.joint_torques, run.joint_torques, atol=0.01)
     for foot, force in run.foot_forces.items():
-        if foot in stand.carrying:
+        if foot in stand.stance_feet:
             np.testing.assert_allclose(pose.contact_forces[foot], force, atol=0.25)
 
 
@@ -223,15 +223,15 @@ def test_creep_in_time(name: str) -> None:
     stand = pa.solve_stand(robot, ANYWHERE["slope"])
     for seconds in (2.0, 8.0):
         run = pa.verify_stand(robot, stand, feedforward=False, duration=seconds)
-        pose = settled_pose(robot, stand, seconds=seconds - 0.5)
+        pose = steady_state(robot, stand, seconds=seconds - 0.5)
         assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
     drift = run.height_drift
     assert drift < -1e-5
     assert pose.height_drift == pytest.approx(drift, rel=0.1)
     stand = stand_of(name)
     away = [
-        abs(settled_pose(robot, stand, seconds=seconds).base_height - end)
-        for end in (settled_pose(robot, stand, feet="sliding").base_height,)
+        abs(steady_state(robot, stand, seconds=seconds).base_height - end)
+        for end in (steady_state(robot, stand, feet="sliding").base_height,)
         for seconds in (0.0, 10.0, 1000.0)
     ]
     assert away[0] >= away[1] >= away[2]
@@ -245,7 +245,7 @@ def test_feet_slip_as_it_is_let_go_where_that_is_said(name: str) -> None:
     seen = set()
     for y in np.linspace(0.0, 0.055, 6):
         stand = pa.solve_stand(robot, pa.StandTask(offset=(-0.6 * float(y), float(y))))
-        pose = settled_pose(robot, stand, seconds=4.5)
+        pose = steady_state(robot, stand, seconds=4.5)
         if pose.failures:
             break
         run = pa.verify_stand(robot, stand, feedforward=False)
@@ -257,7 +257,7 @@ def test_feet_slip_as_it_is_let_go_where_that_is_said(name: str) -> None:
             assert error > 1e-5
             seen.add("slips")
     assert seen == {"firm", "slips"}
-    still = settled_pose(robot, stand_of(name), feedforward=True)
+    still = steady_state(robot, stand_of(name), feedforward=True)
     assert still.release_margin > 0.2
 
 
@@ -266,7 +266,7 @@ def test_feet_slip_as_it_is_let_go_where_that_is_said(name: str) -> None:
 
 def lifted(name: str, foot: str, height: float, **task: object) -> pa.Stand:
     """A stand with the com 10 mm inside the triangle of the other feet."""
-    asked = pa.StandTask(lifted={foot: height}, com="inside", com_margin=0.01, **task)
+    asked = pa.StandTask(swing={foot: height}, com="inside", com_margin=0.01, **task)
     return pa.solve_stand(load(name), asked)
 
 
@@ -287,8 +287,8 @@ def test_a_lifted_foot_that_comes_down_carries(
     name: str, foot: str, height: float, kp: float
 ) -> None:
     robot, stand = load(name), lifted(name, foot, height)
-    pose = settled_pose(robot, stand, kp=kp, seconds=7.5)
-    assert pose.carrying == robot.feet
+    pose = steady_state(robot, stand, kp=kp, seconds=7.5)
+    assert pose.stance_feet == robot.feet
     assert [failure for failure in pose.failures if f"foot {foot}, lifted, touches" in failure]
     run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=8)
     assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
@@ -300,11 +300,11 @@ def test_a_lifted_foot_that_comes_down_carries(
 def test_feet_carry_where_they_are_in_the_ground(kp: float) -> None:
     """Complementarity, by MuJoCo's collisions and the law of the ground."""
     robot, stand = load("v3"), lifted("v3", "RR", 0.006)
-    pose = settled_pose(robot, stand, kp=kp)
+    pose = steady_state(robot, stand, kp=kp)
     depths = {}
     for touch in mujoco_at(robot, pose.qpos).contact:
-        depths[robot.soles[max(touch.geom)]] = -touch.dist
-    assert set(pose.carrying) == set(depths)
+        depths[robot.foot_geoms[max(touch.geom)]] = -touch.dist
+    assert set(pose.stance_feet) == set(depths)
     assert ("RR" in depths) == (kp < 50)  # on stiff servos only the ground gives
     for foot, force in pose.contact_forces.items():
         if foot in depths:
@@ -319,15 +319,15 @@ def test_touching_begins_without_a_jump() -> None:
     """Lifted by as much as it comes down, a foot just touches."""
     robot = load("v3")
 
-    def pose(height: float) -> settle.SettledPose:
-        return settled_pose(robot, lifted("v3", "RR", height), kp=4.0)
+    def pose(height: float) -> settle.SteadyState:
+        return steady_state(robot, lifted("v3", "RR", height), kp=4.0)
 
     low, high = 0.006, 0.03  # it touches; it does not
-    assert "RR" in pose(low).carrying
-    assert "RR" not in pose(high).carrying
+    assert "RR" in pose(low).stance_feet
+    assert "RR" not in pose(high).stance_feet
     while high - low > 1e-6:
         middle = (low + high) / 2
-        low, high = (middle, high) if "RR" in pose(middle).carrying else (low, middle)
+        low, high = (middle, high) if "RR" in pose(middle).stance_feet else (low, middle)
     assert 0 < pose(low).contact_forces["RR"][2] < 5e-3
     assert pose(low).height_loss == pytest.approx(pose(high).height_loss, abs=2e-6)
 
@@ -341,8 +341,8 @@ def test_touching_begins_without_a_jump() -> None:
 )
 def test_it_comes_down_on_a_step_and_on_a_slope(what: str, kp: float, ground: pa.Ground) -> None:
     robot, stand = load("v3"), lifted("v3", "RR", 0.004, ground=ground)
-    pose = settled_pose(robot, stand, kp=kp, seconds=5.5)
-    assert "RR" in pose.carrying
+    pose = steady_state(robot, stand, kp=kp, seconds=5.5)
+    assert "RR" in pose.stance_feet
     run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=6)
     assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
     assert pose.contact_forces["RR"][2] == pytest.approx(run.foot_forces["RR"][2], abs=0.2)
@@ -395,8 +395,8 @@ def test_a_foot_that_the_ground_would_have_to_pull_lets_go() -> None:
     robot = load("original")
     stand = pa.solve_stand(robot, pa.StandTask(offset=(0.055, 0.055)))
     assert pa.stand_statics(robot, stand).contact_forces["RR"][2] > 0
-    pose = settled_pose(robot, stand, seconds=4.5)
-    assert pose.carrying == ("FL", "FR", "RL")
+    pose = steady_state(robot, stand, seconds=4.5)
+    assert pose.stance_feet == ("FL", "FR", "RL")
     assert pose.failures == ("foot RR carries nothing",)
     np.testing.assert_array_equal(pose.contact_forces["RR"], 0)
     run = pa.verify_stand(robot, stand, feedforward=False)
@@ -406,11 +406,11 @@ def test_a_foot_that_the_ground_would_have_to_pull_lets_go() -> None:
 
 def test_least_kp_keeps_a_lifted_foot_off_the_ground() -> None:
     robot, stand = load("v3"), lifted("v3", "RR", 0.02)
-    kp = least_kp(robot, stand, tolerance=0.02)
-    assert settled_pose(robot, stand, kp=kp).carrying == stand.carrying
-    assert "RR" in settled_pose(robot, stand, kp=0.95 * kp).carrying
+    kp = minimum_stiffness(robot, stand, tolerance=0.02)
+    assert steady_state(robot, stand, kp=kp).stance_feet == stand.stance_feet
+    assert "RR" in steady_state(robot, stand, kp=0.95 * kp).stance_feet
     with pytest.raises(pa.NoStiffnessError, match="foot RR, lifted, touches the ground") as caught:
-        least_kp(robot, lifted("v3", "RR", 0.0005))  # the others sink deeper than that
+        minimum_stiffness(robot, lifted("v3", "RR", 0.0005))  # the others sink deeper than that
     assert caught.value.kp > 5e3
     assert "RR" in caught.value.problem
 
@@ -421,10 +421,10 @@ def test_least_kp_keeps_a_lifted_foot_off_the_ground() -> None:
 def test_long_leg_of_v3_does_not_last() -> None:
     robot, stand = load("v3-long-leg"), stand_of("v3-long-leg")
     with pytest.raises(pa.NoEquilibriumError, match="sliding") as caught:
-        settled_pose(robot, stand, feet="sliding")
+        steady_state(robot, stand, feet="sliding")
     assert 0 < caught.value.share < 0.1
     with pytest.raises(pa.NoEquilibriumError, match="FR and FL begin to slide") as caught:
-        settled_pose(robot, stand)
+        steady_state(robot, stand)
     assert 0.8 < caught.value.share < 0.9
     for change in (None, firm_grip):
         ground = robot if change is None else changed(robot, change)
@@ -434,11 +434,11 @@ def test_long_leg_of_v3_does_not_last() -> None:
 
 def test_least_kp_of_pinned_feet() -> None:
     robot, stand = load("long-leg"), stand_of("long-leg")
-    kp = least_kp(robot, stand, tolerance=0.05)
+    kp = minimum_stiffness(robot, stand, tolerance=0.05)
     firm = changed(robot, firm_grip)
     above = pa.verify_stand(firm, stand, feedforward=False, kp=1.05 * kp, kd=1.0)
     assert above.passed
-    assert settled_pose(robot, stand, kp=1.05 * kp).height_loss == pytest.approx(
+    assert steady_state(robot, stand, kp=1.05 * kp).height_loss == pytest.approx(
         above.height_loss, abs=2e-4
     )
     below = pa.verify_stand(firm, stand, feedforward=False, kp=0.9 * kp, kd=1.0)
@@ -447,7 +447,7 @@ def test_least_kp_of_pinned_feet() -> None:
 
 def test_least_kp_of_sliding_feet() -> None:
     robot, stand = load("v3"), stand_of("v3")
-    kp = least_kp(robot, stand, feet="sliding", tolerance=0.05)
+    kp = minimum_stiffness(robot, stand, feet="sliding", tolerance=0.05)
     fast = changed(robot, fast_creep)
     options = {"feedforward": False, "kd": 0.1, "integrator": "implicitfast", "duration": 8.0}
     assert pa.verify_stand(fast, stand, kp=1.05 * kp, **options).passed
@@ -458,7 +458,7 @@ def test_least_kp_of_sliding_feet() -> None:
 def test_instability_is_reported() -> None:
     """At full feed-forward the stand is an equilibrium with any kp; with a low one, no stable."""
     robot, stand = load("original"), stand_of("original")
-    pose = settled_pose(robot, stand, kp=0.1, feedforward=True)
+    pose = steady_state(robot, stand, kp=0.1, feedforward=True)
     assert not pose.stable
     assert any("not stable" in failure for failure in pose.failures)
     run = pa.verify_stand(robot, stand, kp=0.1, kd=0.1, duration=20)
@@ -471,31 +471,31 @@ def test_instability_is_reported() -> None:
 def test_wrong_requests() -> None:
     robot, stand = load("v3"), stand_of("v3")
     with pytest.raises(pa.ConfigurationError, match="feet"):
-        settled_pose(robot, stand, feet="glued")  # type: ignore[arg-type]
+        steady_state(robot, stand, feet="glued")  # type: ignore[arg-type]
     with pytest.raises(pa.ConfigurationError, match="robot"):
-        settled_pose(load("v3", fixed_base=True), stand)
+        steady_state(load("v3", fixed_base=True), stand)
     slope = pa.solve_stand(robot, pa.StandTask(pitch=-0.1, ground=pa.Ground(0.1)))
     with pytest.raises(pa.ConfigurationError, match="slope"):
-        settled_pose(robot, slope, feet="sliding")
+        steady_state(robot, slope, feet="sliding")
     for seconds, feet in ((-1.0, "pinned"), (np.inf, "pinned"), (1.0, "sliding")):
         with pytest.raises(pa.ConfigurationError, match="seconds"):
-            settled_pose(robot, stand, seconds=seconds, feet=feet)
+            steady_state(robot, stand, seconds=seconds, feet=feet)
     with pytest.raises(pa.ConfigurationError, match="kp"):
-        settled_pose(robot, stand, kp=-1)
+        steady_state(robot, stand, kp=-1)
     for tolerance in (0.0, 1.0, -0.1, np.nan):
         with pytest.raises(pa.ConfigurationError, match="tolerance"):
-            least_kp(robot, stand, tolerance=tolerance)
+            minimum_stiffness(robot, stand, tolerance=tolerance)
     named = {foot.lower(): place for foot, place in stand.foot_targets.items()}
     with pytest.raises(pa.UnknownNameError, match="fr"):
-        settled_pose(robot, replace(stand, foot_targets=named))
+        steady_state(robot, replace(stand, foot_targets=named))
     slippery = {
         foot: replace(contact, friction=(0.0,) * 5) for foot, contact in robot.contacts.items()
     }
     with pytest.raises(pa.ConfigurationError, match="no friction"):
-        settled_pose(replace(robot, contacts=slippery), stand)
+        steady_state(replace(robot, contacts=slippery), stand)
 
 
 def test_result_is_json() -> None:
-    result = settled_pose(load("v3"), stand_of("v3")).to_dict()
+    result = steady_state(load("v3"), stand_of("v3")).to_dict()
     assert result["base_height"] == pytest.approx(0.11963, abs=1e-5)
     assert result["height_loss"] == pytest.approx(result["servo_sag"] + result["contact_sag"])

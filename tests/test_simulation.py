@@ -75,7 +75,7 @@ def test_feet_carry_the_weight(variant: str) -> None:
 
 def test_prediction_is_the_even_balance(variant: str) -> None:
     config = pa.Configuration(load(variant), stand_of(variant).qpos)
-    expected = pa.gravity_compensation(config, sharing=pa.LoadSharing.EVEN)
+    expected = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
     result = verified(variant)
     np.testing.assert_array_equal(result.predicted_torques, expected.joint_torques)
     gap = np.abs(result.joint_torques - expected.joint_torques).max()
@@ -138,7 +138,9 @@ def test_what_holds_for_5_s_holds_for_10(variant: str) -> None:
 def test_small_sag_is_predicted_from_the_urdf_alone(name: str) -> None:
     """Virtual work: weight x sag = sum of tau^2 / kp, with Pinocchio's torques."""
     config = pa.Configuration(load(name), stand_of(name).qpos)
-    torques = pa.gravity_compensation(config, sharing=pa.LoadSharing.EVEN).joint_torques
+    torques = pa.gravity_compensation(
+        config, distribution=pa.ForceDistribution.MIN_TANGENTIAL
+    ).joint_torques
     hanging = pa.gravity_compensation(config, []).joint_torques
     # The legs' own weight does not come down with the base: only what the feet hold up does.
     lever = (torques - hanging) / (config.robot.total_mass * GRAVITY)
@@ -216,7 +218,7 @@ def test_servo_law_with_given_gains(name: str) -> None:
 def test_start_is_in_balance(robot: pa.Robot, stand: pa.Stand) -> None:
     drive = servos(robot)
     prediction = pa.gravity_compensation(
-        pa.Configuration(robot, stand.qpos), sharing=pa.LoadSharing.EVEN
+        pa.Configuration(robot, stand.qpos), distribution=pa.ForceDistribution.MIN_TANGENTIAL
     )
     ctrl = drive.command(robot, stand.joint_positions(robot), prediction.joint_torques)
     state = place_on_ground(robot, drive, stand, prediction.joint_torques)
@@ -375,7 +377,7 @@ def test_batched_rollout_is_a_plain_loop(name: str, kp: float, kd: float) -> Non
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value
     data = mujoco.MjData(model)
     torques = pa.gravity_compensation(
-        pa.Configuration(robot, stand.qpos), sharing=pa.LoadSharing.EVEN
+        pa.Configuration(robot, stand.qpos), distribution=pa.ForceDistribution.MIN_TANGENTIAL
     ).joint_torques
     start = place_on_ground(robot, servos(robot, kp, kd, "implicitfast"), stand, torques)
     mujoco.mj_setState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
@@ -452,7 +454,7 @@ def test_addresses_are_the_public_order() -> None:
 
 
 def test_the_error_of_a_foot_that_bears_nothing_is_measured_by_the_weight() -> None:
-    """Even sharing takes all load off RR here; soft ground, which tilts, gives it some back."""
+    """All load is taken off RR here; soft ground, which tilts, gives it some back."""
     robot = load("v3")
     report = pa.verify_stand(robot, pa.solve_stand(robot, pa.StandTask(com=(0.037, 0.045))))
     assert report.predicted_forces["RR"][2] == pytest.approx(0, abs=1e-4)

@@ -18,7 +18,7 @@ TASKS = {
     "slope": pa.StandTask(pitch=-0.25, ground=pa.Ground(0.3, 0.2), com="inside"),
     "steps": pa.StandTask(com=(0.015, 0.01), ground=pa.Ground(heights={"FR": 0.015, "RL": 0.005})),
     "low step": pa.StandTask(ground=pa.Ground(heights={"RR": 0.0004}), com=(0.01, -0.02)),
-    "three legs": pa.StandTask(lifted={"FL": 0.025}, com="inside", com_margin=0.01),
+    "three legs": pa.StandTask(swing={"FL": 0.025}, com="inside", com_margin=0.01),
 }
 
 
@@ -52,7 +52,9 @@ def test_feet_are_as_deep_as_their_load_takes_them(name: str) -> None:
     rigid, stand = pa.solve_stand(robot, task), sunk_stand(robot, task)
     assert stand.task == rigid.task
     np.testing.assert_allclose(stand.qpos[:7], rigid.qpos[:7], atol=1e-3)  # the com is, exactly
-    forces = stand_statics(robot, stand, sharing=pa.LoadSharing.EVEN).contact_forces
+    forces = stand_statics(
+        robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL
+    ).contact_forces
     feet = pa.Configuration(robot, stand.qpos).foot_positions()
     for foot, depth in stand.depths.items():
         law, normal = GroundLaw.of(robot, foot), stand.normals[foot]
@@ -68,9 +70,11 @@ def test_it_is_the_equilibrium_that_feedforward_holds(name: str, what: str) -> N
     """By Newton's iteration on the soft ground, from the stand's torques."""
     robot = load(name)
     stand = sunk_stand(robot, TASKS[what])
-    pose = pa.settled_pose(robot, stand, feedforward=True)
+    pose = pa.steady_state(robot, stand, feedforward=True)
     np.testing.assert_allclose(pose.qpos, stand.qpos, atol=1e-6)
-    forces = stand_statics(robot, stand, sharing=pa.LoadSharing.EVEN).contact_forces
+    forces = stand_statics(
+        robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL
+    ).contact_forces
     for foot, force in forces.items():
         np.testing.assert_allclose(pose.contact_forces[foot], force, atol=1e-4)
 

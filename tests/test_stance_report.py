@@ -17,7 +17,7 @@ from pupper_analysis.report import stance as stance_report
 
 def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
-    arguments = ("v3", "--lift", "FL=0.02", "--com", "inside", "--com-margin", "0.01")
+    arguments = ("v3", "--swing", "FL=0.02", "--com", "inside", "--com-margin", "0.01")
     figure = tmp_path / "stance.png"
     status, out, err = run_command(
         capfd, "stand", *arguments, "--figure", str(figure), "--json", str(path)
@@ -66,7 +66,7 @@ def test_envelope_and_offset(capfd: pytest.CaptureFixture[str], tmp_path: Path) 
         "original",
         "--offset",
         "0.01,0",
-        "--envelope",
+        "--workspace",
         "--json",
         str(path),
     )
@@ -74,9 +74,9 @@ def test_envelope_and_offset(capfd: pytest.CaptureFixture[str], tmp_path: Path) 
     assert "How far the base can go" in out
     content = json.loads(path.read_text())
     assert content["stand"]["task"]["offset"] == [0.01, 0.0]
-    for direction, interval in content["envelope"]["intervals"].items():
+    for direction, interval in content["workspace"]["intervals"].items():
         assert interval["low"] < interval["high"], direction
-    shift = content["envelope"]["intervals"]["x"]
+    shift = content["workspace"]["intervals"]["x"]
     assert shift["low"] < 0.01 < shift["high"]
 
 
@@ -106,7 +106,7 @@ def test_sag_is_that_of_the_simulation() -> None:
 
 def test_way_there(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     csv, npz = tmp_path / "way.csv", tmp_path / "way.npz"
-    arguments = ("--lift", "RR=0.01", "--com", "inside", "--com-margin", "0.01", "--path", "3")
+    arguments = ("--swing", "RR=0.01", "--com", "inside", "--com-margin", "0.01", "--path", "3")
     status, out, err = run_command(
         capfd, "stand", "original", *arguments, "--csv", str(csv), "--npz", str(npz)
     )
@@ -117,7 +117,7 @@ def test_way_there(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arrays = np.load(npz)
     assert len(rows) > 100
     robot = load_variant("original")
-    goal = solve_stand(robot, StandTask(lifted={"RR": 0.01}, com="inside", com_margin=0.01))
+    goal = solve_stand(robot, StandTask(swing={"RR": 0.01}, com="inside", com_margin=0.01))
     np.testing.assert_allclose(arrays["qpos"][-1][2:7], goal.qpos[2:7], atol=1e-9)
     np.testing.assert_allclose(arrays["qpos"][-1], goal.qpos, atol=0.05)  # its feet have rolled
     np.testing.assert_allclose(arrays["qpos"][0], solve_stand(robot).qpos, atol=1e-9)
@@ -139,7 +139,15 @@ def test_best_payload_and_servos(capfd: pytest.CaptureFixture[str], tmp_path: Pa
     path = tmp_path / "all.json"
     status, out, err = run_command(
         capfd,
-        *("stand", "original", "--best", "margin", "--payload-at", "0.01,0,0.08", "--least-kp"),
+        *(
+            "stand",
+            "original",
+            "--best",
+            "margin",
+            "--payload-at",
+            "0.01,0,0.08",
+            "--minimum-stiffness",
+        ),
         *("--kp", "80", "--kd", "1.5", "--self-clearance", "0.002", "--ground-clearance", "0.005"),
         *("--json", str(path)),
     )
@@ -155,15 +163,15 @@ def test_best_payload_and_servos(capfd: pytest.CaptureFixture[str], tmp_path: Pa
     assert content["verification"]["kd"] == [1.5] * 12
     assert content["stand"]["self_clearance"]["distance"] > 0.002 - 1e-6
     assert content["stand"]["ground_clearance"]["distance"] > 0.005 - 1e-6
-    assert 0.5 < content["least_kp"] < 20
+    assert 0.5 < content["minimum_stiffness"] < 20
     for text in ("best of", "payload at (10, 0, 80) mm", "softest servos", "nearest links"):
         assert text in out
 
 
 def test_envelope_figure_and_push(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    figure = tmp_path / "envelope.png"
+    figure = tmp_path / "workspace.png"
     status, out, err = run_command(
-        capfd, "stand", "heavy", "--envelope-figure", str(figure), "--push"
+        capfd, "stand", "heavy", "--workspace-figure", str(figure), "--push"
     )
     assert status == 0, err
     assert "Largest push" in out
@@ -185,12 +193,12 @@ def test_softest_servos_are_found_where_the_given_ones_are_too_soft() -> None:
     robot = load_variant("v3-long-leg")
     result = stance_report.study(robot, StandTask(), kp=4.0, kd=0.1, softest=True)
     assert result.settled is None
-    assert result.least_kp is not None
-    assert 4.0 < result.least_kp < 6.0
+    assert result.minimum_stiffness is not None
+    assert 4.0 < result.minimum_stiffness < 6.0
     out = Console(width=120)
     with out.capture() as capture:
         stance_report.print_stance(out, result)
-    assert f"softest servos that carry it: {result.least_kp:.2f} N m/rad" in capture.get()
+    assert f"softest servos that carry it: {result.minimum_stiffness:.2f} N m/rad" in capture.get()
 
 
 def test_motors_too_weak_are_said_so() -> None:
@@ -221,9 +229,9 @@ BAD = {
     "too steep": (["v3", "--slope", "0.9"], "ground slope 34.7 deg"),
     "below the ground": (["v3", "--height", "-0.1"], "not above the ground"),
     "not finite": (["v3", "--roll", "nan"], "roll"),
-    "no such foot": (["v3", "--lift", "XX=0.02"], "no foot 'XX'; there are: FR, FL, RR, RL"),
-    "two lifted": (["v3", "--lift", "FL=0.02", "--lift", "FR=0.02"], "only 2 feet carry"),
-    "no height": (["v3", "--lift", "FL"], "'FL' is not of the form NAME=VALUE"),
+    "no such foot": (["v3", "--swing", "XX=0.02"], "no foot 'XX'; there are: FR, FL, RR, RL"),
+    "two lifted": (["v3", "--swing", "FL=0.02", "--swing", "FR=0.02"], "only 2 feet carry"),
+    "no height": (["v3", "--swing", "FL"], "'FL' is not of the form NAME=VALUE"),
     "no number": (["v3", "--step", "FL=high"], "'high' in 'FL=high' is no length"),
     "no place": (["v3", "--com", "middle"], "'middle'"),
     "one coordinate": (["v3", "--move", "FL=0.01"], "not of the form X,Y"),

@@ -23,12 +23,12 @@ TASKS = {
     "slope": pa.StandTask(ground=pa.Ground(slope=0.15, uphill=2.0)),
     "steps": pa.StandTask(ground=pa.Ground(heights={"FL": 0.015, "RR": 0.01})),
     "joint margin": pa.StandTask(joint_margin=0.1, roll=0.05),
-    "three legs": pa.StandTask(lifted={"FL": 0.01}),
+    "three legs": pa.StandTask(swing={"FL": 0.01}),
     "everything": pa.StandTask(
         roll=0.05,
         pitch=-0.05,
         yaw=0.1,
-        lifted={"FR": 0.005},
+        swing={"FR": 0.005},
         com="inside",
         com_margin=0.01,
         ground=pa.Ground(slope=0.05, uphill=-1.0, heights={"RL": 0.005}),
@@ -58,11 +58,11 @@ def test_a_stance_is_what_was_asked(name: str, kind: str) -> None:
     normal = ground.normal()
     for foot, centre in feet.items():
         np.testing.assert_allclose(centre, stand.foot_targets[foot], atol=1e-9)
-        above = centre[2] - task.lifted.get(foot, 0.0) - ground.heights.get(foot, 0.0)
+        above = centre[2] - task.swing.get(foot, 0.0) - ground.heights.get(foot, 0.0)
         distance = normal @ (centre[0], centre[1], above)
         assert distance == pytest.approx(robot.foot_radius[foot], abs=1e-9)
-    assert set(stand.carrying) == set(robot.feet) - set(task.lifted)
-    contacts = [feet[foot] - robot.foot_radius[foot] * normal for foot in stand.carrying]
+    assert set(stand.stance_feet) == set(robot.feet) - set(task.swing)
+    contacts = [feet[foot] - robot.foot_radius[foot] * normal for foot in stand.stance_feet]
     centre = np.mean(contacts, axis=0)
     config = pa.Configuration(robot, stand.qpos)
     wanted = robot.stand_height if task.height is None else task.height
@@ -92,7 +92,7 @@ def test_three_legs_hold_for_six_seconds(name: str) -> None:
     """Each foot in turn, 20 mm high, with the com 10 mm inside the triangle of the others."""
     robot = load(name)
     for foot in robot.feet:
-        task = pa.StandTask(lifted={foot: 0.02}, com="inside", com_margin=0.01)
+        task = pa.StandTask(swing={foot: 0.02}, com="inside", com_margin=0.01)
         stand = pa.sunk_stand(robot, task)
         report = pa.verify_stand(robot, stand, duration=6.0)
         assert report.passed, (foot, report.failures)
@@ -106,10 +106,10 @@ def test_three_legs_hold_for_six_seconds(name: str) -> None:
 def test_over_the_centre_the_skeletons_hind_legs_reach_their_limit(name: str) -> None:
     for foot in ("RL", "RR"):
         with pytest.raises(pa.StanceUnreachableError) as caught:
-            pa.solve_stand(load(name), pa.StandTask(lifted={foot: 0.02}))
-        assert "lifted" in caught.value.possible
+            pa.solve_stand(load(name), pa.StandTask(swing={foot: 0.02}))
+        assert "swing" in caught.value.possible
         assert set(caught.value.at_limit) == {f"{foot}_HFE"}
-        assert caught.value.nearest.task.lifted[foot] > 0.01
+        assert caught.value.nearest.task.swing[foot] > 0.01
 
 
 @pytest.mark.parametrize("name", ["long-leg", "v3"])
@@ -176,8 +176,8 @@ def test_another_branch_of_a_leg_reaches_it(task: pa.StandTask) -> None:
     robot = load("v3")
     stand = pa.solve_stand(robot, task)
     assert max(stand.foot_error, stand.com_error, stand.orientation_error) < 1e-9
-    posture = tuple(-robot.home[7:])  # a posture of one's own is tried besides
-    assert pa.solve_stand(robot, replace(task, posture=posture)).solved
+    ik_seed = tuple(-robot.home[7:])  # a ik_seed of one's own is tried besides
+    assert pa.solve_stand(robot, replace(task, ik_seed=ik_seed)).solved
 
 
 @pytest.mark.parametrize(
@@ -222,10 +222,10 @@ def test_a_com_that_may_be_anywhere_inside_is_moved_only_if_need_be() -> None:
     centred = pa.solve_stand(robot)
     np.testing.assert_allclose(free.qpos, centred.qpos, atol=1e-12)
     # A hind foot lifted 14 mm is out of reach over the centre, but not elsewhere.
-    lifted = {"RL": 0.014}
+    swing = {"RL": 0.014}
     with pytest.raises(pa.StanceUnreachableError):
-        pa.solve_stand(robot, pa.StandTask(lifted=lifted), explain=False)
-    stand = pa.solve_stand(robot, pa.StandTask(lifted=lifted, com="inside", com_margin=0.005))
+        pa.solve_stand(robot, pa.StandTask(swing=swing), explain=False)
+    stand = pa.solve_stand(robot, pa.StandTask(swing=swing, com="inside", com_margin=0.005))
     assert stand.foot_error < 1e-9
     assert stand_statics(robot, stand).com_margin >= 0.005 - 1e-9
 
@@ -233,8 +233,8 @@ def test_a_com_that_may_be_anywhere_inside_is_moved_only_if_need_be() -> None:
 @pytest.mark.parametrize(
     ("task", "named"),
     [
-        (pa.StandTask(lifted={"FL": 0.01, "FR": 0.01}), "lifted"),
-        (pa.StandTask(posture=[0.0]), "posture"),
+        (pa.StandTask(swing={"FL": 0.01, "FR": 0.01}), "swing"),
+        (pa.StandTask(ik_seed=[0.0]), "ik_seed"),
         (pa.StandTask(joint_margin=3.0), "joint_margin"),
         (pa.StandTask(com=(1.0, 0.0), com_margin=0.01), "com_margin"),
         (pa.StandTask(com_margin=0.5), "com_margin"),
@@ -245,9 +245,9 @@ def test_requests_that_no_robot_can_meet(task: pa.StandTask, named: str) -> None
         pa.solve_stand(load("v3"), task)
 
 
-@pytest.mark.parametrize("field", ["feet", "foot_offsets", "lifted"])
+@pytest.mark.parametrize("field", ["feet", "foot_offsets", "swing"])
 def test_unknown_feet(field: str) -> None:
-    value = 0.01 if field == "lifted" else (0.0, 0.0)
+    value = 0.01 if field == "swing" else (0.0, 0.0)
     with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
         pa.solve_stand(load("v3"), pa.StandTask(**{field: {"XX": value}}))
 
@@ -257,7 +257,7 @@ def test_a_foot_lifted_over_its_step_is_clear_of_it(slope: float) -> None:
     """The step is where the foot would stand; the foot is above it by as much as is asked."""
     robot = load("v3")
     ground = pa.Ground(slope=slope, heights={"FL": 0.01})
-    task = pa.StandTask(lifted={"FL": 0.015}, ground=ground, com="inside", com_margin=0.01)
+    task = pa.StandTask(swing={"FL": 0.015}, ground=ground, com="inside", com_margin=0.01)
     stand = pa.solve_stand(robot, task)
     model = on_ground(robot, ground, stand.foot_targets).mj_model
     step = model.geom("step_FL")

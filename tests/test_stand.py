@@ -244,7 +244,7 @@ def test_what_was_solved_before_does_not_matter() -> None:
     tasks = [
         pa.StandTask(),
         pa.StandTask(joint_margin=0.1, roll=0.1),
-        pa.StandTask(self_clearance=0.005, lifted={"RL": 0.01}, com="inside"),
+        pa.StandTask(self_clearance=0.005, swing={"RL": 0.01}, com="inside"),
         pa.StandTask(height=0.1, ground=pa.Ground(0.1)),
     ]
     first = [pa.solve_stand(robot, task).qpos for task in tasks]
@@ -296,8 +296,8 @@ def test_a_stand_knows_whose_it_is(other: str) -> None:
         pa.payload_limit,
         pa.verify_stand,
         pa.sweep_gains,
-        pa.settled_pose,
-        pa.least_kp,
+        pa.steady_state,
+        pa.minimum_stiffness,
         pa.push_recovery,
     ):
         with pytest.raises(pa.ConfigurationError, match=f"a stand of v3.*solve it for {other}"):

@@ -18,7 +18,7 @@ from pupper_analysis.statics.support_polygon import com_margin
 
 GRAVITY = 9.81  # [m/s^2]
 UP = np.array([0.0, 0.0, 1.0])
-SHARINGS = tuple(pa.LoadSharing)
+DISTRIBUTIONS = tuple(pa.ForceDistribution)
 
 
 def at_stand(name: str) -> pa.Configuration:
@@ -91,12 +91,12 @@ def mujoco_joint_torques(config: pa.Configuration, result: pa.GravityCompensatio
 # ------------------------------------------------------------------------------------- balance
 
 
-@pytest.mark.parametrize("sharing", SHARINGS)
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
 @settings(max_examples=60)
 @given(config=near_stands)
-def test_balance(sharing: pa.LoadSharing, config: pa.Configuration) -> None:
+def test_balance(distribution: pa.ForceDistribution, config: pa.Configuration) -> None:
     try:
-        result = pa.gravity_compensation(config, sharing=sharing)
+        result = pa.gravity_compensation(config, distribution=distribution)
     except pa.StaticsInfeasibleError:
         return  # see below
     friction = config.robot.contacts[config.robot.feet[0]].sliding_friction
@@ -114,10 +114,10 @@ def test_balance(sharing: pa.LoadSharing, config: pa.Configuration) -> None:
     assert result.joint_names == config.robot.joint_names
 
 
-@pytest.mark.parametrize("sharing", SHARINGS)
-def test_stands_balance(variant: str, sharing: pa.LoadSharing) -> None:
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_stands_balance(variant: str, distribution: pa.ForceDistribution) -> None:
     config = at_stand(variant)
-    result = pa.gravity_compensation(config, sharing=sharing)
+    result = pa.gravity_compensation(config, distribution=distribution)
     check_newton_euler(config, result)
     check_cones(result, {"v3": 1.0}.get(variant.split("-")[0], 1.2))
     assert result.residual_force < 1e-9
@@ -162,9 +162,9 @@ def test_nothing_feasible_nearby_is_better(
     friction: float, config: pa.Configuration, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
-    for sharing in SHARINGS:
+    for distribution in DISTRIBUTIONS:
         try:
-            best = pa.gravity_compensation(config, friction=friction, sharing=sharing)
+            best = pa.gravity_compensation(config, friction=friction, distribution=distribution)
         except pa.StaticsInfeasibleError:
             return
         check_cones(best, friction)
@@ -173,18 +173,20 @@ def test_nothing_feasible_nearby_is_better(
         def cost(
             forces: np.ndarray,
             best: pa.GravityCompensation = best,
-            sharing: pa.LoadSharing = sharing,
+            distribution: pa.ForceDistribution = distribution,
         ) -> float:
-            if sharing is not pa.LoadSharing.EVEN:
+            if distribution is not pa.ForceDistribution.MIN_TANGENTIAL:
                 torques = joint_torques(config, best, forces)
-                if sharing is pa.LoadSharing.LEAST_TORQUE:
+                if distribution is pa.ForceDistribution.MIN_TORQUE:
                     return float(torques @ torques)
                 return float(np.abs(torques / config.robot.effort_limits).max())
             return float(np.sum(forces.reshape(-1, 3)[:, :2] ** 2))
 
         free = null_space(best)
         assert free.shape[1] == 6
-        if sharing is pa.LoadSharing.EVEN:  # equal tangential forces: no less normal ones
+        if (
+            distribution is pa.ForceDistribution.MIN_TANGENTIAL
+        ):  # equal tangential forces: no less normal ones
             sideways = linalg.null_space(np.delete(np.eye(12), np.s_[2::3], axis=0) @ free)
             assert np.abs(forces[2::3] @ (free @ sideways)[2::3]).max() < 1e-4 * forces.max()
         for size in (1e-3, 1e-2, 1e-1, 1.0):
@@ -194,15 +196,19 @@ def test_nothing_feasible_nearby_is_better(
                 slide = np.hypot(other[0::3], other[1::3])
                 if (slide <= friction * push * (1 - 1e-5)).all():
                     least = 1e-9 * float(forces @ forces)
-                    if sharing is pa.LoadSharing.LEAST_PEAK:  # its peak is within 1e-7 of the least
+                    if (
+                        distribution is pa.ForceDistribution.MIN_PEAK
+                    ):  # its peak is within 1e-7 of the least
                         least = 0.0
                     assert cost(other) >= cost(forces) * (1 - 1e-6) - least
 
 
 def test_least_torque_is_less_than_even(variant: str) -> None:
     best, even = (
-        np.linalg.norm(pa.gravity_compensation(at_stand(variant), sharing=sharing).joint_torques)
-        for sharing in (pa.LoadSharing.LEAST_TORQUE, pa.LoadSharing.EVEN)
+        np.linalg.norm(
+            pa.gravity_compensation(at_stand(variant), distribution=distribution).joint_torques
+        )
+        for distribution in (pa.ForceDistribution.MIN_TORQUE, pa.ForceDistribution.MIN_TANGENTIAL)
     )
     if variant.startswith("v3"):
         assert best < 0.999 * even
@@ -211,9 +217,11 @@ def test_least_torque_is_less_than_even(variant: str) -> None:
 
 
 def test_more_friction_never_costs_torque() -> None:
-    config, least = at_stand("v3"), pa.LoadSharing.LEAST_TORQUE
+    config, least = at_stand("v3"), pa.ForceDistribution.MIN_TORQUE
     costs = [
-        np.linalg.norm(pa.gravity_compensation(config, friction=mu, sharing=least).joint_torques)
+        np.linalg.norm(
+            pa.gravity_compensation(config, friction=mu, distribution=least).joint_torques
+        )
         for mu in (0.0, 0.05, 0.1, 0.2, 0.5, 1.0)
     ]
     assert all(after <= before + 1e-6 for before, after in itertools.pairwise(costs))
@@ -252,7 +260,7 @@ def test_least_peak_is_a_linear_programmes(variant: str, friction: float) -> Non
     config = pa.Configuration(robot, stand.qpos)
     strength = robot.effort_limits * np.linspace(1.0, 2.0, robot.nu)  # unequal motors
     weaker = pa.Configuration(with_efforts(robot, strength), stand.qpos)
-    result = pa.gravity_compensation(weaker, friction=friction, sharing="least peak")
+    result = pa.gravity_compensation(weaker, friction=friction, distribution="minimum peak")
     peak = result.motor_utilisation.max()
     around, inside = (
         linear_programme(config, result, 1 / strength, friction * factor)
@@ -274,7 +282,7 @@ def with_efforts(robot: pa.Robot, efforts: np.ndarray) -> pa.Robot:
 def test_least_peak_without_limits_is_of_the_torque() -> None:
     config = at_stand("v3")
     free = pa.Configuration(with_efforts(config.robot, np.full(12, np.inf)), config.qpos)
-    one, two = (pa.gravity_compensation(c, sharing="least peak") for c in (config, free))
+    one, two = (pa.gravity_compensation(c, distribution="minimum peak") for c in (config, free))
     np.testing.assert_allclose(one.joint_torques, two.joint_torques, atol=1e-6)
 
 
@@ -283,10 +291,11 @@ def test_a_motor_without_strength_does_not_count_for_the_peak() -> None:
     efforts = np.full(12, 3.0)
     efforts[0] = 0.0
     result = pa.gravity_compensation(
-        pa.Configuration(with_efforts(config.robot, efforts), config.qpos), sharing="least peak"
+        pa.Configuration(with_efforts(config.robot, efforts), config.qpos),
+        distribution="minimum peak",
     )
     assert np.isinf(result.motor_utilisation[0])
-    least = pa.gravity_compensation(config, sharing="least peak").motor_utilisation.max()
+    least = pa.gravity_compensation(config, distribution="minimum peak").motor_utilisation.max()
     assert result.motor_utilisation[1:].max() <= least * (1 + 1e-6)
 
 
@@ -294,22 +303,26 @@ def test_the_forces_that_last_are_the_default(variant: str) -> None:
     config = at_stand(variant)
     default, even = (
         pa.gravity_compensation(config, **arguments)
-        for arguments in ({}, {"sharing": pa.LoadSharing.EVEN})
+        for arguments in ({}, {"distribution": pa.ForceDistribution.MIN_TANGENTIAL})
     )
     np.testing.assert_array_equal(default.joint_torques, even.joint_torques)
 
 
-@pytest.mark.parametrize("sharing", SHARINGS)
-def test_a_sharing_by_its_value(sharing: pa.LoadSharing) -> None:
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_a_sharing_by_its_value(distribution: pa.ForceDistribution) -> None:
     config = at_stand("v3")
-    one, two = (pa.gravity_compensation(config, sharing=s) for s in (sharing, sharing.value))
+    one, two = (
+        pa.gravity_compensation(config, distribution=s) for s in (distribution, distribution.value)
+    )
     np.testing.assert_array_equal(one.joint_torques, two.joint_torques)
 
 
-@pytest.mark.parametrize("sharing", ["x", None, 3, "EVEN"])
-def test_an_unknown_sharing_is_refused(sharing: object) -> None:
-    with pytest.raises(pa.ConfigurationError, match=r"sharing.*'even', 'least torque'"):
-        pa.gravity_compensation(at_stand("v3"), sharing=sharing)  # type: ignore[arg-type]
+@pytest.mark.parametrize("distribution", ["x", None, 3, "MIN_TANGENTIAL"])
+def test_an_unknown_sharing_is_refused(distribution: object) -> None:
+    with pytest.raises(
+        pa.ConfigurationError, match=r"distribution.*'minimum tangential', 'minimum torque'"
+    ):
+        pa.gravity_compensation(at_stand("v3"), distribution=distribution)  # type: ignore[arg-type]
 
 
 def test_without_friction_forces_are_vertical() -> None:
@@ -330,7 +343,7 @@ def v3_at_zero() -> pa.Configuration:
 
 
 def test_even_shares_are_those_of_the_lever_arms() -> None:
-    result = pa.gravity_compensation(v3_at_zero(), sharing=pa.LoadSharing.EVEN)
+    result = pa.gravity_compensation(v3_at_zero(), distribution=pa.ForceDistribution.MIN_TANGENTIAL)
     load_ = 3.170 * GRAVITY
     for foot, share in (("FR", FRONT_SHARE), ("RR", 1 - FRONT_SHARE)):
         for side in (foot, foot[0] + "L"):
@@ -344,11 +357,13 @@ def test_even_forces_are_vertical_on_level_steps(name: str) -> None:
     robot = load(name)
     ground = pa.Ground(heights={"FR": 0.02, "RL": 0.01})
     stand = pa.solve_stand(robot, pa.StandTask(ground=ground, com=(0.02, -0.015)))
-    result = pa.stand_statics(robot, stand, sharing=pa.LoadSharing.EVEN)
+    result = pa.stand_statics(robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
     scale = float(np.linalg.norm(weight(at_stand(name))))
     for force in result.contact_forces.values():
         np.testing.assert_allclose(force[:2], 0, atol=1e-6 * scale)
-    best = pa.stand_statics(robot, stand, sharing=pa.LoadSharing.LEAST_TORQUE).contact_forces
+    best = pa.stand_statics(
+        robot, stand, distribution=pa.ForceDistribution.MIN_TORQUE
+    ).contact_forces
     assert max(np.linalg.norm(force[:2]) for force in best.values()) > 5e-3 * scale
 
 
@@ -358,7 +373,7 @@ def test_even_forces_make_all_feet_creep_as_one_body(name: str) -> None:
     robot, ground = load(name), pa.Ground(0.2, 0.7, {"FL": 0.01})
     task = pa.StandTask(ground=ground, com="inside", offset=None, com_margin=0.02)
     stand = pa.solve_stand(robot, task)
-    result = pa.stand_statics(robot, stand, sharing=pa.LoadSharing.EVEN)
+    result = pa.stand_statics(robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
     assert max(result.friction_utilisation.values()) < 0.9
     normal = ground.normal()
     along = np.linalg.qr(np.column_stack([normal, np.eye(3)[:, :2]]))[0][:, 1:]  # (3, 2)
@@ -398,8 +413,10 @@ def test_three_feet_share_by_the_triangles_coordinates() -> None:
     corners = np.array([[0.06881, -0.1015, 1], [0.06881, 0.1015, 1], [-0.08119, 0.0905, 1]]).T
     shares = np.linalg.solve(corners, [-0.00272409, 0, 1])
     assert (shares > 0).all()
-    for sharing in SHARINGS:
-        result = pa.gravity_compensation(v3_at_zero(), ["FR", "FL", "RL"], sharing=sharing)
+    for distribution in DISTRIBUTIONS:
+        result = pa.gravity_compensation(
+            v3_at_zero(), ["FR", "FL", "RL"], distribution=distribution
+        )
         pushes = [result.contact_forces[foot][2] for foot in ("FR", "FL", "RL")]
         np.testing.assert_allclose(pushes, shares * 3.170 * GRAVITY, atol=1e-5)
         assert set(result.contact_forces) == {"FR", "FL", "RL"}
@@ -407,7 +424,7 @@ def test_three_feet_share_by_the_triangles_coordinates() -> None:
 
 def test_stand_shares_the_weight_in_quarters(variant: str) -> None:
     config = at_stand(variant)
-    result = pa.gravity_compensation(config, sharing=pa.LoadSharing.EVEN)
+    result = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
     for force in result.contact_forces.values():
         np.testing.assert_allclose(force, weight(config) / 4 * UP, atol=1e-7)
 
@@ -415,7 +432,7 @@ def test_stand_shares_the_weight_in_quarters(variant: str) -> None:
 def test_knee_torque_by_hand() -> None:
     """Standing, the skeleton's knee holds the foot's force less calf and foot, at their arms."""
     config = at_stand("original")
-    result = pa.gravity_compensation(config, sharing=pa.LoadSharing.EVEN)
+    result = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
     for leg in ("FL", "FR", "RL", "RR"):
         knee = config.frame_position(f"{leg}_calf")
         foot = config.frame_position(f"{leg}_foot")

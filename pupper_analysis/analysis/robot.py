@@ -19,8 +19,8 @@ from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import (
+    ForceDistribution,
     GravityCompensation,
-    LoadSharing,
     gravity_compensation,
 )
 
@@ -98,7 +98,7 @@ class Analysis(Result):
         notes: What was assumed on loading.
         stand: The solved stand.
         statics: Torques and contact forces of the stand: those that last.
-        least_peak: The same of least peak motor utilisation.
+        minimum_peak: The same of least peak motor utilisation.
         hanging_torques: (nu,) what the motors hold in the same pose with the base held (N m).
         foot_jacobians: Per foot.
         verification: The simulated stand, with feed-forward.
@@ -123,7 +123,7 @@ class Analysis(Result):
     notes: tuple[str, ...]
     stand: Stand
     statics: GravityCompensation
-    least_peak: GravityCompensation
+    minimum_peak: GravityCompensation
     hanging_torques: Array
     foot_jacobians: dict[str, FootJacobian]
     verification: StandVerification
@@ -181,7 +181,7 @@ def analyze_variant(
         notes=robot.notes,
         stand=stand,
         statics=stand_statics(robot, stand),
-        least_peak=stand_statics(robot, stand, sharing=LoadSharing.LEAST_PEAK),
+        minimum_peak=stand_statics(robot, stand, distribution=ForceDistribution.MIN_PEAK),
         hanging_torques=gravity_compensation(config, contacts=[]).joint_torques,
         foot_jacobians=leg_jacobians(config),
         verification=verification,

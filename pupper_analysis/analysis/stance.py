@@ -25,15 +25,15 @@ from pupper_analysis.stance.optimize.best import BestStance, Objective, best_sta
 from pupper_analysis.stance.path.stance_path import StancePath, stance_path
 from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
 from pupper_analysis.stance.sag.steady_state import (
-    SettledPose,
-    least_kp,
-    settled_pose,
+    SteadyState,
+    minimum_stiffness,
+    steady_state,
 )
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.sunk import sunk_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.stance.workspace import PoseEnvelope, pose_envelope
-from pupper_analysis.statics.equilibrium import GravityCompensation, LoadSharing
+from pupper_analysis.stance.workspace import BaseWorkspace, base_workspace
+from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class Stance(Result):
         limits: (nu,) of the motors' torques (N m).
         stand: The solved stand.
         statics: Torques and contact forces of ``sunk``, or else of ``stand``: those that last.
-        least_peak: The same of least peak motor utilisation.
+        minimum_peak: The same of least peak motor utilisation.
         point: Where the payload is, in the base's frame (m).
         payload: The greatest mass there.
         trial: The simulation with ``TRIED`` of that mass on the robot; None if there is no such.
@@ -61,9 +61,9 @@ class Stance(Result):
         settled: Where it settles without feed-forward; None where that is not predicted.
         unsettled: Why ``settled`` is None.
         best: How it was found, if the best stance was asked for.
-        least_kp: The softest servos that carry it without feed-forward (N m/rad), if asked for;
-            None also if none do.
-        envelope: How far the base can go, if asked for.
+        minimum_stiffness: Of the servos that carry it without feed-forward (N m/rad), if asked
+            for; None also if none do.
+        workspace: How far the base can go, if asked for.
         path: From the nominal stand to it, if asked for.
         tracking: The simulation of ``path``.
         push: The largest pushes it survives, if asked for.
@@ -74,17 +74,17 @@ class Stance(Result):
     limits: Array
     stand: Stand
     statics: GravityCompensation
-    least_peak: GravityCompensation
+    minimum_peak: GravityCompensation
     point: tuple[float, float, float]
     payload: PayloadLimit
     trial: PayloadTrial | None
     sunk: Stand | None
     verification: StandVerification
-    settled: SettledPose | None
+    settled: SteadyState | None
     unsettled: str
     best: BestStance | None
-    least_kp: float | None
-    envelope: PoseEnvelope | None
+    minimum_stiffness: float | None
+    workspace: BaseWorkspace | None
     path: StancePath | None
     tracking: PathTracking | None
     push: PushRecovery | None
@@ -110,7 +110,7 @@ def study(
     point: tuple[float, float, float] = (0.0, 0.0, 0.0),
     objective: Objective | None = None,
     softest: bool = False,
-    envelope: bool = False,
+    workspace: bool = False,
     seconds: float | None = None,
     push: bool = False,
 ) -> Stance:
@@ -124,7 +124,7 @@ def study(
         point: Where a payload is, in the base's frame (m).
         objective: Search for the best stance in this, from the task on (some seconds).
         softest: Also find the softest servos that carry it without feed-forward.
-        envelope: Also find how far the base can go from there (a second or two).
+        workspace: Also find how far the base can go from there (a second or two).
         seconds: Also move there from the nominal stand, in this time (s).
         push: Also push it (some seconds).
 
@@ -145,11 +145,11 @@ def study(
         trial = payload_trial(robot, stand, TRIED * payload.mass, point, kp=kp, kd=kd)
     settled, unsettled, sunk, softness = None, "", None, None
     try:
-        settled = settled_pose(robot, stand, kp=kp)
+        settled = steady_state(robot, stand, kp=kp)
     except NoEquilibriumError as error:
         unsettled = str(error)
     with contextlib.suppress(NoStiffnessError):
-        softness = least_kp(robot, stand) if softest else None
+        softness = minimum_stiffness(robot, stand) if softest else None
     with contextlib.suppress(StanceUnreachableError):
         sunk = sunk_stand(robot, stand.task, explain=False)
     held = sunk or stand
@@ -160,7 +160,7 @@ def study(
         limits=robot.effort_limits,
         stand=stand,
         statics=stand_statics(robot, held),
-        least_peak=stand_statics(robot, held, sharing=LoadSharing.LEAST_PEAK),
+        minimum_peak=stand_statics(robot, held, distribution=ForceDistribution.MIN_PEAK),
         point=point,
         payload=payload,
         trial=trial,
@@ -169,8 +169,8 @@ def study(
         settled=settled,
         unsettled=unsettled,
         best=best,
-        least_kp=softness,
-        envelope=pose_envelope(robot, stand.task) if envelope else None,
+        minimum_stiffness=softness,
+        workspace=base_workspace(robot, stand.task) if workspace else None,
         path=path,
         tracking=None if path is None else track_path(robot, path, kp=kp, kd=kd),
         push=push_recovery(robot, held, kp=kp, kd=kd) if push else None,
@@ -186,6 +186,6 @@ def way_to(robot: Robot, stand: Stand) -> list[StandTask]:
     x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
     over = replace(task, com=(float(x), float(y)), com_margin=0.0, offset=None)
     nominal = StandTask(
-        feet=task.feet, foot_offsets=task.foot_offsets, ground=task.ground, posture=task.posture
+        feet=task.feet, foot_offsets=task.foot_offsets, ground=task.ground, ik_seed=task.ik_seed
     )
-    return [nominal, *([replace(over, lifted={})] if task.lifted else []), over]
+    return [nominal, *([replace(over, swing={})] if task.swing else []), over]

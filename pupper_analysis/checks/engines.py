@@ -218,10 +218,10 @@ def cross_check(
     opinions = {
         URDF_PINOCCHIO: _pinocchio_opinion(robot, states),
         MJCF_PINOCCHIO: _pinocchio_opinion(mjcf_robot, states),
-        MJCF_MUJOCO: _mujoco_opinion(
+        MJCF_MUJOCO: _backend_evaluation(
             robot, without(robot.mj_model, found), robot.mj_base, mjcf_frames, states
         ),
-        MJCF_AS_IT_IS: _mujoco_opinion(
+        MJCF_AS_IT_IS: _backend_evaluation(
             robot, without(robot.mj_model, coupled), robot.mj_base, mjcf_frames, states
         ),
     }
@@ -229,7 +229,9 @@ def cross_check(
         in_mujoco = as_it_is(in_mujoco)
         # MuJoCo's importer makes equalities of mimic joints, which Pinocchio leaves independent.
         in_mujoco.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
-        opinions[URDF_MUJOCO] = _mujoco_opinion(robot, in_mujoco, robot.base, urdf_frames, states)
+        opinions[URDF_MUJOCO] = _backend_evaluation(
+            robot, in_mujoco, robot.base, urdf_frames, states
+        )
     if pairs:
         opinions[URDF_YOURDFPY] = _yourdfpy_opinion(robot, states)
     checks = tuple(_compare(name, opinions, tolerance) for name in opinions[URDF_PINOCCHIO])
@@ -342,7 +344,7 @@ def _pinocchio_opinion(robot: Robot, states: States) -> Opinion:
 # ------------------------------------------------------------------------------------- MuJoCo
 
 
-def _mujoco_opinion(
+def _backend_evaluation(
     robot: Robot,
     model: mujoco.MjModel,
     base: str,

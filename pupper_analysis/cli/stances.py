@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 @click.option("--ground-clearance", type=LENGTH, default=0.0, help="All but the feet (m).")
 @click.option("--self-clearance", type=LENGTH, help="Between links (m).")
 @click.option("--move", "moves", multiple=True, metavar="FOOT=X,Y", help="Foot off its place (m).")
-@click.option("--lift", "lifts", multiple=True, metavar="FOOT=LENGTH", help="Foot lifted by (m).")
+@click.option("--swing", "lifts", multiple=True, metavar="FOOT=LENGTH", help="Foot lifted by (m).")
 @click.option("--step", "steps", multiple=True, metavar="FOOT=LENGTH", help="Step under it (m).")
 @click.option("--slope", type=ANGLE, default=0.0, help="Slope of the ground (rad).")
 @click.option("--uphill", type=ANGLE, default=0.0, help="Where it rises (rad).")
@@ -60,10 +60,10 @@ if TYPE_CHECKING:
     help="Search for the best: the base's pose and the place of each foot are free.",
 )
 @click.option("--payload-at", default="0,0,0", metavar="X,Y,Z", help="In the base's frame (m).")
-@click.option("--least-kp", is_flag=True, help="Also the softest servos that carry it.")
-@click.option("--envelope", is_flag=True, help="Also how far the base can go from there.")
+@click.option("--minimum-stiffness", is_flag=True, help="Also the softest servos that carry it.")
+@click.option("--workspace", is_flag=True, help="Also how far the base can go from there.")
 @click.option(
-    "--envelope-figure", type=click.Path(path_type=Path), help="Draw that: a PNG.", metavar="PATH"
+    "--workspace-figure", type=click.Path(path_type=Path), help="Draw that: a PNG.", metavar="PATH"
 )
 @click.option("--push", "pushed", is_flag=True, help="Also the largest pushes it survives.")
 @click.option("--path", "seconds", type=float, metavar="S", help="Also move there in S seconds.")
@@ -95,9 +95,9 @@ def stand(
     kd: float | None,
     best: str | None,
     payload_at: str,
-    least_kp: bool,
-    envelope: bool,
-    envelope_figure: Path | None,
+    minimum_stiffness: bool,
+    workspace: bool,
+    workspace_figure: Path | None,
     pushed: bool,
     seconds: float | None,
     csv: Path | None,
@@ -118,9 +118,9 @@ def stand(
 
     \b
     Examples:
-      pupper-analysis stand v3 --lift FL=0.02 --com inside --com-margin 0.01 --path 4 --csv lift.csv
+      pupper-analysis stand v3 --swing FL=2cm --com inside --com-margin 1cm --path 4 --csv lift.csv
       pupper-analysis stand long-leg --slope 5deg --uphill 90deg --pitch 0.05
-      pupper-analysis stand v3 --step FR=0.02 --move RL=-0.01,0.02 --envelope --figure s.png
+      pupper-analysis stand v3 --step FR=0.02 --move RL=-0.01,0.02 --workspace --figure s.png
       pupper-analysis stand v3-heavy --best payload --payload-at 0,0,0.08
       pupper-analysis stand --urdf go1.urdf --mjcf go1.xml --foot FR=FR_foot --foot FL=FL_foot \\
         --foot RR=RR_foot --foot RL=RL_foot --kp 100 --kd 3
@@ -148,13 +148,13 @@ def stand(
         ground_clearance=ground_clearance,
         self_clearance=self_clearance,
         foot_offsets={f: _place("move", p) for f, p in (assignment("move", m) for m in moves)},
-        lifted=dict(length("lift", text) for text in lifts),
+        swing=dict(length("swing", text) for text in lifts),
         ground=Ground(slope, uphill, dict(length("step", text) for text in steps)),
     )
     if seconds is None and not (csv is None and npz is None):
         raise ConfigurationError("--csv, --npz", "there is no path to write; give --path too")
     x, y, z = point("payload-at", payload_at, 3)
-    check_outputs(figure, envelope_figure, csv, npz, json_path)
+    check_outputs(figure, workspace_figure, csv, npz, json_path)
     robot = _robot(name, urdf, mjcf, feet)
     result = study(
         robot,
@@ -163,8 +163,8 @@ def stand(
         kd=kd,
         point=(x, y, z),
         objective=None if best is None else Objective(best),
-        softest=least_kp,
-        envelope=envelope or envelope_figure is not None,
+        softest=minimum_stiffness,
+        workspace=workspace or workspace_figure is not None,
         seconds=seconds,
         push=pushed,
     )
@@ -173,10 +173,10 @@ def stand(
         from pupper_analysis.report import figures
 
         figures.pose_figure(robot, result.stand, result.statics, figure)
-    if envelope_figure is not None and result.envelope is not None:
+    if workspace_figure is not None and result.workspace is not None:
         from pupper_analysis.report import workspace_figure as drawing
 
-        drawing.envelope_figure(robot, result.envelope, envelope_figure)
+        drawing.workspace_figure(robot, result.workspace, workspace_figure)
     if csv is not None and result.path is not None:
         result.path.to_csv(csv)
     if npz is not None and result.path is not None:

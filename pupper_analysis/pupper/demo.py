@@ -59,7 +59,7 @@ def demo_stances(robot: Robot, name: str, *, depth: float = 0.2) -> list[StandTa
     feet = Configuration(robot, robot.neutral()).foot_positions()
     x, y = np.mean([feet[foot][:2] for foot in robot.feet if foot != "FL"], axis=0)
     over = StandTask(com=(float(x), float(y)))
-    up = StandTask(com=(float(x), float(y)), lifted={"FL": 0.02})
+    up = StandTask(com=(float(x), float(y)), swing={"FL": 0.02})
     return [stand, over, up, up, over, stand]
 
 

@@ -127,7 +127,7 @@ def _print_statics(out: Console, analysis: Analysis) -> None:
     print_loads(
         out,
         analysis.statics,
-        analysis.least_peak,
+        analysis.minimum_peak,
         analysis.verification,
         [joint.effort for joint in analysis.joints],
         {"hanging": analysis.hanging_torques},
@@ -138,7 +138,7 @@ def _print_statics(out: Console, analysis: Analysis) -> None:
 def print_loads(
     out: Console,
     statics: GravityCompensation,
-    least_peak: GravityCompensation,
+    minimum_peak: GravityCompensation,
     verification: StandVerification,
     limits: Sequence[float],
     more: Mapping[str, Array],
@@ -149,7 +149,7 @@ def print_loads(
     Args:
         out: Where to.
         statics: Of the forces that last.
-        least_peak: Of least peak utilisation.
+        minimum_peak: Of least peak utilisation.
         verification: The simulation.
         limits: (nu,) of the motors (N m).
         more: Further columns, {title: (nu,)}.
@@ -164,7 +164,7 @@ def print_loads(
         "utilisation",
         "",
         "simulated",
-        "least peak",
+        "minimum peak",
         *more,
     )
     for index, name in enumerate(statics.joint_names):
@@ -177,14 +177,14 @@ def print_loads(
             f"{utilisation:.1%}",
             Bar(1.0, 0.0, min(utilisation, 1.0), width=16, color=colour),
             _number(verification.joint_torques[index]),
-            _number(least_peak.joint_torques[index]),
+            _number(minimum_peak.joint_torques[index]),
             *(_number(values[index]) for values in more.values()),
         )
     out.print(table)
     out.print(
-        "torque: with the least tangential forces at the feet, which last; least peak: with the "
-        "contact forces of least\npeak utilisation, "
-        f"{least_peak.motor_utilisation.max():.1%}" + explanation,
+        "torque: with the least tangential forces at the feet, which last; minimum peak: with the "
+        "contact forces of\nleast peak utilisation, "
+        f"{minimum_peak.motor_utilisation.max():.1%}" + explanation,
         style="dim",
     )
     table = titled_table(
@@ -194,7 +194,7 @@ def print_loads(
         "force",
         "friction used",
         "simulated",
-        "least peak",
+        "minimum peak",
     )
     for foot, force in statics.contact_forces.items():
         table.add_row(
@@ -202,7 +202,7 @@ def print_loads(
             _vector(force, 3),
             f"{statics.friction_utilisation[foot]:.1%}",
             _vector(verification.foot_forces[foot], 3),
-            _vector(least_peak.contact_forces[foot], 3),
+            _vector(minimum_peak.contact_forces[foot], 3),
         )
     out.print(table)
     margin = "-" if statics.com_margin is None else f"{1e3 * statics.com_margin:.1f} mm"

@@ -20,7 +20,7 @@ from pupper_analysis.stance.sag.steady_state import (
     RELEASE_MARGIN,
 )
 from pupper_analysis.stance.stand import Stand
-from pupper_analysis.stance.workspace import PoseEnvelope
+from pupper_analysis.stance.workspace import BaseWorkspace
 
 Array = NDArray[np.float64]
 
@@ -35,10 +35,12 @@ def print_stance(out: Console, stance: Stance) -> None:
     if stance.best is not None:
         _print_best(out, stance.best)
     more = {"position (rad)": stance.joint_positions}
-    print_loads(out, stance.statics, stance.least_peak, verification, stance.limits.tolist(), more)
+    print_loads(
+        out, stance.statics, stance.minimum_peak, verification, stance.limits.tolist(), more
+    )
     if stance.overloaded:
         how = "with the contact forces that last"
-        if stance.least_peak.motor_utilisation.max() > 1:
+        if stance.minimum_peak.motor_utilisation.max() > 1:
             how = "however the feet share the load"
         out.print(
             f"[bold red]OVERLOADED[/]: the motors cannot hold it {how}: "
@@ -48,10 +50,12 @@ def print_stance(out: Console, stance: Stance) -> None:
     _print_payload(out, stance)
     _print_clearance(out, stand)
     _print_settled(out, stance)
-    if stance.least_kp is not None:
-        out.print(f"softest servos that carry it: {stance.least_kp:.2f} N m/rad", soft_wrap=True)
-    if stance.envelope is not None:
-        _print_envelope(out, stance.envelope)
+    if stance.minimum_stiffness is not None:
+        out.print(
+            f"softest servos that carry it: {stance.minimum_stiffness:.2f} N m/rad", soft_wrap=True
+        )
+    if stance.workspace is not None:
+        _print_envelope(out, stance.workspace)
     if stance.push is not None:
         print_pushes(out, {stance.name: stance.push})
     if stance.path is not None and stance.tracking is not None:
@@ -196,9 +200,9 @@ def _print_settled(out: Console, stance: Stance) -> None:
     out.print(escape(text), soft_wrap=True)
 
 
-def _print_envelope(out: Console, envelope: PoseEnvelope) -> None:
+def _print_envelope(out: Console, workspace: BaseWorkspace) -> None:
     rows = titled_table(out, "How far the base can go, each alone", "", "from", "to")
-    for direction, interval in envelope.intervals.items():
+    for direction, interval in workspace.intervals.items():
         if direction in ("roll", "pitch", "yaw"):
             low, high = (f"{math.degrees(end):+.1f} deg" for end in (interval.low, interval.high))
         else:

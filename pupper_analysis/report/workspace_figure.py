@@ -29,7 +29,7 @@ from pupper_analysis.report.figures import (
 )
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.workspace import PoseEnvelope, stand_at
+from pupper_analysis.stance.workspace import BaseWorkspace, stand_at
 
 Array = NDArray[np.float64]
 
@@ -47,12 +47,12 @@ _AXES = ("x, forward (mm)", "y, left (mm)", "z, up (mm)")
 _ENDS = {"low": BLUE, "high": RED}
 
 
-def envelope_figure(robot: Robot, envelope: PoseEnvelope, path: str | Path) -> None:
-    """Draws the robot at both ends of every direction of its envelope, over where it started.
+def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -> None:
+    """Draws the robot at both ends of every direction of its workspace, over where it started.
 
     Args:
         robot: The robot.
-        envelope: Its envelope.
+        workspace: Its workspace.
         path: The PNG to write.
 
     Raises:
@@ -62,9 +62,9 @@ def envelope_figure(robot: Robot, envelope: PoseEnvelope, path: str | Path) -> N
     put_title(
         figure, f"{robot.name}: how far the base can go with its feet planted, each way alone"
     )
-    start = envelope.start
+    start = workspace.start
     panels = figure.subplots(2, 3).flat
-    for axes, (direction, interval) in zip(panels, envelope.intervals.items(), strict=True):
+    for axes, (direction, interval) in zip(panels, workspace.intervals.items(), strict=True):
         view, across, up = _VIEWS[direction]
         low, high = interval.low, interval.high
         if direction in ("roll", "pitch", "yaw"):

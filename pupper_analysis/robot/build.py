@@ -114,12 +114,12 @@ def build_robot(
         foot: foot_site(mj_model, frame, description.mjcf_source)
         for foot, (_, frame) in description.feet.items()
     }
-    soles = foot_geoms(description, mj_model, places)
-    radius = {foot: float(mj_model.geom_size[sole, 0]) for sole, foot in soles.items()}
+    geoms = foot_geoms(description, mj_model, places)
+    radius = {foot: float(mj_model.geom_size[sole, 0]) for sole, foot in geoms.items()}
     ground = contact.ground_geom(mj_model)
     contacts = {
         foot: contact.combine(mj_model, sole, ground)
-        for sole, foot in soles.items()
+        for sole, foot in geoms.items()
         if ground is not None
     }
     # The keyframe may be that of the model with a free base.
@@ -136,7 +136,7 @@ def build_robot(
         feet=tuple(description.feet),
         foot_frames=MappingProxyType(foot_frames),
         foot_places=MappingProxyType(places),
-        soles=MappingProxyType(soles),
+        foot_geoms=MappingProxyType(geoms),
         foot_radius=MappingProxyType(radius),
         contacts=MappingProxyType(contacts),
         home=home,

@@ -104,14 +104,14 @@ def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
 
 
 def ground_forces(
-    model: mujoco.MjModel, data: mujoco.MjData, soles: Mapping[int, str]
+    model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> tuple[dict[str, Array], set[str]]:
     """Returns what the ground does to a robot at a state.
 
     Args:
         model: The model.
         data: After ``mj_forward``.
-        soles: Which geom is which foot's.
+        foot_geoms: Which geom is which foot's.
 
     Returns:
         The force on each foot that touches, {foot: (3,)}, in world axes (N); and the names of the
@@ -123,25 +123,27 @@ def ground_forces(
         bodies = model.geom_bodyid[pair]
         first = bool(bodies[0] == 0)  # the floor, or a step
         geom = int(pair[1] if first else pair[0])
-        if 0 not in bodies or geom not in soles:
+        if 0 not in bodies or geom not in foot_geoms:
             continue
         mujoco.mj_contactForce(model, data, number, wrench)
         force = data.contact.frame[number].reshape(3, 3).T @ wrench[:3]
-        forces[soles[geom]] = forces.get(soles[geom], np.zeros(3)) + (force if first else -force)
-    return forces, bodies_on_ground(model, data, soles)
+        forces[foot_geoms[geom]] = forces.get(foot_geoms[geom], np.zeros(3)) + (
+            force if first else -force
+        )
+    return forces, bodies_on_ground(model, data, foot_geoms)
 
 
 def bodies_on_ground(
-    model: mujoco.MjModel, data: mujoco.MjData, soles: Mapping[int, str]
+    model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> set[str]:
     """Returns the names of the bodies that touch the ground with something else than a sole.
 
     Args:
         model: The model.
         data: After ``mj_collision``.
-        soles: Which geom is which foot's.
+        foot_geoms: Which geom is which foot's.
     """
     pairs = data.contact.geom
     on_ground = (model.geom_bodyid[pairs] == 0).any(axis=1)
     geoms = {int(geom) for geom in pairs[on_ground].flat if model.geom_bodyid[geom] != 0}
-    return {model.body(int(model.geom_bodyid[geom])).name for geom in geoms - set(soles)}
+    return {model.body(int(model.geom_bodyid[geom])).name for geom in geoms - set(foot_geoms)}

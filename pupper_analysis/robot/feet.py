@@ -42,7 +42,7 @@ def foot_geoms(
     description: Description, model: mujoco.MjModel, places: Mapping[str, tuple[int, Array]]
 ) -> dict[int, str]:
     """Finds the feet's spheres."""
-    soles: dict[int, str] = {}
+    foot_geoms: dict[int, str] = {}
     for foot, (body, position) in places.items():
         sphere = contact.foot_geom(model, body, position)
         if sphere is None:
@@ -52,8 +52,8 @@ def foot_geoms(
                 f"foot {foot!r}: body {model.body(body).name!r} has no sphere for contact centred "
                 f"at {frame!r}; name a frame at the centre of the foot's sphere",
             )
-        soles[sphere] = foot
-    return soles
+        foot_geoms[sphere] = foot
+    return foot_geoms
 
 
 def stand_height(

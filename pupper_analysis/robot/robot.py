@@ -36,7 +36,7 @@ class Robot:
         foot_frames: The name of each foot's frame in the URDF.
         foot_places: For each foot, the body that carries it in ``mj_model`` (its id) and the centre
             of its sphere in that body's frame, (3,) (m).
-        soles: Which foot's sphere a geom of ``mj_model`` is, {geom id: foot}.
+        foot_geoms: Which foot's sphere a geom of ``mj_model`` is, {geom id: foot}.
         foot_radius: The radius of each foot's sphere (m).
         contacts: The effective parameters of each foot's contact with the ground.
         home: (nq,) the MJCF's keyframe ``home`` (or its first, or its zero configuration).
@@ -58,7 +58,7 @@ class Robot:
     feet: tuple[str, ...]
     foot_frames: Mapping[str, str]
     foot_places: Mapping[str, tuple[int, Array]]
-    soles: Mapping[int, str]
+    foot_geoms: Mapping[int, str]
     foot_radius: Mapping[str, float]
     contacts: Mapping[str, ContactParameters]
     home: Array

@@ -69,7 +69,7 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
 def _leave_floor(
     robot: Robot, spec: mujoco.MjSpec, floor: mujoco.MjsGeom, feet: Container[str]
 ) -> None:
-    """Lets all that touched the floor touch it, except some feet's soles."""
+    """Lets all that touched the floor touch it, except some feet's foot_geoms."""
     spec.compile()  # numbers the geoms
     geoms = [geom for geom in spec.geoms if geom.id != floor.id]
     touching = [
@@ -83,5 +83,5 @@ def _leave_floor(
     free = next(1 << bit for bit in range(31) if not taken & 1 << bit)
     floor.contype, floor.conaffinity = 0, free
     for geom in touching:
-        if robot.soles.get(geom.id) not in feet:
+        if robot.foot_geoms.get(geom.id) not in feet:
             geom.contype |= free

@@ -29,7 +29,7 @@ from pupper_analysis.simulation.rollout import (
     place_on_ground,
 )
 from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import LoadSharing
+from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
 
@@ -123,7 +123,7 @@ def sweep_gains(
     control[0, :, : model.nu] = ctrl
     force = amplitude * np.sin(2 * math.pi * frequency * timestep * np.arange(steps))
     control[0, :, model.nu + 6 * base + 2] = force
-    balance = stand_statics(robot, stand, sharing=LoadSharing.EVEN)
+    balance = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     starts = np.array(
         [place_on_ground(robot, drive, stand, balance.joint_torques) for drive in drives]
     )
@@ -157,7 +157,7 @@ def _lies(robot: Robot, model: mujoco.MjModel, stand: Stand, state: Array, ctrl:
     mujoco.mj_setState(model, data, state, STATE)
     data.ctrl[:] = ctrl
     mujoco.mj_forward(model, data)
-    _, others = contact.ground_forces(model, data, robot.soles)
+    _, others = contact.ground_forces(model, data, robot.foot_geoms)
     return bool(others) or lean(robot, stand.task.rotation(), state) > FALLEN_TILT
 
 

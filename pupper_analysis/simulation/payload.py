@@ -216,20 +216,22 @@ def _first_event(
         mujoco.mj_forward(model, data)
         angles = data.qpos[robot.mj_convention.qpos_index[7:]]
         torques = np.abs(data.qfrc_actuator[robot.mj_convention.qvel_index[6:]])
-        forces, others = contact.ground_forces(model, data, robot.soles)
+        forces, others = contact.ground_forces(model, data, robot.foot_geoms)
         feet = {
             foot: data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
             for foot, (body, position) in robot.foot_places.items()
         }
         places = places or feet
-        moved = {foot: np.linalg.norm((feet[foot] - places[foot])[:2]) for foot in stand.carrying}
+        moved = {
+            foot: np.linalg.norm((feet[foot] - places[foot])[:2]) for foot in stand.stance_feet
+        }
         found = {
             Failure.MOTOR: names[torques > strong * (1 - 1e-9)].tolist(),
-            Failure.GROUND: sorted(others | (set(forces) - set(stand.carrying))),
+            Failure.GROUND: sorted(others | (set(forces) - set(stand.stance_feet))),
             Failure.JOINT: names[(angles < lower) | (angles > upper)].tolist(),
             Failure.TIPPING: [
                 foot
-                for foot in stand.carrying
+                for foot in stand.stance_feet
                 if foot not in forces and (feet[foot] - places[foot])[2] > LIFTED
             ],
             Failure.SLIDING: [foot for foot, way in moved.items() if way > SLIPPED],

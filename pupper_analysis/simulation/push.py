@@ -30,7 +30,7 @@ from pupper_analysis.simulation.rollout import (
     place_on_ground,
 )
 from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import LoadSharing
+from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
 
@@ -160,7 +160,9 @@ def push_recovery(
         raise ConfigurationError("resolution", f"{resolution} N s is not positive and finite")
     config = Configuration(robot, stand.qpos)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    torques = stand_statics(robot, stand, sharing=LoadSharing.EVEN).joint_torques
+    torques = stand_statics(
+        robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
+    ).joint_torques
     drive = servos(robot, kp, kd, integrator)
     positions = stand.joint_positions(robot)
     angles = 2 * math.pi * np.arange(directions) / directions
@@ -176,7 +178,7 @@ def push_recovery(
         duration=duration,
     )
     point = _push_point(robot, stand)
-    estimate = tipping_impulses(config, point, bench.axes, stand.carrying)
+    estimate = tipping_impulses(config, point, bench.axes, stand.stance_feet)
     impulses, bisected, failures = _limits(bench, estimate, resolution)
     weakest = int(np.argmin(impulses))
     return PushRecovery(
@@ -370,7 +372,7 @@ class _Bench:
             mujoco.mj_setState(model, self.data, state, STATE)
             mujoco.mj_kinematics(model, self.data)
             mujoco.mj_collision(model, self.data)
-            if touching := sorted(contact.bodies_on_ground(model, self.data, robot.soles)):
+            if touching := sorted(contact.bodies_on_ground(model, self.data, robot.foot_geoms)):
                 failures.append(f"{touching[0]} touches the ground at {self.data.time:.2f} s")
                 break
         tilt = lean(robot, self.stand.task.rotation(), states[-1])

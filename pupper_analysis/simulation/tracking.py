@@ -204,7 +204,7 @@ def _watch(
         mujoco.mj_setState(model, data, states[index], STATE)
         data.ctrl[:] = plan.ctrl[min(index + 1, len(plan.ctrl) - 1)]  # what comes next
         mujoco.mj_forward(model, data)
-        forces, others = contact.ground_forces(model, data, robot.soles)
+        forces, others = contact.ground_forces(model, data, robot.foot_geoms)
         seen = [f"{body} touches the ground" for body in sorted(others)]
         goal = plan.qpos[index]
         rotation = rotation_from_quaternion(goal[3:7] / np.linalg.norm(goal[3:7]))
@@ -222,7 +222,7 @@ def _watch(
                 seen.append(f"foot {foot} carries nothing")
             if path.clearance[sample, column] > LIFT_CLEARANCE and foot in forces:
                 seen.append(f"foot {foot} is lifted, and touches the ground")
-            if path.carrying[sample, column]:
+            if path.stance_feet[sample, column]:
                 body, place = robot.foot_places[foot]
                 centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
                 away = float(np.linalg.norm((centre - targets[foot])[:2]))

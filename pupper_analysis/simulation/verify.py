@@ -27,7 +27,7 @@ from pupper_analysis.simulation.rollout import (
     turned_by,
 )
 from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import GravityCompensation, LoadSharing
+from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import drop_at
 
 Array = NDArray[np.float64]
@@ -139,9 +139,9 @@ def verify_stand(
 ) -> StandVerification:
     """Simulates a stand on the floating base, and compares it with Pinocchio's prediction.
 
-    The prediction is ``gravity_compensation`` with even load sharing: the equilibrium that lasts in
-    a simulator whose friction creeps. MuJoCo's ground is soft: where the feet bear unequal loads a
-    stand for rigid ground tilts by milliradians, and the loads change by percents; ``sunk_stand``
+    The prediction is ``gravity_compensation`` with minimum tangential forces: the equilibrium that
+    lasts in a simulator whose friction creeps. MuJoCo's ground is soft: where the feet bear unequal
+    loads a stand for rigid ground tilts by milliradians, and the loads change by percents; ``sunk_stand``
     is the stand that does hold as predicted.
 
     Args:
@@ -163,7 +163,7 @@ def verify_stand(
     """
     check_stand(robot, stand, duration)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    prediction = stand_statics(robot, stand, sharing=LoadSharing.EVEN)
+    prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     drive = servos(robot, kp, kd, integrator)
     positions = stand.joint_positions(robot)
     torques = prediction.joint_torques if feedforward else None
@@ -188,7 +188,9 @@ def verify_stand(
         if force[2] >= FORCE_TOLERANCE * light
     }
     watch = _watch(robot, drive.model, stand, states, ctrl, last_second, loaded)
-    drops = {foot: stand.foot_targets[foot] - watch.feet_settled[foot] for foot in stand.carrying}
+    drops = {
+        foot: stand.foot_targets[foot] - watch.feet_settled[foot] for foot in stand.stance_feet
+    }
     base_height = float(base_heights(robot, settled).mean())
     height_loss = float(stand.qpos[2]) - base_height
     contact_sag = drop_at(
@@ -233,7 +235,7 @@ def verify_stand(
             off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")
         failures += off
     step = max(1, round(_SAMPLE / timestep))
-    foot_error, residual = _mujoco_opinion(robot, stand, prediction)
+    foot_error, residual = _backend_evaluation(robot, stand, prediction)
     return StandVerification(
         passed=not failures,
         failures=tuple(failures),
@@ -300,10 +302,10 @@ def _watch(
         mujoco.mj_setState(model, data, states[index], STATE)
         data.ctrl[:] = ctrl
         mujoco.mj_forward(model, data)
-        forces, others = contact.ground_forces(model, data, robot.soles)
+        forces, others = contact.ground_forces(model, data, robot.foot_geoms)
         touched |= dict.fromkeys(others, float(data.time))
-        touched |= {foot: float(data.time) for foot in forces if foot not in stand.carrying}
-        idle = [foot for foot in stand.carrying if foot not in forces or forces[foot][2] <= 0]
+        touched |= {foot: float(data.time) for foot in forces if foot not in stand.stance_feet}
+        idle = [foot for foot in stand.stance_feet if foot not in forces or forces[foot][2] <= 0]
         lost |= {foot: float(data.time) for foot in idle if foot in loaded}
         if index >= len(states) - last_second:
             count += 1
@@ -325,7 +327,7 @@ def _watch(
     )
 
 
-def _mujoco_opinion(
+def _backend_evaluation(
     robot: Robot, stand: Stand, prediction: GravityCompensation
 ) -> tuple[float, float]:
     """Checks stand and statics with MuJoCo's kinematics and dynamics of the MJCF."""
@@ -341,7 +343,7 @@ def _mujoco_opinion(
     for foot, (body, position) in robot.foot_places.items():
         centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
         foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
-        if foot in stand.carrying:
+        if foot in stand.stance_feet:
             reach = robot.foot_radius[foot] - stand.depths[foot] / 2
             point = centre - reach * stand.normals[foot]
             mujoco.mj_jac(model, data, jacobian, None, point, body)

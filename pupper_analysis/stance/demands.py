@@ -13,7 +13,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.task import StandTask
 
 DEMANDS = (
-    *("height", "roll", "pitch", "yaw", "offset", "com", "feet", "foot_offsets", "lifted"),
+    *("height", "roll", "pitch", "yaw", "offset", "com", "feet", "foot_offsets", "swing"),
     *("ground", "com_margin", "joint_margin", "ground_clearance", "self_clearance"),
 )
 """The fields of a task that may put a stance out of reach."""
@@ -66,7 +66,7 @@ def _numbers(robot: Robot, task: StandTask, demand: str) -> Iterator[_Number]:
             nominal = places[foot][:2] if demand == "feet" else (0.0, 0.0)
             for axis, one, other in zip("xy", place, nominal, strict=True):
                 yield _Number((demand, foot, axis), one, float(other))
-    elif demand == "lifted":
+    elif demand == "swing":
         for foot, height in value.items():
             yield _Number((demand, foot), height, 0.0)
     else:
@@ -76,12 +76,12 @@ def _numbers(robot: Robot, task: StandTask, demand: str) -> Iterator[_Number]:
 def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
     """Returns the middle of the feet that carry, seen from above (m)."""
     places = Configuration(robot, robot.neutral()).foot_positions()
-    carrying = [
+    stance_feet = [
         np.array(task.feet.get(foot, places[foot][:2])) + task.foot_offsets.get(foot, 0.0)
         for foot in robot.feet
-        if foot not in task.lifted
+        if foot not in task.swing
     ]
-    x, y = np.mean(carrying, axis=0)
+    x, y = np.mean(stance_feet, axis=0)
     return float(x), float(y)
 
 
@@ -98,8 +98,8 @@ def _replaced(task: StandTask, demand: str, values: dict[tuple[str, ...], float]
     elif demand in ("feet", "foot_offsets"):
         feet = getattr(task, demand)
         new = {foot: (values[demand, foot, "x"], values[demand, foot, "y"]) for foot in feet}
-    elif demand == "lifted":
-        new = {foot: values[demand, foot] for foot in task.lifted}
+    elif demand == "swing":
+        new = {foot: values[demand, foot] for foot in task.swing}
     else:
         new = values[demand,]
     return replace(task, **{demand: new})  # type: ignore[arg-type]
@@ -137,7 +137,7 @@ def shrunk(robot: Robot, task: StandTask, demands: Sequence[str], share: float) 
 
 
 def _share(demand: str, share: float) -> float:
-    return max(share, _LEAST_SHARE) if demand == "lifted" else share
+    return max(share, _LEAST_SHARE) if demand == "swing" else share
 
 
 def rounded(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
@@ -181,7 +181,7 @@ def in_words(task: StandTask, demand: str) -> str:
     if demand == "ground":
         steps = ", ".join(f"{foot} {_millimetres(h)}" for foot, h in value.heights.items())
         return f"slope {_angle(value.slope)}" + (f", steps {steps}" if steps else "")
-    if demand == "lifted":
+    if demand == "swing":
         return ", ".join(f"{foot} {_millimetres(h)}" for foot, h in value.items())
     if demand in ("offset", "com"):
         return _point(value)

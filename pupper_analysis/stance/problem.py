@@ -26,7 +26,7 @@ class Goal:
         task: The task, with its height filled in.
         targets: {foot: (3,)} of the feet's centres.
         depths: {foot that carries: m} how deep these are in the ground.
-        carrying: The feet that carry.
+        stance_feet: The feet that carry.
         contacts: (n, 3) contact points of these.
         height: z of the base frame.
         place: (2,) of the com, or of the base frame.
@@ -38,7 +38,7 @@ class Goal:
     task: StandTask
     targets: dict[str, Array]
     depths: dict[str, float]
-    carrying: tuple[str, ...]
+    stance_feet: tuple[str, ...]
     contacts: Array
     height: float
     place: Array
@@ -64,25 +64,25 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
         raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
     if not robot.feet:
         raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
-    for foot in (*task.feet, *task.foot_offsets, *task.lifted, *task.ground.heights, *depths):
+    for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights, *depths):
         robot.check_foot(foot)
     for foot, depth in depths.items():
         if not 0 <= depth < math.inf:
             raise ConfigurationError("depths", f"{foot}: {depth} m is not finite and >= 0")
-    carrying = tuple(foot for foot in robot.feet if foot not in task.lifted)
-    if len(carrying) < 3:
-        raise ConfigurationError("lifted", f"only {len(carrying)} feet carry; at least 3 must")
-    if task.posture is not None and len(task.posture) != robot.nu:
-        raise ConfigurationError("posture", f"it must have {robot.nu} values")
+    stance_feet = tuple(foot for foot in robot.feet if foot not in task.swing)
+    if len(stance_feet) < 3:
+        raise ConfigurationError("swing", f"only {len(stance_feet)} feet carry; at least 3 must")
+    if task.ik_seed is not None and len(task.ik_seed) != robot.nu:
+        raise ConfigurationError("ik_seed", f"it must have {robot.nu} values")
     ground, normal = task.ground, task.ground.normal()
     nominal = Configuration(robot, robot.neutral()).foot_positions()
     targets = {}
     for foot in robot.feet:
         place = np.array(task.feet.get(foot, nominal[foot][:2])) + task.foot_offsets.get(foot, 0.0)
         targets[foot] = ground.centre(foot, place, robot.foot_radius[foot])
-        targets[foot][2] += task.lifted.get(foot, 0.0)
-    contacts = np.array([targets[foot] - robot.foot_radius[foot] * normal for foot in carrying])
-    for foot in carrying:
+        targets[foot][2] += task.swing.get(foot, 0.0)
+    contacts = np.array([targets[foot] - robot.foot_radius[foot] * normal for foot in stance_feet])
+    for foot in stance_feet:
         targets[foot] = targets[foot] - depths.get(foot, 0.0) * normal
     centre = contacts.mean(axis=0)
     lower, upper = robot.lower_limits + task.joint_margin, robot.upper_limits - task.joint_margin
@@ -96,7 +96,7 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
         place, by_base = centre[:2] + task.offset, True
     elif not isinstance(task.com, str):
         place = np.array(task.com)
-    points = dict(zip(carrying, contacts, strict=True))
+    points = dict(zip(stance_feet, contacts, strict=True))
     if not by_base and com_margin(np.append(place, 0.0), points) < task.com_margin:
         raise ConfigurationError(
             "com_margin", f"{task.com_margin} m is more than the support polygon has at the com"
@@ -107,8 +107,8 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
     return Goal(
         task=task,
         targets=targets,
-        depths={foot: float(depths.get(foot, 0.0)) for foot in carrying},
-        carrying=carrying,
+        depths={foot: float(depths.get(foot, 0.0)) for foot in stance_feet},
+        stance_feet=stance_feet,
         contacts=contacts,
         height=float(centre[2]) + task.height,
         place=place,

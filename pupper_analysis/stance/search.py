@@ -197,9 +197,9 @@ def _room(stand: Stand) -> float:
 
 
 def starts(robot: Robot, goal: Goal) -> Iterator[Array]:
-    """Yields joint positions to start from: the posture, home, the middle of the limits."""
-    if goal.task.posture is not None:
-        yield np.array(goal.task.posture)
+    """Yields joint positions to start from: the ik_seed, home, the middle of the limits."""
+    if goal.task.ik_seed is not None:
+        yield np.array(goal.task.ik_seed)
     yield robot.home[7:]
     bounded = np.isfinite(goal.lower) & np.isfinite(goal.upper)
     middle = (np.where(bounded, goal.lower, 0) + np.where(bounded, goal.upper, 0)) / 2
@@ -219,7 +219,7 @@ def choices(
             stays out of reach, since its distance changes by no more than the base moves.
         most: How many at most.
     """
-    near = robot.home[7:] if goal.task.posture is None else np.array(goal.task.posture)
+    near = robot.home[7:] if goal.task.ik_seed is None else np.array(goal.task.ik_seed)
     likely = {
         limb: tuple(branch for branch in ways if branch.miss <= reach + _NEAR_MISS)
         for limb, ways in found.items()

@@ -66,7 +66,7 @@ class Stand(Result):
         qpos: (nq,) the configuration.
         foot_targets: {foot: (3,)} where the centre of each foot's sphere shall be (m).
         depths: {foot that carries: how deep it has sunk into the ground (m)}; 0 on rigid ground.
-        carrying: The feet that carry.
+        stance_feet: The feet that carry.
         normals: {foot that carries: (3,) direction out of the ground}.
         contact_points: {foot that carries: (3,) where it touches the ground (m)}.
         foot_error: The largest distance of a foot from its target (m).
@@ -86,7 +86,7 @@ class Stand(Result):
     qpos: Array
     foot_targets: dict[str, Array]
     depths: dict[str, float]
-    carrying: tuple[str, ...]
+    stance_feet: tuple[str, ...]
     normals: dict[str, Array]
     contact_points: dict[str, Array]
     foot_error: float
@@ -268,9 +268,9 @@ def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
         qpos=config.qpos.copy(),
         foot_targets=goal.targets,
         depths=goal.depths,
-        carrying=goal.carrying,
-        normals=dict.fromkeys(goal.carrying, normal),
-        contact_points=dict(zip(goal.carrying, goal.contacts, strict=True)),
+        stance_feet=goal.stance_feet,
+        normals=dict.fromkeys(goal.stance_feet, normal),
+        contact_points=dict(zip(goal.stance_feet, goal.contacts, strict=True)),
         foot_error=max(errors),
         orientation_error=float(np.linalg.norm(pin.log3(turn))),
         height_error=abs(float(config.qpos[2]) - goal.height),

@@ -13,8 +13,8 @@ from pupper_analysis.stance.search import nearest, search
 from pupper_analysis.stance.solver import TASK_TOLERANCE, Stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import (
+    ForceDistribution,
     GravityCompensation,
-    LoadSharing,
     gravity_compensation,
 )
 
@@ -30,7 +30,7 @@ def solve_stand(
 ) -> Stand:
     """Finds the configuration that satisfies a stand task, within the joint limits.
 
-    PlaCo solves a sequence of quadratic programmes on the floating base, from the task's posture,
+    PlaCo solves a sequence of quadratic programmes on the floating base, from the task's ik_seed,
     from home, and, where these do not lead there, from every way to bend the legs that may
     (``branches``). With ``com="inside"`` the com moves to where the feet are in reach.
 
@@ -67,24 +67,27 @@ def solve_stand(
 
 
 def stand_statics(
-    robot: Robot, stand: Stand, *, sharing: LoadSharing | str = LoadSharing.EVEN
+    robot: Robot,
+    stand: Stand,
+    *,
+    distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
 ) -> GravityCompensation:
     """Computes what the motors hold in a stand, on the feet that carry and on its ground.
 
     Args:
         robot: The robot.
         stand: The stand.
-        sharing: Which of the feasible contact forces: by default ``EVEN``, those that last.
+        distribution: Which of the feasible contact forces: by default ``EVEN``, those that last.
 
     Raises:
-        ConfigurationError: If the stand is another robot's, or ``sharing`` is unknown.
+        ConfigurationError: If the stand is another robot's, or ``distribution`` is unknown.
         StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.
     """
     stand.check(robot)
     return gravity_compensation(
         Configuration(robot, stand.qpos),
-        stand.carrying,
+        stand.stance_feet,
         normals=stand.normals,
         depths=stand.depths,
-        sharing=sharing,
+        distribution=distribution,
     )

@@ -13,7 +13,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.equilibrium import LoadSharing
+from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def loaded_stand(loaded: Robot, stand: Stand) -> Stand:
         joint_margin=0.0,
         ground_clearance=0.0,
         self_clearance=None,
-        posture=tuple(stand.joint_positions(loaded).tolist()),
+        ik_seed=tuple(stand.joint_positions(loaded).tolist()),
     )
     return sunk_stand(loaded, task, explain=False)
 
@@ -62,7 +62,7 @@ def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = T
     proportion to what a foot carries: a robot that is commanded the joints of ``solve_stand`` sinks
     and, where its feet bear unequal loads, tilts, by which the loads change too. Here the legs are
     longer by what their feet sink in, so that base and com are where the task has them, and the
-    forces are those of ``LoadSharing.EVEN``. The depths and forces determine each other; repeated
+    forces are the minimum-tangential ones. The depths and forces determine each other; repeated
     substitution finds them in 1 to 3 rounds.
 
     Args:
@@ -85,9 +85,11 @@ def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = T
     if task.com == "inside":
         x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
         task = replace(task, com=(float(x), float(y)), com_margin=0.0)
-    laws = {foot: GroundLaw.of(robot, foot) for foot in stand.carrying}
+    laws = {foot: GroundLaw.of(robot, foot) for foot in stand.stance_feet}
     for _ in range(_MAX_ITERATIONS):
-        forces = stand_statics(robot, stand, sharing=LoadSharing.EVEN).contact_forces
+        forces = stand_statics(
+            robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
+        ).contact_forces
         depths = {
             foot: law.depth(max(0.0, float(forces[foot] @ stand.normals[foot])))
             for foot, law in laws.items()
@@ -95,6 +97,6 @@ def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = T
         change = max(abs(depths[foot] - stand.depths[foot]) for foot in depths)
         if change < DEPTH_TOLERANCE:
             return replace(stand, task=asked)
-        posture = tuple(stand.joint_positions(robot).tolist())
-        stand = solve_stand(robot, replace(task, posture=posture), depths=depths, explain=explain)
+        ik_seed = tuple(stand.joint_positions(robot).tolist())
+        stand = solve_stand(robot, replace(task, ik_seed=ik_seed), depths=depths, explain=explain)
     raise NotSettlingError(change, f"the feet's depths do not settle, by {1e3 * change:.3g} mm")

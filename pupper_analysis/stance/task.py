@@ -36,7 +36,7 @@ class StandTask:
             the com is where it then is; without one, ``com`` decides where the base is.
         feet: {foot: (x, y) in the world (m)}, instead of its nominal place.
         foot_offsets: {foot: (x, y) from its nominal place (m)}.
-        lifted: {foot that does not carry: height of its sphere above the ground (m)}.
+        swing: {foot that does not carry: height of its sphere above the ground (m)}.
         ground: Plane and steps.
         com: ``"centre"``, a point (x, y) in the world (m), or ``"inside"``: anywhere in the support
             polygon with at least ``com_margin``, over the centre if that is in reach.
@@ -45,7 +45,7 @@ class StandTask:
         ground_clearance: Least height above the ground of every part but the feet (m).
         self_clearance: Least distance between links that are not neighbours (m); by default they
             are not looked at.
-        posture: (nu,) joint positions to start from (rad), which decides between ways to bend a
+        ik_seed: (nu,) joint positions to start from (rad), which decides between ways to bend a
             knee; the robot's ``home`` by default.
     """
 
@@ -56,14 +56,14 @@ class StandTask:
     offset: Point | None = None
     feet: Mapping[str, Point] = field(default_factory=dict)
     foot_offsets: Mapping[str, Point] = field(default_factory=dict)
-    lifted: Mapping[str, float] = field(default_factory=dict)
+    swing: Mapping[str, float] = field(default_factory=dict)
     ground: Ground = field(default_factory=Ground)
     com: str | Point = "centre"
     com_margin: float = 0.0
     joint_margin: float = 0.0
     ground_clearance: float = 0.0
     self_clearance: float | None = None
-    posture: Sequence[float] | None = None
+    ik_seed: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         def put(name: str, value: object) -> None:
@@ -94,19 +94,19 @@ class StandTask:
         both = sorted(set(self.feet) & set(self.foot_offsets))
         if both:
             raise ConfigurationError("feet", f"{both[0]} is in feet and in foot_offsets")
-        lifted = {foot: finite(f"lifted[{foot}]", h) for foot, h in self.lifted.items()}
-        for foot, height in lifted.items():
+        swing = {foot: finite(f"swing[{foot}]", h) for foot, h in self.swing.items()}
+        for foot, height in swing.items():
             if height <= 0:
-                raise ConfigurationError("lifted", f"{foot}: {height} m is not above the ground")
-        put("lifted", lifted)
+                raise ConfigurationError("swing", f"{foot}: {height} m is not above the ground")
+        put("swing", swing)
         if isinstance(self.com, str):
             if self.com not in ("centre", "inside"):
                 problem = f"{self.com!r} is not 'centre', 'inside' or a point (x, y)"
                 raise ConfigurationError("com", problem)
         else:
             put("com", _point("com", self.com))
-        if self.posture is not None:
-            put("posture", tuple(finite("posture", value) for value in self.posture))
+        if self.ik_seed is not None:
+            put("ik_seed", tuple(finite("ik_seed", value) for value in self.ik_seed))
 
     def rotation(self) -> Array:
         """Returns the base's rotation (3, 3) in the world."""
@@ -124,7 +124,7 @@ class StandTask:
             parts.append(f"base {_millimetres(self.offset)} from the centre")
         parts += [f"{foot} at {_millimetres(place)}" for foot, place in self.feet.items()]
         parts += [f"{foot} moved by {_millimetres(p)}" for foot, p in self.foot_offsets.items()]
-        parts += [f"{foot} lifted {1e3 * height:.0f} mm" for foot, height in self.lifted.items()]
+        parts += [f"{foot} lifted {1e3 * height:.0f} mm" for foot, height in self.swing.items()]
         if self.ground.slope:
             parts.append(
                 f"slope {math.degrees(self.ground.slope):.1f} deg, rising towards "

@@ -41,7 +41,7 @@ class Interval(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class PoseEnvelope(Result):
+class BaseWorkspace(Result):
     """How far the base can go from a stand, in each direction alone, with the feet planted.
 
     Attributes:
@@ -68,7 +68,7 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
     return _interval(robot, solve_stand(robot, task), "height")
 
 
-def pose_envelope(robot: Robot, task: StandTask | None = None) -> PoseEnvelope:
+def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace:
     """Finds how far the base can rise, roll, pitch, yaw and shift with its feet planted.
 
     Each direction is searched on its own, outwards from the task, to where a stand is first out of
@@ -85,7 +85,7 @@ def pose_envelope(robot: Robot, task: StandTask | None = None) -> PoseEnvelope:
         ConfigurationError: If the robot cannot stand.
     """
     start = solve_stand(robot, task)
-    return PoseEnvelope(
+    return BaseWorkspace(
         start=start,
         intervals={direction: _interval(robot, start, direction) for direction in DIRECTIONS},
     )
@@ -141,7 +141,7 @@ def stand_at(robot: Robot, start: Stand, direction: str, value: float) -> Stand:
         robot: The robot.
         start: The stand.
         direction: One of ``DIRECTIONS``.
-        value: The coordinate's value, as in ``PoseEnvelope.intervals`` (m, or rad).
+        value: The coordinate's value, as in ``BaseWorkspace.intervals`` (m, or rad).
 
     Raises:
         StanceUnreachableError: If it is out of reach.

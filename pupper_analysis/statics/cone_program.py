@@ -21,7 +21,7 @@ _INSIDE = 1e-6
 
 
 _TANGENTIAL = 1e3
-"""Weight of tangential forces against normal ones, for even load."""
+"""Weight of tangential forces against normal ones, for the minimum-tangential distribution."""
 
 
 _PEAK_SLACK = 1e-7
@@ -38,7 +38,7 @@ class Balance:
     torques: Array
     normals: Array
 
-    def even(self, friction: Array | None, grip: Array) -> Array | None:
+    def minimum_tangential(self, friction: Array | None, grip: Array) -> Array | None:
         """Returns the least tangential f (3 n,), or None if there is none.
 
         Args:
@@ -48,7 +48,7 @@ class Balance:
         metric = self._metric(grip)
         return self.solve(friction, metric, np.zeros(len(metric)))
 
-    def least_peak(self, friction: Array | None, limits: Array) -> Array | None:
+    def minimum_peak(self, friction: Array | None, limits: Array) -> Array | None:
         """Returns the f (3 n,) of least peak |tau| / limit, or None if there is none.
 
         A motor without a limit, or with none of its own strength (0), does not count, but where no
@@ -89,7 +89,7 @@ class Balance:
         return forces
 
     def _metric(self, grip: Array) -> Array:
-        """Returns the (3 n, 3 n) matrix whose product with f shall be short for even load."""
+        """Returns the (3 n, 3 n) matrix whose product with f shall be short."""
         blocks = []
         for normal, share in zip(self.normals, grip, strict=True):
             along = np.outer(normal, normal)

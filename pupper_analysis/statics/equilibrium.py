@@ -31,26 +31,26 @@ _NO_SLIDING = 1e4
 """A friction coefficient that stands for a foot that cannot slide."""
 
 
-class LoadSharing(StrEnum):
+class ForceDistribution(StrEnum):
     """Which of the feasible contact forces is meant, where balance leaves a choice.
 
-    EVEN has the least tangential forces, and of those that remain the least sum of squared normal
-    forces: how the feet share the load on ground that is equally soft under each. These are what
-    MuJoCo holds for good, because its regularised friction lets feet creep against each other until
-    no tangential force is left that they can get rid of: none on level ground and steps, and on a
-    slope those with which all feet creep down it together. (The least sum of f_t^2 / c, with c the
-    viscosity of ``GroundLaw``: its optimality condition is f_t = c (v + omega x r).) It is what to
-    send to a robot or a simulator.
-    LEAST_TORQUE has the least sum of squared motor torques, and so the least heat. It needs feet
+    MIN_TANGENTIAL has the least tangential forces, and of those that remain the least sum of
+    squared normal forces: how the feet share the load on ground that is equally soft under each.
+    These are what MuJoCo holds for good, because its regularised friction lets feet creep against
+    each other until no tangential force is left that they can get rid of: none on level ground and
+    steps, and on a slope those with which all feet creep down it together. (The least sum of
+    f_t^2 / c, with c the viscosity of ``GroundLaw``: its optimality condition is
+    f_t = c (v + omega x r).) It is what to send to a robot or a simulator.
+    MIN_TORQUE has the least sum of squared motor torques, and so the least heat. It needs feet
     that press against each other for good, which a simulator's creeping friction does not bear.
-    LEAST_PEAK has the least peak motor utilisation (peak torque, where no motor has an effort
+    MIN_PEAK has the least peak motor utilisation (peak torque, where no motor has an effort
     limit), and of those the least sum of squared utilisations: whether the motors can hold it at
     all.
     """
 
-    EVEN = "even"
-    LEAST_TORQUE = "least torque"
-    LEAST_PEAK = "least peak"
+    MIN_TANGENTIAL = "minimum tangential"
+    MIN_TORQUE = "minimum torque"
+    MIN_PEAK = "minimum peak"
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +93,14 @@ def gravity_compensation(
     friction: float | Mapping[str, float] | None = None,
     normals: Mapping[str, ArrayLike] | None = None,
     depths: Mapping[str, float] | None = None,
-    sharing: LoadSharing | str = LoadSharing.EVEN,
+    distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
 ) -> GravityCompensation:
     """Computes motor torques and contact forces that hold a robot still.
 
     With S selecting the joints and J the Jacobians of the contact points, balance means
     g(q) = J^T f + S^T tau. Its six base rows fix the total wrench of the contact forces f; among
-    the f inside the friction cones that give it, ``sharing`` chooses one. (Without contacts the
-    base is held from outside, and tau is the joint part of g.)
+    the f inside the friction cones that give it, ``distribution`` chooses one. (Without contacts
+    the base is held from outside, and tau is the joint part of g.)
 
     The problem is a second-order cone programme in the coordinates of the null space of the base
     rows, so that balance holds to rounding whatever the solver's tolerance.
@@ -112,15 +112,15 @@ def gravity_compensation(
         normals: Per foot, the direction (3,) in the world out of the ground; up where not given.
         depths: Per foot, how deep it has sunk into the ground (m), 0 where not given. The force
             acts half way, as MuJoCo has it.
-        sharing: Which of the feasible forces: by default ``EVEN``, those that last.
+        distribution: Which of the feasible forces: by default those that last.
 
     Returns:
         The equilibrium.
 
     Raises:
         UnknownNameError: If a foot is unknown.
-        ConfigurationError: If a friction coefficient, a normal or ``sharing`` is no such thing, or
-            a robot with a fixed base is given contacts.
+        ConfigurationError: If a friction coefficient, a normal or ``distribution`` is no such
+            thing, or a robot with a fixed base is given contacts.
         StaticsInfeasibleError: If no forces do; it says why.
     """
     return equilibrium(
@@ -131,7 +131,7 @@ def gravity_compensation(
         friction=friction,
         normals=normals,
         depths=depths,
-        sharing=sharing,
+        distribution=distribution,
     )
 
 
@@ -144,7 +144,7 @@ def equilibrium(
     friction: float | Mapping[str, float] | None = None,
     normals: Mapping[str, ArrayLike] | None = None,
     depths: Mapping[str, float] | None = None,
-    sharing: LoadSharing | str = LoadSharing.EVEN,
+    distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
     tipping: Infeasibility = Infeasibility.COM_OUTSIDE,
     held: bool = False,
 ) -> GravityCompensation:
@@ -157,11 +157,11 @@ def equilibrium(
         load: (nv,) what motors and contacts must add up to (N, N m).
         point: (3,) whose vertical projection must be inside the support polygon: the com at rest,
             the zero-moment point in motion (m). ``com_margin`` is this point's.
-        contacts: As in ``gravity_compensation``, like the next three and ``sharing``.
+        contacts: As in ``gravity_compensation``, like the next three and ``distribution``.
         friction: Likewise.
         normals: Likewise.
         depths: Likewise.
-        sharing: Likewise.
+        distribution: Likewise.
         tipping: What it is called if ``point`` is outside the polygon.
         held: Let feet pull and slip, as if they were held to the ground: what the motion would
             need, feasible or not.
@@ -171,7 +171,7 @@ def equilibrium(
         ConfigurationError: Likewise.
         StaticsInfeasibleError: Likewise.
     """
-    robot, wanted = config.robot, _sharing(sharing)
+    robot, wanted = config.robot, _distribution(distribution)
     feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
     for foot in feet:
         robot.check_foot(foot)
@@ -204,12 +204,12 @@ def equilibrium(
         normals=np.array(list(directions.values())),
     )
     limits = None if held else np.array(list(coefficients.values()))
-    if wanted is LoadSharing.LEAST_PEAK:
-        forces = problem.least_peak(limits, robot.effort_limits)
-    elif wanted is LoadSharing.LEAST_TORQUE:
+    if wanted is ForceDistribution.MIN_PEAK:
+        forces = problem.minimum_peak(limits, robot.effort_limits)
+    elif wanted is ForceDistribution.MIN_TORQUE:
         forces = problem.solve(limits, problem.joints, problem.torques)
     else:
-        forces = problem.even(limits, np.ones(len(feet)))
+        forces = problem.minimum_tangential(limits, np.ones(len(feet)))
         if forces is not None and robot.contacts and limits is not None:
             laws = [GroundLaw.of(robot, foot) for foot in feet]
             forces = _creeping(problem, forces, limits, laws)
@@ -229,18 +229,18 @@ def equilibrium(
     )
 
 
-def _sharing(value: str) -> LoadSharing:
+def _distribution(value: str) -> ForceDistribution:
     try:
-        return LoadSharing(value)
+        return ForceDistribution(value)
     except ValueError as error:
-        known = ", ".join(repr(kind.value) for kind in LoadSharing)
-        raise ConfigurationError("sharing", f"{value!r} is none of {known}") from error
+        known = ", ".join(repr(kind.value) for kind in ForceDistribution)
+        raise ConfigurationError("distribution", f"{value!r} is none of {known}") from error
 
 
 def _creeping(
     problem: Balance, forces: Array, friction: Array, laws: Sequence[GroundLaw]
 ) -> Array | None:
-    """Finds the even forces (3 n,) for the viscosities that the normal forces themselves give."""
+    """Finds the minimum-tangential forces (3 n,) for the viscosities that they themselves give."""
     scale = np.abs(forces).max()
     if np.linalg.norm(problem.normals - UP) < BALANCE_TOLERANCE:
         return forces  # nothing creeps
@@ -251,7 +251,7 @@ def _creeping(
         )
         if not grip.all():
             return forces  # without friction there is no creep
-        found = problem.even(friction, grip / grip.mean())
+        found = problem.minimum_tangential(friction, grip / grip.mean())
         if found is None or np.abs(found - forces).max() < BALANCE_TOLERANCE * scale:
             return found
         forces = found
@@ -269,11 +269,11 @@ def _explain(
     feet = tuple(points)
     margin = com_margin(point, points)
     even = np.ones(len(feet))
-    if problem.even(np.full(len(feet), _NO_SLIDING), even) is not None:
+    if problem.minimum_tangential(np.full(len(feet), _NO_SLIDING), even) is not None:
         low, high = 0.0, _NO_SLIDING
         while high - low > 1e-6 * high:
             middle = (low * high) ** 0.5 if low > 0 else high / 2
-            if problem.even(np.full(len(feet), middle), even) is None:
+            if problem.minimum_tangential(np.full(len(feet), middle), even) is None:
                 low = middle
             else:
                 high = middle

@@ -15,7 +15,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.equilibrium import LoadSharing, equilibrium
+from pupper_analysis.statics.equilibrium import ForceDistribution, equilibrium
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def inverse_dynamics(
     friction: float | Mapping[str, float] | None = None,
     normals: Mapping[str, ArrayLike] | None = None,
     depths: Mapping[str, float] | None = None,
-    sharing: LoadSharing = LoadSharing.EVEN,
+    distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
     resistance: bool = True,
     held: bool = False,
 ) -> InverseDynamics:
@@ -87,7 +87,7 @@ def inverse_dynamics(
         friction: Friction coefficient, for all or per foot; by default that of MuJoCo's contact.
         normals: Per foot, the direction (3,) in the world out of the ground; up where not given.
         depths: Per foot, how deep it has sunk into the ground (m), 0 where not given.
-        sharing: Which of the feasible forces; by default those that last in a simulator.
+        distribution: Which of the feasible forces; by default those that last in a simulator.
         resistance: Whether joints and rolling feet resist as the MJCF says; otherwise r, m are 0.
         held: Let feet pull and slip, as if they were held to the ground: what the motion would
             need, feasible or not.
@@ -124,7 +124,7 @@ def inverse_dynamics(
             friction=friction,
             normals=normals,
             depths=depths,
-            sharing=sharing,
+            distribution=distribution,
             tipping=Infeasibility.ZMP_OUTSIDE,
             held=held,
         )

@@ -25,7 +25,7 @@ from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.workspace import Interval
-from pupper_analysis.statics.equilibrium import LoadSharing
+from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ class BestStance(Result):
         bounds: Between which values of each coordinate it was sought.
         active: What it lies on, and what a better stance may be beyond: bounds, such as ``"height
             high"``; joint limits, such as ``"FL_KFE low"``; legs with no more than
-            ``LEAST_MOBILITY``, such as ``"FL stretched"`` (or folded up).
+            ``LEAST_SINGULAR_VALUE``, such as ``"FL stretched"`` (or folded up).
         evaluations: Stances tried.
     """
 
@@ -94,21 +94,22 @@ def best_stance(
     *,
     task: StandTask | None = None,
     point: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    sharing: LoadSharing = LoadSharing.EVEN,
+    distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
     kp: ArrayLike | None = None,
 ) -> BestStance:
     """Searches for the best stance: the base's height, place and turn, and where each foot is.
 
-    All else is the task's: its ground, lifted feet, margins and posture; ``feet`` that it places
+    All else is the task's: its ground, lifted feet, margins and ik_seed; ``feet`` that it places
     stay there. The com is where the base takes it, inside the support polygon with at least
     ``com_margin``.
 
     The bounds are: of the height, the reachable ones less ``HEIGHT_RESERVE`` at either end; of the
     base's other coordinates, how far it can go from the task with the feet planted
-    (``pose_envelope``), turns by at most ``MOST_TURN``; of each foot, ``SPREAD`` of the greatest
+    (``base_workspace``), turns by at most ``MOST_TURN``; of each foot, ``SPREAD`` of the greatest
     height outwards and no more than ``CLOSING`` of the least distance from the middle inwards. Legs
-    keep ``LEAST_MOBILITY``: stretched ones would win, needing no torque. A stance is also refused
-    if it has parts touching each other or the ground (not: its steps) that do not in the task's.
+    keep ``LEAST_SINGULAR_VALUE``: stretched ones would win, needing no torque. A stance is also
+    refused if it has parts touching each other or the ground (not: its steps) that do not in the
+    task's.
 
     The best of a stance is the least of the greatest of many smooth functions: a kink, at which
     descents that see one number get stuck. So the common bound of all these functions is itself
@@ -131,9 +132,8 @@ def best_stance(
         task: Where the search begins, and all that is not searched over; the nominal stand by
             default.
         point: Where the payload is, in the base's frame (m).
-        sharing: Which contact forces the motors' utilisation is that of: ``EVEN``, what a simulator
-            holds for good, or those of least torque (least in the sum of squares: not always of
-            least peak).
+        distribution: Which contact forces the motors' utilisation is that of: by default
+            ``MIN_TANGENTIAL``, what a simulator holds for good.
         kp: Servo stiffness for the payload (N m/rad), one or (nu,); the model's own by default.
 
     Returns:
@@ -147,7 +147,7 @@ def best_stance(
         StaticsInfeasibleError: If the task itself cannot be held.
         NoEquilibriumError: If the payload is sought, and servos do not hold the task itself.
     """
-    search = StanceSearch(robot, _objective(objective), task, point, sharing, kp)
+    search = StanceSearch(robot, _objective(objective), task, point, distribution, kp)
     search.run()
     space, best, payload = search.space, search.best, None
     if search.objective is Objective.PAYLOAD:
@@ -213,10 +213,10 @@ class StanceSearch:
         objective: Objective,
         task: StandTask | None = None,
         point: Sequence[float] = (0.0, 0.0, 0.0),
-        sharing: LoadSharing = LoadSharing.EVEN,
+        distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
         kp: ArrayLike | None = None,
     ) -> None:
-        self.robot, self.objective, self.sharing = robot, objective, sharing
+        self.robot, self.objective, self.distribution = robot, objective, distribution
         self.point = point_on_base(point)
         self.limits = robot.effort_limits
         self.bears = np.isfinite(self.limits)
@@ -249,7 +249,7 @@ class StanceSearch:
 
     def value(self, stand: Stand) -> float:
         """Returns the utilisation, or the margin (m), of a stand."""
-        statics = stand_statics(self.robot, stand, sharing=self.sharing)
+        statics = stand_statics(self.robot, stand, distribution=self.distribution)
         assert statics.com_margin is not None
         if self.objective is Objective.MARGIN:
             return statics.com_margin
@@ -283,7 +283,7 @@ class StanceSearch:
         level, rows = self._level(stand, room)
         left = room.less(_INSIDE)
         allowed = bool(
-            room.mobility.min() >= 0
+            room.singular_values.min() >= 0
             and room.joints.min() >= -JOINT_RESERVE
             and room.edges.min() >= 0
             and room.touching >= 0
@@ -298,7 +298,7 @@ class StanceSearch:
         if self.objective is Objective.MARGIN:
             inside = (room.edges + stand.task.com_margin) / self.scale
             return -float(inside.min()), np.column_stack([inside, np.ones(len(inside))])
-        torques = stand_statics(self.robot, stand, sharing=self.sharing).joint_torques
+        torques = stand_statics(self.robot, stand, distribution=self.distribution).joint_torques
         use = torques[self.bears] / self.limits[self.bears] / self.scale
         both = np.concatenate([use, -use])
         return float(both.max()), np.column_stack([-both, np.ones(len(both))])

@@ -20,7 +20,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import Point, StandTask
-from pupper_analysis.stance.workspace import pose_envelope
+from pupper_analysis.stance.workspace import base_workspace
 
 Array = NDArray[np.float64]
 
@@ -39,8 +39,8 @@ CLOSING = 0.5
 MOST_TURN = 0.3
 """Most that the base rolls, pitches or yaws away from the task (rad)."""
 
-LEAST_MOBILITY = 0.5
-"""A leg's least mobility, in parts of the nominal one: the smallest singular value of its Jacobian.
+LEAST_SINGULAR_VALUE = 0.5
+"""The least singular value of a leg's Jacobian that is kept, in parts of the nominal one.
 
 A stretched leg has none. It holds the greatest loads without torque, and falls when it is pushed.
 """
@@ -55,14 +55,14 @@ class Room:
     """What a stance has left of what it may not use up; all >= 0 where it is allowed.
 
     Attributes:
-        mobility: (n,) of each leg, less its least, in parts of the nominal one.
+        singular_values: (n,) of each leg, less its least, in parts of the nominal one.
         joints: (2 nu,) distances from both limits, less the margin and ``JOINT_RESERVE`` (rad).
         edges: (m,) distances of the com's projection from the edges of the support polygon, less
             the margin (m).
         touching: Minus how deep parts are in each other that the task's stand has apart (m).
     """
 
-    mobility: Array
+    singular_values: Array
     joints: Array
     edges: Array
     touching: float
@@ -72,7 +72,7 @@ class Room:
 
         Nothing is taken off where parts touch: it is zero wherever they do not.
         """
-        room = [self.mobility - inside, self.joints - inside, 10 * self.edges - inside]
+        room = [self.singular_values - inside, self.joints - inside, 10 * self.edges - inside]
         return np.concatenate([*room, [10 * self.touching]])
 
 
@@ -96,7 +96,7 @@ class StanceSpace:
         self._grounded = on_ground(robot, ground, {})
         self._data = mujoco.MjData(self._grounded.mj_model)
         self._touching = self._touches(nominal)
-        self._mobility = self._mobilities(nominal)
+        self._nominal_values = self._singular_values(nominal)
         self.centre = np.mean(list(nominal.contact_points.values()), axis=0)[:2]
         self.free = tuple(foot for foot in robot.feet if foot not in task.feet)
         self.names = (*BASE, *(f"{foot} {axis}" for foot in self.free for axis in "xy"))
@@ -108,7 +108,7 @@ class StanceSpace:
 
     def _bounds(self) -> tuple[Array, Array]:
         """Returns the coordinates' least and greatest values; the task's are between."""
-        within = pose_envelope(self.robot, self.nominal.task).intervals
+        within = base_workspace(self.robot, self.nominal.task).intervals
         height = within["height"]
         reserve = HEIGHT_RESERVE * (height.high - height.low)
         low, high = [height.low + reserve], [height.high - reserve]
@@ -140,7 +140,7 @@ class StanceSpace:
         task, ground = self.nominal.task, self.nominal.task.ground
         sideways = abs(math.sin(ground.uphill)) * ground.slope
         turned = max(abs(task.roll), abs(task.yaw), sideways, abs(self.start[2]))
-        uneven = task.lifted or task.feet or task.foot_offsets or any(ground.heights.values())
+        uneven = task.swing or task.feet or task.foot_offsets or any(ground.heights.values())
         return turned < 1e-9 and not uneven
 
     def directions(self) -> Array:
@@ -184,8 +184,8 @@ class StanceSpace:
     def room(self, stand: Stand) -> Room:
         """Returns what a stand leaves of what it may not use up."""
         config, task = Configuration(self.robot, stand.qpos), self.nominal.task
-        least = LEAST_MOBILITY * self._mobility
-        scale = np.where(self._mobility > 0, self._mobility, 1.0)
+        least = LEAST_SINGULAR_VALUE * self._nominal_values
+        scale = np.where(self._nominal_values > 0, self._nominal_values, 1.0)
         joints, margin = stand.joint_positions(self.robot), task.joint_margin + JOINT_RESERVE
         limits = [joints - self.robot.lower_limits, self.robot.upper_limits - joints]
         below = np.array(list(stand.contact_points.values()))[:, :2]
@@ -193,19 +193,19 @@ class StanceSpace:
         new = self._touches(stand)
         added = sum(depth for pair, depth in new.items() if pair not in self._touching)
         return Room(
-            mobility=(self._mobilities(stand) - least) / scale,
+            singular_values=(self._singular_values(stand) - least) / scale,
             joints=np.minimum(np.concatenate(limits) - margin, 1.0),
             edges=edges - task.com_margin,
             touching=-added,
         )
 
     def stretched(self, stand: Stand) -> tuple[str, ...]:
-        """Returns the feet whose legs have hardly more than the least mobility."""
-        least = LEAST_MOBILITY * self._mobility
-        near = (self._mobilities(stand) < 1.02 * least) & (least > 0)
+        """Returns the feet whose legs have hardly more than the least singular_values."""
+        least = LEAST_SINGULAR_VALUE * self._nominal_values
+        near = (self._singular_values(stand) < 1.02 * least) & (least > 0)
         return tuple(self.robot.feet[index] for index in np.flatnonzero(near))
 
-    def _mobilities(self, stand: Stand) -> Array:
+    def _singular_values(self, stand: Stand) -> Array:
         """Returns the least foot speed per joint speed of each leg (n,) (m)."""
         jacobians = Configuration(self.robot, stand.qpos).foot_jacobians().values()
         columns = np.array([jacobian[:, 6:] for jacobian in jacobians])
@@ -213,7 +213,7 @@ class StanceSpace:
         return values
 
     def _touches(self, stand: Stand) -> dict[tuple[int, int], float]:
-        """Returns how deep parts are in each other or in the ground (m), but for soles in it."""
+        """Returns how deep parts are in each other or the ground (m), but for feet in it."""
         robot, data = self._grounded, self._data
         robot.mj_convention.set_state(data, stand.qpos)
         mujoco.mj_kinematics(robot.mj_model, data)
@@ -223,7 +223,7 @@ class StanceSpace:
         touches: dict[tuple[int, int], float] = {}
         for geoms, distance in zip(data.contact.geom, data.contact.dist, strict=True):
             one, two = sorted(map(int, geoms))
-            if distance < 0 and not {one, two} <= {ground, *robot.soles}:
+            if distance < 0 and not {one, two} <= {ground, *robot.foot_geoms}:
                 touches[one, two] = max(touches.get((one, two), 0.0), -float(distance))
         return touches
 

@@ -61,7 +61,7 @@ def path_effort(
     friction: Mapping[str, float] | None = None,
     beyond: bool = False,
 ) -> Effort:
-    """Returns what a sample of a path takes, the feet sharing the load evenly.
+    """Returns what a sample of a path takes, the feet distribution the load evenly.
 
     Towards a leg of the path on which fewer feet carry, the load passes to those: a mean of two
     sets of forces that balance the robot does so too.
@@ -85,11 +85,11 @@ def path_effort(
 
     infeasible = None
     try:
-        whole = balance(stand.carrying)
+        whole = balance(stand.stance_feet)
     except StaticsInfeasibleError as error:
         if not beyond:
             raise
-        infeasible, whole = error, balance(stand.carrying, held=True)
+        infeasible, whole = error, balance(stand.stance_feet, held=True)
     parts = [(1.0, whole)]
     for feet, near, full in _fading(place) if infeasible is None else ():
         # Fewer feet can carry only where the zero-moment point is between them; so their share
@@ -105,7 +105,7 @@ def path_effort(
         none = np.zeros(3)
         return {
             foot: np.sum([share * table.get(foot, none) for share, table in weighted], axis=0)
-            for foot in stand.carrying
+            for foot in stand.stance_feet
         }
 
     forces = mean([part.contact_forces for _, part in parts])
@@ -129,14 +129,14 @@ def _fading(place: Place) -> list[tuple[tuple[str, ...], float, float]]:
 
     Near is from 0 to 1; the margin is that of the com in the stance between the legs (m).
     """
-    leg, carrying = place.leg, place.stand.carrying
+    leg, stance_feet = place.leg, place.stand.stance_feet
     return [
         (feet, near, key.margin(feet))
         for feet, key, near in (
             (leg.before, leg.start, 1 - place.share),
             (leg.after, leg.end, place.share),
         )
-        if set(feet) < set(carrying)
+        if set(feet) < set(stance_feet)
     ]
 
 

@@ -113,9 +113,9 @@ def fastest_path(
     from the slow side, by halving and bisection; the leg's is the greatest, and feasible in every
     sample.
 
-    The contact forces are the even ones (``LoadSharing.EVEN``). Others can need less of the motors,
+    The contact forces are the minimum-tangential ones. Others can need less of the motors,
     so where a motor's torque binds, the time is that of this choice. Where friction, tipping or
-    lifting bind it is that of all choices, since even forces exist where any do; but for legs
+    lifting bind it is that of all choices, since these forces exist where any do; but for legs
     beside a lifted foot, on which the load must pass to the others.
 
     Args:
@@ -245,7 +245,7 @@ def _least_time(limits: _Limits, places: Sequence[Place]) -> tuple[float, Bindin
             raise StaticsInfeasibleError(
                 Infeasibility.MOTOR if motor else Infeasibility.PULL,
                 f"{binding}: {binding.detail}, however slow",
-                margin=place.leg.start.margin(place.stand.carrying),
+                margin=place.leg.start.margin(place.stand.stance_feet),
                 feet=() if motor else binding.names,
             )
     time, binding, search = QUICKEST, None, True

@@ -126,30 +126,30 @@ def path_geometry(
     """
     legs, solved = legs_of(robot, stances)
     places: list[Place] = []
-    posture = np.array(solved[0].joint_positions(robot))
+    ik_seed = np.array(solved[0].joint_positions(robot))
     roll = _Roll(robot, solved[0])
     for index in range(per_leg * len(legs) + 1):
         number = max(0, (index - 1) // per_leg)
         leg, progress = legs[number], index / per_leg - number
         share = minimum_jerk(progress)[0]
-        feet = leg.carrying
+        feet = leg.stance_feet
         if index == per_leg * (number + 1):  # in a stance only what carries on both sides
             feet = tuple(foot for foot in feet if foot in leg.after)
         where = _where(index, per_leg, len(legs), seconds)
         try:
-            stand = roll.solve(leg, feet, share, posture, rolling=rolling)
+            stand = roll.solve(leg, feet, share, ik_seed, rolling=rolling)
         except (StanceUnreachableError, StaticsInfeasibleError, NoEquilibriumError) as error:
             raise error.at(where) from None
         if places and stand.qpos[3:7] @ places[-1].qpos[3:7] < 0:
             stand.qpos[3:7] *= -1  # the same rotation, without a jump
-        jumps = np.abs(stand.joint_positions(robot) - posture)
+        jumps = np.abs(stand.joint_positions(robot) - ik_seed)
         if jumps.max() > MAX_JUMP:
             raise ConfigurationError(
                 "stances",
                 f"joint {robot.joint_names[int(jumps.argmax())]} jumps by {jumps.max():.2f} rad "
                 f"{where}; bring them nearer to each other, or raise the rate",
             )
-        posture = stand.joint_positions(robot)
+        ik_seed = stand.joint_positions(robot)
         tangent, curvature = _derivatives(robot, leg, share, stand.qpos, rolling=rolling)
         places.append(Place(leg, number, progress, share, stand, tangent, curvature))
     return Geometry(solved, legs, places, per_leg)
@@ -177,19 +177,19 @@ class _Roll:
         return {foot: config.frame_rotation(self.robot.foot_frames[foot]) for foot in self.away}
 
     def solve(
-        self, leg: Leg, carrying: Sequence[str], share: float, posture: Array, *, rolling: bool
+        self, leg: Leg, stance_feet: Sequence[str], share: float, ik_seed: Array, *, rolling: bool
     ) -> Stand:
         """Solves a sample; how far the feet roll and the legs' angles determine each other."""
         robot, normal = self.robot, leg.start.task.ground.normal()
         away = {foot: place + self.step[foot] for foot, place in self.away.items()}
         for _ in range(_MAX_ITERATIONS):
-            task = task_between(robot, leg, carrying, share, posture, away)
+            task = task_between(robot, leg, stance_feet, share, ik_seed, away)
             stand = solve_stand(robot, task, explain=False)
             if not rolling:
                 return stand
             rotations = self._rotations(stand)
             last, away = away, dict(self.away)
-            for foot in carrying:
+            for foot in stance_feet:
                 turn = pin.log3(rotations[foot] @ self.turned[foot].T)
                 away[foot] = away[foot] + np.cross(turn, robot.foot_radius[foot] * normal)[:2]
             if max(np.abs(away[foot] - last[foot]).max() for foot in away) < _ROLLED:
@@ -234,12 +234,14 @@ def _derivatives(
         rows.append(still.com_jacobian()[:2])
         wanted.append((two.com - one.com)[:2])
     offsets = {
-        foot: -robot.foot_radius[foot] * normal if rolling and foot in leg.carrying else np.zeros(3)
+        foot: -robot.foot_radius[foot] * normal
+        if rolling and foot in leg.stance_feet
+        else np.zeros(3)
         for foot in robot.feet
     }
     for foot, offset in offsets.items():
         rows.append(still.frame_jacobian(robot.foot_frames[foot], offset)[:3])
-        moves = np.zeros(3) if foot in leg.carrying else two.feet[foot] - one.feet[foot]
+        moves = np.zeros(3) if foot in leg.stance_feet else two.feet[foot] - one.feet[foot]
         wanted.append(moves)
     jacobian = np.concatenate(rows)
     tangent: Array = np.linalg.lstsq(jacobian, np.concatenate(wanted))[0]
@@ -259,5 +261,5 @@ def _derivatives(
 
 def clearance(place: Place, foot: str) -> float:
     """Returns a foot's height above the ground (m); zero where it is on it."""
-    low = place.stand.task.lifted.get(foot, 0.0)
+    low = place.stand.task.swing.get(foot, 0.0)
     return 0.0 if low <= TOUCHING else low

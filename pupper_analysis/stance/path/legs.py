@@ -55,14 +55,14 @@ class Leg:
     Attributes:
         start: Where it begins.
         end: Where it ends.
-        carrying: The feet that carry all along it.
+        stance_feet: The feet that carry all along it.
         before: Those that carry on the leg before.
         after: Those that carry on the leg after.
     """
 
     start: Key
     end: Key
-    carrying: tuple[str, ...]
+    stance_feet: tuple[str, ...]
     before: tuple[str, ...]
     after: tuple[str, ...]
 
@@ -84,7 +84,7 @@ def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tupl
     keys = []
     for number, task in enumerate(stances, 1):
         if solved:
-            task = replace(task, posture=tuple(solved[-1].joint_positions(robot)))
+            task = replace(task, ik_seed=tuple(solved[-1].joint_positions(robot)))
         try:
             solved.append(solve_stand(robot, task))
         except StanceUnreachableError as error:
@@ -93,7 +93,7 @@ def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tupl
         keys.append(Key(solved[-1].task, solved[-1].qpos[:3], com, solved[-1].foot_targets))
     sets = []
     for number, (one, two) in enumerate(pairwise(keys), 1):
-        idle = one.task.lifted.keys() | two.task.lifted.keys()
+        idle = one.task.swing.keys() | two.task.swing.keys()
         sets.append(tuple(foot for foot in robot.feet if foot not in idle))
         where = f"between stances {number} and {number + 1}"
         if len(sets[-1]) < 3:
@@ -117,9 +117,9 @@ def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tupl
 def task_between(
     robot: Robot,
     leg: Leg,
-    carrying: Sequence[str],
+    stance_feet: Sequence[str],
     share: float,
-    posture: Array,
+    ik_seed: Array,
     away: Mapping[str, Array],
 ) -> StandTask:
     """Returns the task of a moment, in world coordinates.
@@ -127,9 +127,9 @@ def task_between(
     Args:
         robot: The robot.
         leg: The leg of the path.
-        carrying: The feet that carry.
+        stance_feet: The feet that carry.
         share: Of the leg's way, from 0 to 1.
-        posture: (nu,) joint positions to start from (rad).
+        ik_seed: (nu,) joint positions to start from (rad).
         away: {foot: (2,) how far it has rolled from its place (m)}.
 
     Raises:
@@ -150,7 +150,7 @@ def task_between(
     contacts = {
         foot: ground.centre(foot, feet[foot], robot.foot_radius[foot])
         - robot.foot_radius[foot] * normal
-        for foot in carrying
+        for foot in stance_feet
     }
     centre = np.mean(list(contacts.values()), axis=0)
     base = leg.start.base + share * (leg.end.base - leg.start.base)
@@ -170,7 +170,7 @@ def task_between(
     if one.self_clearance is not None and two.self_clearance is not None:
         apart = between(one.self_clearance, two.self_clearance)
     heights = {
-        foot: between(one.lifted.get(foot, 0.0), two.lifted.get(foot, 0.0)) for foot in robot.feet
+        foot: between(one.swing.get(foot, 0.0), two.swing.get(foot, 0.0)) for foot in robot.feet
     }
     return StandTask(
         height=float(base[2] - centre[2]),
@@ -179,11 +179,11 @@ def task_between(
         yaw=between(one.yaw, two.yaw),
         offset=(float(base[0] - centre[0]), float(base[1] - centre[1])) if by_base else None,
         feet=feet,
-        lifted={f: max(TOUCHING, h) for f, h in heights.items() if f not in carrying},
+        swing={f: max(TOUCHING, h) for f, h in heights.items() if f not in stance_feet},
         ground=ground,
         com="centre" if by_base else (float(com[0]), float(com[1])),
         joint_margin=between(one.joint_margin, two.joint_margin),
         ground_clearance=between(one.ground_clearance, two.ground_clearance),
         self_clearance=apart,
-        posture=tuple(posture),
+        ik_seed=tuple(ik_seed),
     )

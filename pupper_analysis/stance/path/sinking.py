@@ -42,7 +42,7 @@ def sunk_path(robot: Robot, path: StancePath) -> Array:
     )
     radius = np.array([robot.foot_radius[foot] for foot in path.feet])
     shorter = (depths[1:] + depths[:-1]) / (4 * radius)
-    rolled = np.diff(centres, axis=0) * (path.carrying[1:] & path.carrying[:-1])[..., None]
+    rolled = np.diff(centres, axis=0) * (path.stance_feet[1:] & path.stance_feet[:-1])[..., None]
     back = np.cumsum(shorter[..., None] * rolled, axis=0)
     goals = centres - depths[..., None] * normal
     goals[1:] -= back

@@ -46,7 +46,7 @@ class StancePath(Result):
         qvel: (n, nv) generalised velocities.
         qacc: (n, nv) generalised accelerations.
         torques: (n, nu) of the motors, in motion (N m).
-        carrying: (n, feet) which feet carry.
+        stance_feet: (n, feet) which feet carry.
         forces: (n, feet, 3) of the ground on each foot, in motion, in world axes (N).
         moments: (n, feet, 3) with which the ground resists feet that roll and spin (N m).
         loads: (n, feet) the forces' vertical parts (N).
@@ -75,7 +75,7 @@ class StancePath(Result):
     qvel: Array
     qacc: Array
     torques: Array
-    carrying: NDArray[np.bool_]
+    stance_feet: NDArray[np.bool_]
     forces: Array
     moments: Array
     loads: Array
@@ -126,7 +126,7 @@ class StancePath(Result):
             "qvel",
             "qacc",
             "torques",
-            "carrying",
+            "stance_feet",
         )
         names += (
             "forces",
@@ -159,7 +159,7 @@ def stance_path(
 
     Torques and contact forces are those of the motion (``inverse_dynamics``): inertia, damping and
     dry friction of the joints, and the ground's resistance to feet that roll are in them. Of the
-    forces that balance it, they are the even ones.
+    forces that balance it, they are the minimum-tangential ones.
 
     A foot that is lifted in a stance carries nothing from the stance before to the one after: the
     com must be over the other feet there already. On a leg before or after, its load fades out or
@@ -172,11 +172,11 @@ def stance_path(
 
     Args:
         robot: A robot with a floating base.
-        stances: The tasks, at least two, on one ground; to stay in one, give it twice. The posture
+        stances: The tasks, at least two, on one ground; to stay in one, give it twice. The ik_seed
             of the first counts, the others follow from it.
         seconds: Time for all (s).
         rate: Least number of samples per second (Hz); a leg has ``LEAST_PER_LEG`` or more.
-        rolling: Whether the feet roll; otherwise their centres stay, and their soles must slip.
+        rolling: Whether the feet roll; otherwise their centres stay, and they must slip.
         beyond: Return also a path that contacts do not allow, being too fast: with the torques of
             feet that are held to the ground, and ``infeasible`` where.
 
@@ -235,7 +235,7 @@ def timed_path(
         qvel=qvel,
         qacc=np.array([effort.qacc for effort in efforts]),
         torques=torques,
-        carrying=np.array([[f in e.forces for f in robot.feet] for e in efforts]),
+        stance_feet=np.array([[f in e.forces for f in robot.feet] for e in efforts]),
         forces=forces,
         moments=np.array([_rows(robot, effort.moments) for effort in efforts]),
         loads=forces[..., 2],

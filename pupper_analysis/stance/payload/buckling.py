@@ -52,7 +52,7 @@ def buckling_modes(
     data = robot.pin_model.createData()
     pin.computeJointJacobians(robot.pin_model, data, robot.pin_convention.q(stand.qpos))
     pin.updateFramePlacements(robot.pin_model, data)
-    jacobians = {foot: _jacobian(robot, data, foot) for foot in stand.carrying}
+    jacobians = {foot: _jacobian(robot, data, foot) for foot in stand.stance_feet}
     held, normal, rates = _contacts(loaded, stand, laden, jacobians)
     stiff = normal.T @ (rates[:, None] * normal)
     joints = robot.pin_convention.v_index
@@ -78,7 +78,7 @@ def _contacts(
     Columns are those of Pinocchio's velocity.
     """
     tangential, normals, rates = [], [], []
-    for foot in stand.carrying:
+    for foot in stand.stance_feet:
         normal, law, jacobian = stand.normals[foot], GroundLaw.of(robot, foot), jacobians[foot]
         depth = law.depth(max(float(held.contact_forces[foot] @ normal), 0.0))
         arm = -(robot.foot_radius[foot] - depth / 2) * normal

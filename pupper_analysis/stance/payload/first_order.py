@@ -12,7 +12,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.payload.buckling import buckling_modes
 from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import GravityCompensation, LoadSharing
+from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,9 @@ class Loads:
     ) -> Loads:
         """Returns the line through two equilibria, without and with a mass (kg)."""
         one, two = (
-            np.array([held.contact_forces[foot] @ stand.normals[foot] for foot in stand.carrying])
+            np.array(
+                [held.contact_forces[foot] @ stand.normals[foot] for foot in stand.stance_feet]
+            )
             for held in (empty, laden)
         )
         return Loads(
@@ -95,17 +97,18 @@ class FirstOrder:
             StaticsInfeasibleError: If no contact forces balance the stand, with or without.
         """
         empty, laden = (
-            stand_statics(one, stand, sharing=LoadSharing.EVEN) for one in (robot, loaded)
+            stand_statics(one, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
+            for one in (robot, loaded)
         )
         modes = buckling_modes(robot, loaded, stand, kp, empty, laden)
         if modes is None:
             return None
         mass = loaded.total_mass - robot.total_mass
-        strongest = np.full(len(stand.carrying), math.inf)
+        strongest = np.full(len(stand.stance_feet), math.inf)
         near = stand.ground_clearance
         if near is not None:
-            laws = [GroundLaw.of(loaded, foot) for foot in stand.carrying]
-            depths = [max(0.0, near.distance) + stand.depths[foot] for foot in stand.carrying]
+            laws = [GroundLaw.of(loaded, foot) for foot in stand.stance_feet]
+            depths = [max(0.0, near.distance) + stand.depths[foot] for foot in stand.stance_feet]
             strongest = np.array([law.force(d) for law, d in zip(laws, depths, strict=True)])
         return FirstOrder(Loads.of(empty, laden, mass, stand), strongest, modes)
 

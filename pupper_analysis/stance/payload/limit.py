@@ -25,7 +25,7 @@ from pupper_analysis.stance.payload.servo_limit import (
     servo_limit,
 )
 from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import GravityCompensation, LoadSharing
+from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class PayloadLimit(Result):
         mass: kg; the least of the three that follow.
         binding: Which of them it is: ``motors``, ``servos`` or ``contacts``.
         motors: What the motors' effort limits allow, with the contact forces that last
-            (``LoadSharing.EVEN``); infinite if no motor that bears has one.
+            (``ForceDistribution.MIN_TANGENTIAL``); infinite if no motor that bears has one.
         servos: What position servos of finite stiffness hold on soft ground: the equilibrium under
             the load is there, is stable, and nothing slips, lifts, saturates, comes to a joint's
             limit or to the ground.
@@ -125,7 +125,7 @@ def payload_limit(
     except ValueError as error:
         known = ", ".join(Command)
         raise ConfigurationError("command", f"{command!r} is none of {known}") from error
-    stand_statics(robot, stand, sharing=LoadSharing.EVEN)  # raises if it cannot be held at all
+    stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     contacts = contact_limit(robot, stand, place)
     motors = motor_limit(robot, stand, place, most=contacts.mass)
     most = min(motors.mass, contacts.mass)
@@ -163,8 +163,8 @@ def motor_limit(
 ) -> Bound:
     """Finds the greatest payload that the motors hold with the contact forces that last.
 
-    On level ground these forces are linear in the mass for as long as every foot that carries goes
-    on carrying, and so are the torques: two equilibria give the limit in closed form. Where a foot
+    On level ground these forces are linear in the mass for as long as every stance foot goes on
+    carrying, and so are the torques: two equilibria give the limit in closed form. Where a foot
     unloads, or on a slope, where the forces depend on the feet's viscosities, the first mass at
     which a motor saturates is bracketed and then bisected.
 
@@ -197,7 +197,7 @@ def motor_limit(
         held = _even(robot, stand, point, mass)
         return None if held is None else excess(held)
 
-    empty = stand_statics(robot, stand, sharing=LoadSharing.EVEN)
+    empty = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     over = excess(empty)
     if (over > 0).any():
         return Bound(0.0, Failure.MOTOR, _names(robot, over > 0))
@@ -229,7 +229,7 @@ def _even(
     """Returns what lasts with a payload; None if no contact forces balance it."""
     try:
         loaded = with_payload(robot, mass, tuple(np.asarray(point).tolist()))
-        return stand_statics(loaded, stand, sharing=LoadSharing.EVEN)
+        return stand_statics(loaded, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     except StaticsInfeasibleError:
         return None
 
@@ -331,7 +331,7 @@ def _problem(robot: Robot, stand: Stand, point: Array) -> _Problem:
     offset = config.base_rotation() @ point
     load = -robot.gravity @ config.frame_jacobian(robot.base, offset)[:3, :6]
     jacobians = []
-    for foot in stand.carrying:
+    for foot in stand.stance_feet:
         reach = robot.foot_radius[foot] - stand.depths[foot] / 2  # half way in, as MuJoCo has it
         arm = -reach * stand.normals[foot]
         jacobians.append(config.frame_jacobian(robot.foot_frames[foot], arm)[:3, :6])
@@ -339,8 +339,8 @@ def _problem(robot: Robot, stand: Stand, point: Array) -> _Problem:
         gravity=config.gravity()[:6],
         load=load,
         contacts=np.concatenate(jacobians).T,
-        normals=np.array([stand.normals[foot] for foot in stand.carrying]),
-        friction=np.array([robot.contacts[foot].sliding_friction for foot in stand.carrying]),
+        normals=np.array([stand.normals[foot] for foot in stand.stance_feet]),
+        friction=np.array([robot.contacts[foot].sliding_friction for foot in stand.stance_feet]),
         ceiling=UNLIMITED * robot.total_mass,
     )
 
@@ -349,7 +349,7 @@ def _feet(robot: Robot, stand: Stand, forces: Array, failure: Failure) -> tuple[
     """Returns the feet that slide, or that would have to pull next."""
     weight = float(np.linalg.norm(forces, axis=1).max())
     feet = []
-    for foot, force in zip(stand.carrying, forces, strict=True):
+    for foot, force in zip(stand.stance_feet, forces, strict=True):
         normal = float(force @ stand.normals[foot])
         tangential = float(np.linalg.norm(force - normal * stand.normals[foot]))
         grip = robot.contacts[foot].sliding_friction * normal

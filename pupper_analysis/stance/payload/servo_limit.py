@@ -24,11 +24,11 @@ from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.payload.first_order import FirstOrder
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
-from pupper_analysis.stance.sag.steady_state import SettledPose, pose_at, settled_pose
+from pupper_analysis.stance.sag.steady_state import SteadyState, pose_at, steady_state
 from pupper_analysis.stance.sag.way import Way
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.sunk import loaded_stand
-from pupper_analysis.statics.equilibrium import LoadSharing
+from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ LEAST = 1e-3
 """The least payload looked at, in parts of the first one tried."""
 
 COLLAPSED = 0.5
-"""A robot that sags below this part of its stand's height no longer stands (as ``least_kp``)."""
+"""A robot that sags below this part of its stand's height no longer stands."""
 
 LASTING = 12.0
 """How long a payload must stay up (s). Under a load that comes as a surprise the feet press against
@@ -112,7 +112,7 @@ class LoadedPose(Result):
     stand: Stand
     target: Array
     start: Array
-    pose: SettledPose | None
+    pose: SteadyState | None
     failure: Failure | None
     where: tuple[str, ...]
 
@@ -128,7 +128,7 @@ def servo_limit(
 ) -> Bound:
     """Finds the greatest payload with which a servo-driven robot still stands.
 
-    It stands if the equilibrium under the load exists and is stable (``settled_pose``, feet
+    It stands if the equilibrium under the load exists and is stable (``steady_state``, feet
     pinned), no foot slips or would have to pull, no motor saturates, no joint is at its limit, no
     other part is on the ground, and it keeps half of its height. Masses are tried from a quarter of
     what first order says on (``FirstOrder``), in steps of ``GROWTH``, and the first interval in
@@ -229,7 +229,7 @@ def loaded_pose(
     loaded = with_payload(robot, mass, np.asarray(point, dtype=float).tolist())
     try:
         sunk = loaded_stand(loaded, stand)
-        balance = stand_statics(loaded, sunk, sharing=LoadSharing.EVEN)
+        balance = stand_statics(loaded, sunk, distribution=ForceDistribution.MIN_TANGENTIAL)
     except StanceUnreachableError as error:
         if error.blocked:
             return Bound(mass, Failure.GROUND, tuple(error.blocked))
@@ -244,11 +244,13 @@ def loaded_pose(
     target = sunk.joint_positions(loaded) + balance.joint_torques / drive.kp
     if command is Command.UNLOADED:
         empty = loaded_stand(robot, stand)
-        torques = stand_statics(robot, empty, sharing=LoadSharing.EVEN).joint_torques
+        torques = stand_statics(
+            robot, empty, distribution=ForceDistribution.MIN_TANGENTIAL
+        ).joint_torques
         target = empty.joint_positions(robot) + torques / drive.kp
     try:
         if command is Command.LOADED:
-            pose = settled_pose(loaded, sunk, kp=kp, feedforward=True)
+            pose = steady_state(loaded, sunk, kp=kp, feedforward=True)
             start = pose.qpos
         else:
             start, pose = _settled_at(loaded, sunk, target, kp)
@@ -266,7 +268,7 @@ def loaded_pose(
 
 def _settled_at(
     robot: Robot, stand: Stand, target: Array, kp: ArrayLike | None
-) -> tuple[Array, SettledPose]:
+) -> tuple[Array, SteadyState]:
     """Follows the equilibrium from the stand, which full feed-forward holds, to another command.
 
     Returns the qpos (nq,) there, and the equilibrium after ``LASTING`` of creep.
@@ -290,7 +292,7 @@ def strengths(robot: Robot) -> Array:
 
 
 def _judge(
-    robot: Robot, stand: Stand, pose: SettledPose, target: Array
+    robot: Robot, stand: Stand, pose: SteadyState, target: Array
 ) -> tuple[Failure | None, tuple[str, ...]]:
     """Returns why a robot does not stand in an equilibrium, and where; None if it does."""
 
@@ -310,7 +312,7 @@ def _judge(
     if (beyond := (angles < robot.lower_limits) | (angles > robot.upper_limits)).any():
         return Failure.JOINT, joints(beyond)
     pulling, sliding = [], []
-    for foot in stand.carrying:
+    for foot in stand.stance_feet:
         force = pose.contact_forces[foot]
         normal = float(force @ stand.normals[foot])
         tangential = float(np.linalg.norm(force - normal * stand.normals[foot]))
@@ -334,5 +336,5 @@ def others_on_ground(robot: Robot, stand: Stand, qpos: Array) -> tuple[str, ...]
     data = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_forward(robot.mj_model, data)
-    forces, others = contact.ground_forces(robot.mj_model, data, robot.soles)
-    return tuple(sorted(others | (set(forces) - set(stand.carrying))))
+    forces, others = contact.ground_forces(robot.mj_model, data, robot.foot_geoms)
+    return tuple(sorted(others | (set(forces) - set(stand.stance_feet))))

@@ -13,7 +13,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
 from pupper_analysis.stance.sag.steady_state import (
-    SettledPose,
+    SteadyState,
     check_request,
     pose_at,
     release_margin,
@@ -25,7 +25,7 @@ _SHARES = (0.25, 0.5, 1.0)  # of friction, that may carry a robot that does not 
 
 
 @dataclass(frozen=True, eq=False)
-class SettledBand(Result):
+class SteadyStateBand(Result):
     """The equilibria of a servo-driven robot whose joints and rolling feet have dry friction.
 
     Attributes:
@@ -33,16 +33,16 @@ class SettledBand(Result):
             from its stand comes to rest.
         friction: The share of friction with which ``highest`` was found: 1, unless the equilibrium
             ended before; then the robot may come to rest higher.
-        frictionless: What ``settled_pose`` says; None if without friction it does not stand.
+        frictionless: What ``steady_state`` says; None if without friction it does not stand.
         lowest: Friction holds the base down as far as it can: where a robot that was pushed down,
             and is let go slowly, comes to rest. None if it then goes on sinking: the band has no
             lower end at which the robot stands.
     """
 
-    highest: SettledPose
+    highest: SteadyState
     friction: float
-    frictionless: SettledPose | None
-    lowest: SettledPose | None
+    frictionless: SteadyState | None
+    lowest: SteadyState | None
 
     @property
     def width(self) -> float | None:
@@ -62,12 +62,12 @@ class SettledBand(Result):
         return tuple(found)
 
 
-def settled_band(
+def steady_state_band(
     robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, feedforward: bool = False
-) -> SettledBand:
+) -> SteadyStateBand:
     """Predicts between which heights a standing robot may come to rest.
 
-    Where ``settled_pose`` leaves dry friction out, here each joint may hold any torque up to its
+    Where ``steady_state`` leaves dry friction out, here each joint may hold any torque up to its
     ``frictionloss``, and each foot any moment in the cone of torsional and rolling friction
     (``condim`` 4 and 6). All equilibria with such friction are where a robot may come to rest; the
     band's ends are those with the base highest and lowest. Feet are pinned, on ground that grips:
@@ -115,4 +115,4 @@ def settled_band(
             None, "none that is stable continues the stand, not even with friction"
         )
     share = way.rub(1.0)
-    return SettledBand(pose_at(way, release_margin(way)), share, frictionless, lowest)
+    return SteadyStateBand(pose_at(way, release_margin(way)), share, frictionless, lowest)

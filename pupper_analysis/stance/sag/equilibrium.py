@@ -109,7 +109,7 @@ class Equilibrium:
         config = Configuration(robot, stand.qpos)
         self.anchors = {
             foot: Anchor(stand.foot_targets[foot], config.frame_rotation(robot.foot_frames[foot]))
-            for foot in stand.carrying
+            for foot in stand.stance_feet
         }
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
         self.yielding: dict[str, float] = {}  # m/N: creep in this step per force

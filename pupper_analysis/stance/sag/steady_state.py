@@ -26,11 +26,11 @@ RELEASE_MARGIN = 0.06
 """A ``release_margin`` that keeps the feet in place: what contacts add to the first order."""
 
 HIGHEST_KP = 1e4
-"""The stiffest servos that ``least_kp`` tries (N m/rad): 2000 times v3's."""
+"""The stiffest servos that ``minimum_stiffness`` tries (N m/rad): 2000 times v3's."""
 
 
 @dataclass(frozen=True, eq=False)
-class SettledPose(Result):
+class SteadyState(Result):
     """An equilibrium of a servo-driven robot on its feet.
 
     Attributes:
@@ -42,7 +42,7 @@ class SettledPose(Result):
         contact_sag: The part lost in the softness of feet and ground (m).
         joint_torques: (nu,) of the motors (N m).
         saturated: The joints whose servo is at its force limit.
-        carrying: The feet that carry: lifted ones that came down to the ground too, and without
+        stance_feet: The feet that carry: lifted ones that came down to the ground too, and without
             those of the stand that the ground would have to pull.
         contact_forces: {foot: (3,)} of the ground on every foot, in world axes (N); zero for those
             that do not touch.
@@ -62,7 +62,8 @@ class SettledPose(Result):
             twice as far from the stand as the equilibrium, to first order. Below
             ``RELEASE_MARGIN`` a foot may slip or lift in that fall, and the robot comes to rest
             elsewhere, by up to millimetres. Let down slowly they stay; but then dry friction, which
-            is left out, holds the robot above the equilibrium: v3 by 1.8 mm (``settled_band``).
+            is left out, holds the robot above the equilibrium: v3 by 1.8 mm
+            (``steady_state_band``).
         failures: Why the robot will not stand so; empty if it will.
     """
 
@@ -74,7 +75,7 @@ class SettledPose(Result):
     contact_sag: float
     joint_torques: Array
     saturated: tuple[str, ...]
-    carrying: tuple[str, ...]
+    stance_feet: tuple[str, ...]
     contact_forces: dict[str, Array]
     foot_creep: dict[str, float]
     height_drift: float
@@ -87,7 +88,7 @@ class SettledPose(Result):
     failures: tuple[str, ...]
 
 
-def settled_pose(
+def steady_state(
     robot: Robot,
     stand: Stand,
     *,
@@ -95,7 +96,7 @@ def settled_pose(
     feedforward: bool = False,
     feet: Feet = "pinned",
     seconds: float = 0.0,
-) -> SettledPose:
+) -> SteadyState:
     """Predicts where position servos let a standing robot sag to.
 
     The equilibrium of tau = clip(kp (ctrl - q), +- limit), gravity, and feet on the soft ground:
@@ -110,7 +111,7 @@ def settled_pose(
     lifted foot touches the ground it is pinned there and carries from then on; where a foot would
     have to pull it lets go. Then backward Euler steps follow the creep.
 
-    Dry friction, of joints and of rolling feet, is left out; ``settled_band`` has it.
+    Dry friction, of joints and of rolling feet, is left out; ``steady_state_band`` has it.
 
     Args:
         robot: The robot.
@@ -161,8 +162,8 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
         )
 
 
-def settle(way: Way, *, feedforward: bool, seconds: float = 0.0) -> SettledPose:
-    """Goes a way to its end; see ``settled_pose``.
+def settle(way: Way, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
+    """Goes a way to its end; see ``steady_state``.
 
     Args:
         way: The way, at its beginning.
@@ -180,7 +181,7 @@ def settle(way: Way, *, feedforward: bool, seconds: float = 0.0) -> SettledPose:
 
 
 def release_margin(way: Way) -> float:
-    """Returns the ``release_margin`` of a ``SettledPose`` at the end of a way."""
+    """Returns the ``release_margin`` of a ``SteadyState`` at the end of a way."""
     held = {f: way.system.frame @ force for f, force in way.balance.contact_forces.items()}
     overshot = {
         foot: 2 * way.solution.force(foot) - held.get(foot, np.zeros(3))
@@ -189,18 +190,18 @@ def release_margin(way: Way) -> float:
     return way.system.friction_left(overshot)
 
 
-def least_kp(
+def minimum_stiffness(
     robot: Robot, stand: Stand, *, feet: Feet = "pinned", tolerance: float = 0.01
 ) -> float:
     """Finds the least uniform kp with which a robot stands without feed-forward, by bisection.
 
-    It stands if ``settled_pose`` has no failures (so a lifted foot that comes down to the ground
+    It stands if ``steady_state`` has no failures (so a lifted foot that comes down to the ground
     is none of its standing) and keeps half of the stand's height.
 
     Args:
         robot: The robot.
         stand: How it shall stand.
-        feet: What the feet do, as in ``settled_pose``.
+        feet: What the feet do, as in ``steady_state``.
         tolerance: Relative, of the result.
 
     Returns:
@@ -218,7 +219,7 @@ def least_kp(
 
     def obstacle(kp: float) -> str:
         try:
-            pose = settled_pose(robot, stand, kp=kp, feet=feet)
+            pose = steady_state(robot, stand, kp=kp, feet=feet)
         except NoEquilibriumError as error:
             return str(error)
         if pose.base_height <= 0.5 * float(stand.qpos[2]):
@@ -236,7 +237,7 @@ def least_kp(
     return high
 
 
-def pose_at(way: Way, margin: float) -> SettledPose:
+def pose_at(way: Way, margin: float) -> SteadyState:
     """Looks at where a way has come to, from all sides; ``margin`` is its release margin."""
     system, solution = way.system, way.solution
     robot, stand, qpos = system.robot, system.stand, solution.qpos
@@ -249,14 +250,14 @@ def pose_at(way: Way, margin: float) -> SettledPose:
         viscosities = [system.viscosity(foot, depths[foot]) for foot in system.anchors]
         creep = -forces[:, :2] / np.array(viscosities)[:, None]
     flow[robot.nv :].reshape(-1, 3)[:, :2] = creep
-    targets = np.array([stand.foot_targets[foot] for foot in stand.carrying])
+    targets = np.array([stand.foot_targets[foot] for foot in stand.stance_feet])
     centres = Configuration(robot, qpos).foot_positions()
-    reached = np.array([centres[foot] for foot in stand.carrying])
+    reached = np.array([centres[foot] for foot in stand.stance_feet])
     loss = float(stand.qpos[2] - qpos[2])
     contact_sag = drop_at(stand.qpos[:2], targets, (targets - reached)[:, 2])
     torques = system.torques(qpos)
     names = np.array(robot.joint_names)
-    return SettledPose(
+    return SteadyState(
         feet=system.feet,
         qpos=qpos,
         base_height=float(qpos[2]),
@@ -265,7 +266,7 @@ def pose_at(way: Way, margin: float) -> SettledPose:
         contact_sag=contact_sag,
         joint_torques=torques,
         saturated=tuple(names[(torques <= system.lower) | (torques >= system.upper)].tolist()),
-        carrying=tuple(foot for foot in robot.feet if foot in solution.forces),
+        stance_feet=tuple(foot for foot in robot.feet if foot in solution.forces),
         contact_forces={foot: system.frame.T @ solution.force(foot) for foot in robot.feet},
         foot_creep=dict(zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)),
         height_drift=float(np.linalg.solve(derivative, flow)[2]),
@@ -283,11 +284,11 @@ def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tupl
     robot, stand, slipping = system.robot, system.stand, system.slipping(solution)
     failures = [] if stiffness > 0 else [f"the equilibrium is not stable ({stiffness:.3g} 1/s^2)"]
     for foot, force in solution.forces.items():
-        if foot not in stand.carrying:
+        if foot not in stand.stance_feet:
             failures.append(f"foot {foot}, lifted, touches the ground, with {force[2]:.2f} N")
         elif foot in slipping:
             failures.append(f"foot {foot} slides")
-    idle = [foot for foot in stand.carrying if foot not in solution.forces]
+    idle = [foot for foot in stand.stance_feet if foot not in solution.forces]
     failures += [f"foot {foot} carries nothing" for foot in idle]
     qpos = solution.qpos
     beyond = (qpos[7:] < robot.lower_limits) | (qpos[7:] > robot.upper_limits)
@@ -295,5 +296,5 @@ def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tupl
     data = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_forward(robot.mj_model, data)
-    _, others = contact.ground_forces(robot.mj_model, data, robot.soles)
+    _, others = contact.ground_forces(robot.mj_model, data, robot.foot_geoms)
     return (*failures, *(f"{body} touches the ground" for body in sorted(others)))

@@ -11,7 +11,7 @@ from scipy import optimize
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.stance.sag.equilibrium import Equilibrium, Solution
 from pupper_analysis.stance.stand import stand_statics
-from pupper_analysis.statics.equilibrium import GravityCompensation, LoadSharing
+from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Way:
         self.system, stand = system, system.stand
         self.end: Array = stand.qpos[7:] if end is None else end
         self.balance: GravityCompensation = stand_statics(
-            system.robot, stand, sharing=LoadSharing.EVEN
+            system.robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
         )
         self.share, self.iterations, self._events = 0.0, 0, 0
         forces = {f: system.frame @ force for f, force in self.balance.contact_forces.items()}

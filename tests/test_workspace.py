@@ -9,7 +9,7 @@ import pytest
 from conftest import load
 
 import pupper_analysis as pa
-from pupper_analysis.stance.workspace import pose_envelope, reachable_heights, stand_at
+from pupper_analysis.stance.workspace import base_workspace, reachable_heights, stand_at
 from pupper_analysis.statics.support_polygon import com_margin
 
 
@@ -35,22 +35,22 @@ def test_the_highest_stand_has_straight_legs() -> None:
 @pytest.mark.parametrize("name", ["v3", "long-leg"])
 def test_limits_are_tight_in_every_direction(name: str) -> None:
     robot = load(name)
-    envelope = pose_envelope(robot)
+    workspace = base_workspace(robot)
     for direction in ("roll", "pitch", "yaw"):
-        interval = envelope.intervals[direction]
+        interval = workspace.intervals[direction]
         assert interval.low < 0 < interval.high
         for value, sign in ((interval.low, -1), (interval.high, 1)):
             assert reached(robot, pa.StandTask(**{direction: value}))
             if abs(value) < 1.56:  # not the end of the angle's range
                 assert not reached(robot, pa.StandTask(**{direction: value + sign * 1e-3}))
     for direction in ("roll", "yaw", "y"):  # left and right are mirror images
-        interval = envelope.intervals[direction]
+        interval = workspace.intervals[direction]
         assert interval.low == pytest.approx(-interval.high, abs=2e-3)
 
 
 def test_shifts_end_where_the_com_leaves_the_polygon_or_the_legs_end() -> None:
     robot = load("v3")
-    x = pose_envelope(robot).intervals["x"]
+    x = base_workspace(robot).intervals["x"]
     for value, sign in ((x.low, -1), (x.high, 1)):
         inside = pa.solve_stand(robot, pa.StandTask(offset=(value, 0.0)))
         assert pa.stand_statics(robot, inside).com_margin >= 0
@@ -67,7 +67,7 @@ def test_the_task_is_where_it_begins() -> None:
     assert level.low < tilted.low < tilted.high < level.high
     with pytest.raises(pa.StanceUnreachableError):
         reachable_heights(robot, pa.StandTask(height=1.0))
-    assert pose_envelope(robot, pa.StandTask(yaw=0.1)).start.task == replace(
+    assert base_workspace(robot, pa.StandTask(yaw=0.1)).start.task == replace(
         pa.StandTask(yaw=0.1), height=robot.stand_height
     )
 
@@ -75,9 +75,9 @@ def test_the_task_is_where_it_begins() -> None:
 def test_com_keeps_its_margin() -> None:
     """A shift ends where the com is as near to the polygon's edge as the task allows."""
     robot = load("original")
-    free = pose_envelope(robot).intervals["x"]
+    free = base_workspace(robot).intervals["x"]
     task = pa.StandTask(com="inside", com_margin=0.07)
-    bound = pose_envelope(robot, task).intervals["x"]
+    bound = base_workspace(robot, task).intervals["x"]
     assert free.low < bound.low < bound.high < free.high
     for value in (bound.low, bound.high):
         stand = stand_at(robot, pa.solve_stand(robot, task), "x", value)
@@ -87,12 +87,12 @@ def test_com_keeps_its_margin() -> None:
 
 def test_com_anywhere_inside_stays_where_the_stand_has_it() -> None:
     robot = load("v3")
-    task = pa.StandTask(lifted={"FL": 0.02}, com="inside", com_margin=0.01)
+    task = pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
     start = pa.solve_stand(robot, task)
     place = pa.Configuration(robot, start.qpos).center_of_mass()[:2]
     other = stand_at(robot, start, "pitch", 0.1)
     found = pa.Configuration(robot, other.qpos).center_of_mass()[:2]
     np.testing.assert_allclose(found, place, atol=1e-9)
-    interval = pose_envelope(robot, task).intervals["pitch"]
+    interval = base_workspace(robot, task).intervals["pitch"]
     assert interval.low < -0.2
     assert interval.high > 0.2

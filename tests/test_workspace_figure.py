@@ -1,4 +1,4 @@
-"""The envelope's figure: what it draws, looked at through matplotlib's own objects."""
+"""The workspace's figure: what it draws, looked at through matplotlib's own objects."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from conftest import load
 from matplotlib.figure import Figure
 
 import pupper_analysis as pa
-from pupper_analysis.report import workspace_figure as envelope_figure
+from pupper_analysis.report import workspace_figure as workspace_figure
 
 
 def test_every_direction_has_its_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
-    save = envelope_figure.save
+    save = workspace_figure.save
 
     def keep(figure: Figure, path: Path) -> None:
         drawn.append(figure)
         save(figure, path)
 
-    monkeypatch.setattr(envelope_figure, "save", keep)
+    monkeypatch.setattr(workspace_figure, "save", keep)
     robot = load("v3")
-    envelope = pa.pose_envelope(robot, pa.StandTask(ground=pa.Ground(0.1), pitch=-0.1))
-    envelope_figure.envelope_figure(robot, envelope, tmp_path / "envelope.png")
-    assert (tmp_path / "envelope.png").stat().st_size > 50_000
+    workspace = pa.base_workspace(robot, pa.StandTask(ground=pa.Ground(0.1), pitch=-0.1))
+    workspace_figure.workspace_figure(robot, workspace, tmp_path / "workspace.png")
+    assert (tmp_path / "workspace.png").stat().st_size > 50_000
     panels = {axes.get_title(loc="left").split(":")[0]: axes for axes in drawn[0].axes}
     assert list(panels) == ["height", "roll", "pitch", "yaw", "x", "y"]
-    roll = envelope.intervals["roll"]
+    roll = workspace.intervals["roll"]
     title = panels["roll"].get_title(loc="left")
     assert f"{math.degrees(roll.low):+.1f}°" in title
     assert f"{math.degrees(roll.high):+.1f}°" in title
