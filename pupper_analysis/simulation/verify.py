@@ -141,8 +141,8 @@ def verify_stand(
 
     The prediction is ``gravity_compensation`` with minimum tangential forces: the equilibrium that
     lasts in a simulator whose friction creeps. MuJoCo's ground is soft: where the feet bear unequal
-    loads a stand for rigid ground tilts by milliradians, and the loads change by percents; ``sunk_stand``
-    is the stand that does hold as predicted.
+    loads a stand for rigid ground tilts by milliradians, and the loads change by percents;
+    ``sunk_stand`` is the stand that does hold as predicted.
 
     Args:
         robot: The robot.
