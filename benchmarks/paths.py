@@ -11,6 +11,7 @@ import click
 
 import pupper_analysis as pa
 from pupper_analysis.pupper.demo import DEMOS, demo_stances
+from pupper_analysis.stance.path.fastest import RESERVE
 
 FASTER = 0.8
 """The share of the least time at which a path is expected to fail."""
@@ -46,7 +47,7 @@ def row(name: str, demo: str, reserve: float) -> str:
 
 @click.command()
 @click.argument("names", nargs=-1)
-@click.option("--reserve", default=0.2, show_default=True, help="Share of limits left unused.")
+@click.option("--reserve", default=RESERVE, show_default=True, help="Share of limits left unused.")
 def main(names: tuple[str, ...], reserve: float) -> None:
     """Find the least times of variants (all six by default), and simulate them."""
     titles = ["variant", "demo", "least time (s)", "what binds", "torque", "speed", "friction"]

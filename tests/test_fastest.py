@@ -22,7 +22,7 @@ def test_a_squat_falls_no_faster_than_gravity() -> None:
     The legs stay behind: the com moves by less than the base, whence the margin.
     """
     robot, tasks = load("original"), stances("original", "squat")
-    found = fastest_path(robot, tasks)
+    found = fastest_path(robot, tasks, reserve=0.0)
     drop = 0.1 * robot.stand_height
     closed = math.sqrt(10 / math.sqrt(3) * drop / 9.81)
     assert found.binding.limit in (Limit.TIPPING, Limit.LIFTING)
@@ -36,7 +36,7 @@ def test_a_squat_falls_no_faster_than_gravity() -> None:
 @pytest.mark.parametrize(("name", "kind"), [("v3", "squat"), ("original", "sway")])
 def test_the_least_time_is_feasible_and_less_is_not(name: str, kind: str) -> None:
     robot, tasks = load(name), stances(name, kind)
-    found = fastest_path(robot, tasks)
+    found = fastest_path(robot, tasks, reserve=0.0)
     assert found.seconds == pytest.approx(len(found.leg_seconds) * found.leg_seconds.max())
     assert not found.path.infeasible.any()
     assert found.path.peak_utilisation <= 1
@@ -53,10 +53,10 @@ def test_the_least_time_is_feasible_and_less_is_not(name: str, kind: str) -> Non
 
 def test_weak_motors_slow_ones_and_smooth_floors_bind() -> None:
     robot, tasks = load("original"), stances("original", "sway")
-    free = fastest_path(robot, tasks).seconds
+    free = fastest_path(robot, tasks, reserve=0.0).seconds
     sluggish = replace(robot, pin_model=robot.pin_model.copy())
     sluggish.pin_model.velocityLimit = 0.01 * robot.pin_model.velocityLimit
-    found = fastest_path(sluggish, tasks)
+    found = fastest_path(sluggish, tasks, reserve=0.0)
     assert found.binding.limit is Limit.VELOCITY
     assert found.path.peak_speed_utilisation == pytest.approx(1, rel=2e-3)
     assert found.path.fastest_joint == found.binding.names[0]
@@ -65,7 +65,7 @@ def test_weak_motors_slow_ones_and_smooth_floors_bind() -> None:
     weak = replace(robot, pin_model=robot.pin_model.copy())
     at_rest = stance_path(robot, tasks, 100.0, rate=1.0).peak_utilisation
     weak.pin_model.effortLimit = 1.1 * at_rest * robot.pin_model.effortLimit
-    found = fastest_path(weak, tasks)
+    found = fastest_path(weak, tasks, reserve=0.0)
     assert found.binding.limit is Limit.TORQUE
     assert found.path.peak_utilisation == pytest.approx(1, rel=3e-3)
     assert found.path.peak_joint == found.binding.names[0]
@@ -75,7 +75,7 @@ def test_weak_motors_slow_ones_and_smooth_floors_bind() -> None:
         foot: replace(contact, friction=(0.1, *contact.friction[1:]))
         for foot, contact in robot.contacts.items()
     }
-    found = fastest_path(replace(robot, contacts=smooth), tasks)
+    found = fastest_path(replace(robot, contacts=smooth), tasks, reserve=0.0)
     assert found.binding.limit is Limit.FRICTION
     # Sliding is where the com's horizontal acceleration is mu g.
     path = found.path
@@ -88,7 +88,7 @@ def test_weak_motors_slow_ones_and_smooth_floors_bind() -> None:
 
 def test_a_reserve_is_left() -> None:
     robot, tasks = load("original"), stances("original", "sway")
-    found, bare = fastest_path(robot, tasks, reserve=0.3), fastest_path(robot, tasks)
+    found, bare = fastest_path(robot, tasks, reserve=0.3), fastest_path(robot, tasks, reserve=0.0)
     assert found.seconds > bare.seconds
     path = found.path
     assert path.friction_utilisation.max() <= 0.7 + 1e-9
@@ -125,7 +125,7 @@ def test_bad_arguments_and_what_no_time_helps() -> None:
 )
 def test_mujoco_confirms_the_least_time_and_not_less(name: str, kind: str) -> None:
     robot, tasks = load(name), stances(name, kind)
-    found = fastest_path(robot, tasks, reserve=0.2)
+    found = fastest_path(robot, tasks)
     tracking = track_path(robot, found.path)
     assert tracking.passed, tracking.failures
     assert tracking.torque_error < 0.05
