@@ -12,7 +12,7 @@ from test_path import Task, stances
 
 import pupper_analysis as pa
 from pupper_analysis.simulation.tracking import track_path
-from pupper_analysis.stance.path.fastest import Limit, fastest_path
+from pupper_analysis.stance.path.fastest import RESERVE, Limit, fastest_path
 from pupper_analysis.stance.path.stance_path import stance_path
 
 
@@ -125,7 +125,7 @@ def test_bad_arguments_and_what_no_time_helps() -> None:
 )
 def test_mujoco_confirms_the_least_time_and_not_less(name: str, kind: str) -> None:
     robot, tasks = load(name), stances(name, kind)
-    found = fastest_path(robot, tasks)
+    found = fastest_path(robot, tasks, reserve=0.2)
     tracking = track_path(robot, found.path)
     assert tracking.passed, tracking.failures
     assert tracking.torque_error < 0.05
@@ -135,3 +135,12 @@ def test_mujoco_confirms_the_least_time_and_not_less(name: str, kind: str) -> No
     )
     assert any("carries nothing" in failure for failure in faster.failures), faster.failures
     assert np.isfinite(faster.torque_error)
+
+
+def test_a_reserve_is_the_default() -> None:
+    """What is stated without further ado is what MuJoCo follows."""
+    robot, tasks = load("v3"), stances("v3", "sway")
+    found = fastest_path(robot, tasks)
+    assert found.reserve == RESERVE
+    assert found.path.friction_utilisation.max() <= 1 - RESERVE + 1e-9
+    assert track_path(robot, found.path).passed

@@ -98,8 +98,9 @@ class FastestPath(Result):
 
 RESERVE = 0.25
 """What is left unused by default. Squat, sway and lift of the six variants at their least times are
-then confirmed by MuJoCo to 5 % of torque, all 18; with 0.2 one is off by 5.2 %, and with none most.
-It is less than the 0.36 by which forces grow in 0.8 of the time: that is still beyond the limits."""
+then confirmed by MuJoCo to 5 % of torque; with 0.2 one of 18 is off by 5.2 %, with none most are.
+It is less than the 0.36 by which forces grow in 0.8 of the time: that is still beyond the limits.
+"""
 
 
 def fastest_path(
@@ -169,7 +170,7 @@ def fastest_path(
         binding=binding,
         leg_seconds=np.array(times),
         leg_bindings=tuple(bindings),
-        reserve=number,
+        reserve=float(reserve),
         path=timed_path(robot, geometry, seconds, friction=limits.friction),
     )
 
