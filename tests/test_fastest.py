@@ -139,7 +139,7 @@ def test_mujoco_confirms_the_least_time_and_not_less(name: str, kind: str) -> No
 
 def test_a_reserve_is_the_default() -> None:
     """What is stated without further ado is what MuJoCo follows."""
-    robot, tasks = load("v3"), stances("v3", "sway")
+    robot, tasks = load("v3"), stances("v3", "squat")
     found = fastest_path(robot, tasks)
     assert found.reserve == RESERVE
     assert found.path.friction_utilisation.max() <= 1 - RESERVE + 1e-9

@@ -184,9 +184,10 @@ def test_nothing_feasible_nearby_is_better(
 
         free = null_space(best)
         assert free.shape[1] == 6
-        if (
-            distribution is pa.ForceDistribution.MIN_TANGENTIAL
-        ):  # equal tangential forces: no less normal ones
+        # Of equal tangential forces, the least normal ones; but a foot that bears nothing may be
+        # where more of one direction would make it pull.
+        bears = forces[2::3].min() > 1e-3 * forces.max()
+        if distribution is pa.ForceDistribution.MIN_TANGENTIAL and bears:
             sideways = linalg.null_space(np.delete(np.eye(12), np.s_[2::3], axis=0) @ free)
             assert np.abs(forces[2::3] @ (free @ sideways)[2::3]).max() < 1e-4 * forces.max()
         for size in (1e-3, 1e-2, 1e-1, 1.0):
