@@ -97,9 +97,9 @@ class FastestPath(Result):
 
 
 RESERVE = 0.2
-"""What is left unused by default. With it MuJoCo confirms 17 of 18 least times (squat, sway and lift
-of the six variants) to 5 % of torque, v3's sway to 5.2 %, and all 18 are infeasible in 0.8 of the
-time. With none most are off by more; with 0.25 all are confirmed, but five hold in 0.8 of the time.
+"""What is left unused by default. With it MuJoCo confirms 17 of 18 least times (squat, sway and
+lift of the six variants) to 5 % of torque, v3's sway to 5.2 %, and all 18 are infeasible in 0.8 of
+the time. With none most are off by more; with 0.25 all are confirmed, but five hold in 0.8 of it.
 """
 
 
