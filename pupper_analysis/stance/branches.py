@@ -24,7 +24,7 @@ _SAMPLES = 32
 """Starts per limb, a power of two as Sobol's sequence likes it. For 800 random goals of v3's and
 original's legs, 32 find all branches but one that 256 do."""
 
-_ITERATIONS = 24
+_ITERATIONS = 14
 """Of Levenberg and Marquardt's method: it converges in 6 to 10 where a foot is in reach."""
 
 _SAME = 0.05
