@@ -60,7 +60,7 @@ def unreachable(
                     name = " and ".join(demands)
                     possible[name] = " and ".join(f"{d} {in_words(stand.task, d)}" for d in demands)
                     if far_off(robot, goal.task, stand.task, demands):
-                        possible[name] += " (is what was asked in metres and radians?)"
+                        possible[name] += " (was that in metres, or radians?)"
                     ends[name] = {demand: getattr(stand.task, demand) for demand in demands}
             if possible:
                 break
