@@ -11,7 +11,7 @@ export PYTHONNOUSERSITE := 1
 unexport PYTHONPATH PYTHONHOME
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test benchmark lint types wheel clean
+.PHONY: help setup analyze test coverage benchmark lint types docs wheel clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s  %s\n", $$1, $$2}' Makefile
@@ -24,6 +24,9 @@ analyze: $(VENV)/.ready ## analyse all variants; figures go to output/
 test: $(VENV)/.ready ## run the tests
 	$(BIN)/python -m pytest
 
+coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave out
+	$(BIN)/python -m pytest --cov --cov-report=term-missing:skip-covered
+
 benchmark: $(VENV)/.ready ## measure how long each part takes
 	$(BIN)/python benchmarks/run.py
 
@@ -33,6 +36,9 @@ lint: $(VENV)/.ready-dev ## check style and format
 
 types: $(VENV)/.ready-dev ## check the types
 	$(BIN)/mypy
+
+docs: $(VENV)/.ready-docs ## build the API reference into build/docs/
+	$(BIN)/python docs/build_api.py build/docs
 
 wheel: $(VENV)/.ready-dev ## build the wheel into dist/
 	$(BIN)/python -m build --wheel
@@ -46,6 +52,10 @@ $(VENV)/.ready: pyproject.toml $(VENV)/.created
 
 $(VENV)/.ready-dev: $(VENV)/.ready
 	$(BIN)/python -m pip install --quiet --group dev
+	@touch $@
+
+$(VENV)/.ready-docs: $(VENV)/.ready
+	$(BIN)/python -m pip install --quiet --group docs
 	@touch $@
 
 # The first pip that knows dependency groups is 25.1.

@@ -20,8 +20,8 @@ UP = np.array([0.0, 0.0, 1.0])
 class Configuration:
     """A robot at (qpos, qvel). That it exists means that forward kinematics has been run there.
 
-    Coordinates are those of ``pupper_analysis.convention``: MuJoCo's, joints in actuator order.
-    A configuration does not change; its quaternion is normalised on entry.
+    Coordinates are those of ``pupper_analysis.robot.coordinates``: MuJoCo's, joints in actuator
+    order. A configuration does not change; its quaternion is normalised on entry.
 
     Attributes:
         robot: The robot.

@@ -150,7 +150,7 @@ def equilibrium(
 ) -> GravityCompensation:
     """Balances any generalised force, as ``gravity_compensation`` balances gravity.
 
-    With M qacc + h for g it is inverse dynamics (``pupper_analysis.dynamics``).
+    With M qacc + h for g it is inverse dynamics (``pupper_analysis.statics.inverse_dynamics``).
 
     Args:
         config: Where the robot is.

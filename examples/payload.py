@@ -1,0 +1,28 @@
+"""How much does it carry: the greatest mass on its back, and what gives way first.
+
+One sees three limits: what the motors give, what the servos' stiffness holds up, and what the
+contacts bear. Pupper v3's motors would carry 15 kg; its soft servos let it buckle under 5.6 kg.
+"""
+
+import pupper_analysis as pa
+
+BACK = (0.0, 0.0, 0.08)
+"""Where the mass is, in the base's frame (m)."""
+
+
+def main() -> None:
+    """Prints the limits, and what the motors hold with half of the least one on the back."""
+    robot = pa.load_variant("v3")
+    limit = pa.payload_limit(robot, pa.solve_stand(robot), BACK)
+    for name in ("motors", "servos", "contacts"):
+        bound = getattr(limit, name)
+        print(f"{name:9} {bound.mass:6.2f} kg: {bound.failure.value}")
+    print(f"limit     {limit.mass:6.2f} kg, by the {limit.binding}")
+
+    loaded = pa.with_payload(robot, limit.mass / 2, BACK)
+    held = pa.stand_statics(loaded, pa.solve_stand(loaded))
+    print(f"half of it takes {held.motor_utilisation.max():.0%} of the motors")
+
+
+if __name__ == "__main__":
+    main()
