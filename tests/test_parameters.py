@@ -34,7 +34,7 @@ from pupper_analysis.checks.attribution import Tolerances, explain
 from pupper_analysis.checks.compare import compare_models
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
-from pupper_analysis.models.loading import read_mjcf
+from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.robot.coordinates import PinocchioConvention
 
 

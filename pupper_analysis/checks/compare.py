@@ -18,7 +18,9 @@ from pupper_analysis.checks.attribution import (
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
 from pupper_analysis.errors import ModelError
-from pupper_analysis.models.loading import MjcfFile, Place, UrdfFile, read_mjcf, read_urdf
+from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.places import Place
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.results import Result
 
 ENGINES_AGREE = 1e-8

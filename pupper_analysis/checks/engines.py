@@ -18,7 +18,6 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -42,6 +41,7 @@ from pupper_analysis.models.conversion import (
     mujoco_from_urdf,
     pinocchio_from_mujoco,
 )
+from pupper_analysis.models.xml import parse_text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
@@ -192,7 +192,7 @@ def cross_check(
     reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
     found = extras(reference)
     if mimics is None:
-        mimics = urdf_mimics(ElementTree.fromstring(description.urdf.encode()))
+        mimics = urdf_mimics(parse_text(description.urdf))
     coupled, _ = split_mimics(found, reference, mimics, tolerance)
     notes = list(_NOTES)
     in_mujoco: mujoco.MjModel | None = None

@@ -19,8 +19,9 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.loading import MjcfFile, UrdfFile
 from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 

@@ -17,7 +17,8 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
 from pupper_analysis.models.conversion import gravity, joint_armature
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.loading import read_mjcf, read_urdf
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
