@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis, analyze_variant
-    from pupper_analysis.checks.attribution import Tolerances
     from pupper_analysis.checks.audit import Audit, audit_model
     from pupper_analysis.checks.compare import Comparison, compare_models
     from pupper_analysis.checks.engines import CrossCheck, cross_check
+    from pupper_analysis.checks.tolerances import Tolerances
     from pupper_analysis.errors import (
         ConfigurationError,
         Infeasibility,
@@ -117,7 +117,7 @@ _HOME = {
     "stand_statics": "stance.stand",
     "sunk_stand": "stance.sunk",
     "compare_models": "checks.compare",
-    "Tolerances": "checks.attribution",
+    "Tolerances": "checks.tolerances",
     "OutputError": "errors",
     "Configuration": "robot.configuration",
     "CrossCheck": "checks.engines",

@@ -7,16 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.checks.attribution import (
-    EXPLAINED,
-    Difference,
-    Effect,
-    Explanation,
-    Tolerances,
-    explain,
-)
+from pupper_analysis.checks.attribution import EXPLAINED, explain
+from pupper_analysis.checks.differences import Difference, Effect, Explanation
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
+from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import Place
