@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
-
 _MAIN = ("mass matrix", "gravity", "foot positions", "joint positions")
 
 

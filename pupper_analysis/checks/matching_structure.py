@@ -14,7 +14,6 @@ from pupper_analysis.checks.matching_places import at_zero
 from pupper_analysis.checks.matching_urdf import end_link, urdf_tree
 
 _PARALLEL = 0.99  # least |cosine| between the axes of joints that may be one
-
 _NEAR = 0.25  # greatest distance of joints that may be one, relative to the robot's size
 
 

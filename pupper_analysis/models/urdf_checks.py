@@ -17,7 +17,6 @@ MAX_LINKS: Final = 2000
 """Most links of a URDF."""
 
 _JOINT_TYPES: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
-
 _INERTIA: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 # The attributes that hold numbers, and how many; and those that must be there.

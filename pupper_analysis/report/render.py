@@ -26,7 +26,8 @@ from scipy import ndimage
 from pupper_analysis.analysis.robot import leg_lengths
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.models.mjcf import compile_spec
-from pupper_analysis.report import figures
+from pupper_analysis.report.figures.skeleton import BOX_FACES, Skeleton, skeleton, support_polygon
+from pupper_analysis.report.figures.style import save
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 
@@ -132,7 +133,7 @@ def _picture(poses: Sequence[tuple[Robot, Array]], path: Path, width: int, colum
         if not images:
             _draw_lines(canvas, tile)
         _write_label(canvas, tile)
-    figures.save(figure, path)
+    save(figure, path)
     return Picture(path, method, note)
 
 
@@ -157,7 +158,7 @@ class _Tile:
 
     robot: Robot
     qpos: Array
-    lines: figures.Skeleton
+    lines: Skeleton
     left: int
     top: int
     width: int
@@ -181,7 +182,7 @@ def _project(points: Array) -> Array:
 
 def _tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[_Tile]:
     """Gives each robot a tile: all to one scale, and those of a row on one line."""
-    lines = [figures.skeleton(robot, qpos) for robot, qpos in poses]
+    lines = [skeleton(robot, qpos) for robot, qpos in poses]
     low, high = np.empty((len(poses), 2)), np.empty((len(poses), 2))
     for index, ((robot, _), line) in enumerate(zip(poses, lines, strict=True)):
         points = line.points()
@@ -230,7 +231,7 @@ def _draw_lines(canvas: Axes, tile: _Tile) -> None:
     lines = tile.lines
     thick = 0.035 * tile.width * 72 / _DPI
     legs = np.array([leg[[0, -1]] for leg in lines.legs.values()])
-    feet = figures.support_polygon(legs[:, -1])
+    feet = support_polygon(legs[:, -1])
     ground = tile.pixels(np.column_stack([feet, np.zeros(len(feet))]))
     canvas.fill(*ground.T, color="#DDE2E9", zorder=1)
     for leg in lines.legs.values():
@@ -241,7 +242,7 @@ def _draw_lines(canvas: Axes, tile: _Tile) -> None:
         canvas.plot(*seen, color=colour, lw=thick, solid_capstyle="round", zorder=order)
         canvas.plot(*seen[:, -1:], "o", color="#111827", ms=2 * thick, zorder=order)
     for box in lines.boxes:
-        for face in figures.BOX_FACES:
+        for face in BOX_FACES:
             corners = tile.pixels(box[list(face)]).T
             canvas.fill(*corners, fc="#F3C453", ec="#7A5300", alpha=0.6, lw=thick / 10, zorder=3)
 
