@@ -133,7 +133,7 @@ def stand(
     from pupper_analysis.report import stance as stance_report
     from pupper_analysis.report.console import console
     from pupper_analysis.robot.ground import Ground
-    from pupper_analysis.stance.optimize.best import Objective
+    from pupper_analysis.stance.optimize.search import Objective
     from pupper_analysis.stance.task import StandTask
 
     task = StandTask(
