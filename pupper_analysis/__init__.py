@@ -8,7 +8,7 @@
     report = pa.verify_stand(robot, stand)
 
 Everything public speaks MuJoCo's qpos and qvel, with the joints in actuator order; see
-``pupper_analysis.convention``. Names are imported when they are first used.
+``pupper_analysis.robot.coordinates``. Names are imported when they are first used.
 """
 
 from __future__ import annotations

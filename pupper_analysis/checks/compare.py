@@ -221,8 +221,6 @@ def _armature_notes(explanation: Explanation) -> list[str]:
     ]
 
 
-# ------------------------------------------------------------------------------------- places
-
 _URDF_CHILD = {
     "mass": "inertial/mass",
     "com": "inertial/origin",

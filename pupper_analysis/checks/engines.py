@@ -9,7 +9,7 @@ along the other two the model is the same and the engines differ. So a deviation
            |                                |
     URDF in MuJoCo ------ models --- MJCF in MuJoCo --- extras --- MJCF as it is
 
-What a URDF cannot state (springs, tendons, fluid ...; see `extras`) is taken out of the MJCF for
+What a URDF cannot state (springs, tendons, fluid ...; see `passive`) is taken out of the MJCF for
 the square, so that both engines are given the same model; the last side tells what it does.
 """
 
