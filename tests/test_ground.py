@@ -9,6 +9,7 @@ import pytest
 from conftest import changed, load, mujoco_at, stand_of
 
 import pupper_analysis as pa
+from pupper_analysis.robot import contact
 from pupper_analysis.robot.compliance import GroundLaw
 
 
@@ -33,12 +34,12 @@ def test_law_is_mujocos(name: str, change: object) -> None:
         robot = changed(robot, cone(mujoco.mjtCone.mjCONE_PYRAMIDAL))
     elif callable(change):
         robot = changed(robot, change)
-    ground = pa.contact.ground_geom(robot.mj_model)
+    ground = contact.ground_geom(robot.mj_model)
     assert ground is not None
     robot = replace(
         robot,
         contacts={
-            f: pa.contact.combine(robot.mj_model, s, ground) for s, f in robot.foot_geoms.items()
+            f: contact.combine(robot.mj_model, s, ground) for s, f in robot.foot_geoms.items()
         },
     )
     for drop in (1e-4, 2e-3, 5e-3, 9e-3):

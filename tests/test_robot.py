@@ -20,6 +20,7 @@ from conftest import (
 )
 
 import pupper_analysis as pa
+from pupper_analysis.robot import contact
 from pupper_analysis.robot.terrain import on_ground
 
 
@@ -309,10 +310,10 @@ def test_a_foot_on_a_low_step_touches_the_step_alone() -> None:
         if int(sole) in on_step.foot_geoms
     }
     assert len(data.contact.geom) == 4
-    floor = robot.mj_model.geom(pa.contact.ground_geom(robot.mj_model)).name
+    floor = robot.mj_model.geom(contact.ground_geom(robot.mj_model)).name
     assert touched == {"FR": floor, "FL": floor, "RR": "step_RR", "RL": floor}
     qpos[2] -= 0.12  # other parts still touch the floor
-    bodies = pa.contact.bodies_on_ground(
+    bodies = contact.bodies_on_ground(
         on_step.mj_model, mujoco_at(on_step, qpos), on_step.foot_geoms
     )
     assert "base_link" in bodies
