@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis, analyze_variant
-    from pupper_analysis.checks.attribution import Tolerances
     from pupper_analysis.checks.audit import Audit, audit_model
     from pupper_analysis.checks.compare import Comparison, compare_models
     from pupper_analysis.checks.engines import CrossCheck, cross_check
+    from pupper_analysis.checks.tolerances import Tolerances
     from pupper_analysis.errors import (
         ConfigurationError,
         Infeasibility,
@@ -50,7 +50,8 @@ if TYPE_CHECKING:
     from pupper_analysis.simulation.push import PushRecovery, push_recovery
     from pupper_analysis.simulation.tracking import PathTracking, track_path
     from pupper_analysis.simulation.verify import StandVerification, verify_stand
-    from pupper_analysis.stance.optimize.best import BestStance, Objective, best_stance
+    from pupper_analysis.stance.optimize.best import BestStance, best_stance
+    from pupper_analysis.stance.optimize.search import Objective
     from pupper_analysis.stance.path.fastest import Binding, FastestPath, Limit, fastest_path
     from pupper_analysis.stance.path.stance_path import StancePath, stance_path
     from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
@@ -81,7 +82,7 @@ _HOME = {
     "Audit": "checks.audit",
     "audit_model": "checks.audit",
     "BestStance": "stance.optimize.best",
-    "Objective": "stance.optimize.best",
+    "Objective": "stance.optimize.search",
     "best_stance": "stance.optimize.best",
     "Comparison": "checks.compare",
     "Interval": "stance.workspace",
@@ -117,7 +118,7 @@ _HOME = {
     "stand_statics": "stance.stand",
     "sunk_stand": "stance.sunk",
     "compare_models": "checks.compare",
-    "Tolerances": "checks.attribution",
+    "Tolerances": "checks.tolerances",
     "OutputError": "errors",
     "Configuration": "robot.configuration",
     "CrossCheck": "checks.engines",

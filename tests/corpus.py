@@ -237,7 +237,8 @@ def _examine(path: Path) -> dict[str, str]:
     import pinocchio as pin
 
     from pupper_analysis.errors import ModelError
-    from pupper_analysis.models.loading import UrdfFile, read_model
+    from pupper_analysis.models.loading import read_model
+    from pupper_analysis.models.urdf_file import UrdfFile
 
     try:
         model = read_model(path)

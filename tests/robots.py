@@ -14,10 +14,13 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis.checks.attribution import Explanation, Tolerances, explain
+from pupper_analysis.checks.attribution import explain
 from pupper_analysis.checks.compare import Comparison, compare_models
+from pupper_analysis.checks.differences import Explanation
 from pupper_analysis.checks.matching import Match, match
-from pupper_analysis.models.loading import read_mjcf, read_urdf
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot.robot import Robot
 
 NOTHING = (0.0, 0.0, 0.0)

@@ -12,7 +12,8 @@ from scipy import optimize
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation.payload import payload_trial
-from pupper_analysis.stance.optimize.best import Objective, StanceSearch, Subspace, best_stance
+from pupper_analysis.stance.optimize.best import best_stance
+from pupper_analysis.stance.optimize.search import Objective, StanceSearch, Subspace
 from pupper_analysis.stance.optimize.space import BASE, LEAST_SINGULAR_VALUE, StanceSpace
 from pupper_analysis.stance.payload.first_order import FirstOrder
 from pupper_analysis.stance.stand import stand_statics

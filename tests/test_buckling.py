@@ -11,7 +11,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.payload.buckling import _geometric, _jacobian, buckling_modes
-from pupper_analysis.stance.sag.equilibrium import move
+from pupper_analysis.stance.sag.solution import move
 from pupper_analysis.stance.sunk import loaded_stand
 
 EVEN = pa.ForceDistribution.MIN_TANGENTIAL

@@ -23,10 +23,10 @@ from robots import (
     write_parts,
 )
 
-from pupper_analysis.checks import passive as extras
-from pupper_analysis.checks.attribution import Tolerances
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.engines import EXTRAS
+from pupper_analysis.checks.passive import find as extras
+from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.report.comparison import SHOWN, cases, print_models, remarks
 from pupper_analysis.report.formats import github, junit
 
@@ -267,7 +267,7 @@ def test_what_is_not_explained_is_the_verdict(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without a difference to name, the verdict still is not AGREE, in every format."""
-    monkeypatch.setattr(extras._Finder, "springs", lambda _: iter(()))
+    monkeypatch.setattr(extras, "springs", lambda _: iter(()))
     text = mjcf_text(quadruped())
     text = text.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
     comparison = compared(write(tmp_path, urdf_text(quadruped()), text))

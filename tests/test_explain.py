@@ -33,9 +33,11 @@ from robots import (
 from scipy.spatial.transform import Rotation
 
 from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.checks import attribution as explain_module
-from pupper_analysis.checks.attribution import Difference, Explanation, Tolerances, explain
-from pupper_analysis.checks.engines import random_states
+from pupper_analysis.checks import changes as explain_module
+from pupper_analysis.checks.attribution import explain
+from pupper_analysis.checks.differences import Difference, Explanation
+from pupper_analysis.checks.states import random_states
+from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ConfigurationError
 
 GRAVITY = 9.81

@@ -29,11 +29,17 @@ from robots import (
     write,
 )
 
-from pupper_analysis.checks import passive as extras_module
-from pupper_analysis.checks.attribution import Effect, Tolerances, explain
+from pupper_analysis.checks.attribution import explain
 from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.checks.engines import EXTRAS, cross_check, random_states
-from pupper_analysis.checks.passive import Reference, as_it_is, extras, split_mimics, without
+from pupper_analysis.checks.differences import Effect
+from pupper_analysis.checks.engines import EXTRAS, cross_check
+from pupper_analysis.checks.passive import find as extras_module
+from pupper_analysis.checks.passive.extra import as_it_is, without
+from pupper_analysis.checks.passive.find import extras
+from pupper_analysis.checks.passive.mimics import split_mimics
+from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.checks.states import random_states
+from pupper_analysis.checks.tolerances import Tolerances
 
 GRAVITY, LENGTH, MASS = 9.81, 0.5, 2.0  # of the pendulum
 ROD = MASS * LENGTH**2 + 1e-3 + 0.01  # its moment of inertia about the hinge, with the rotor
@@ -316,7 +322,7 @@ def test_what_is_not_found_is_said_to_be_left(
     """The proof is MuJoCo's own dynamics: it does not rest on the finders."""
     kind, force = FINDERS[finder]
     old, new = PASSIVE[kind]
-    monkeypatch.setattr(extras_module._Finder, finder, lambda _: iter(()))
+    monkeypatch.setattr(extras_module, finder, lambda _: iter(()))
     comparison = pair(tmp_path, with_(MJCF, **{old: new.format("5")}))
     assert comparison.differences == ()
     assert not comparison.agree

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -17,14 +18,19 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.errors import ConfigurationError, OutputError
-from pupper_analysis.report import figures
+from pupper_analysis.report.figures.gains import gain_figure
+from pupper_analysis.report.figures.heights import height_figure
+from pupper_analysis.report.figures.pose import pose_figure
+from pupper_analysis.report.figures.skeleton import nearest_edge_point, skeleton, support_polygon
+from pupper_analysis.report.figures.style import DPI
+from pupper_analysis.report.figures.torques import torque_figure, utilisation
 
 NAMES = ("original", "v3")
 
 PANELS: tuple[Callable[[Any, Path], None], ...] = (
-    figures.torque_figure,
-    figures.height_figure,
-    figures.gain_figure,
+    torque_figure,
+    height_figure,
+    gain_figure,
 )
 
 
@@ -47,7 +53,7 @@ def analysis_of(name: str) -> Any:
 def check_picture(path: Path) -> None:
     assert path.read_bytes().startswith(b"\x89PNG")
     pixels = imread(path)
-    assert pixels.shape[1] == pytest.approx(178 / 25.4 * figures.DPI, abs=1)
+    assert pixels.shape[1] == pytest.approx(178 / 25.4 * DPI, abs=1)
     assert pixels.shape[0] > 300
     assert pixels[..., :3].std() > 0.05
     # Nothing is cut off: the outermost pixels are white.
@@ -62,7 +68,9 @@ def other(analysis: Any, **changes: Any) -> Any:
 def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments: Any) -> Figure:
     """The figure that a function draws, instead of its file."""
     kept: list[Figure] = []
-    monkeypatch.setattr(figures, "save", lambda figure, path: kept.append(figure))
+    monkeypatch.setattr(
+        sys.modules[draw.__module__], "save", lambda figure, path: kept.append(figure)
+    )
     draw(*arguments, Path("unused.png"))
     return kept[0]
 
@@ -74,7 +82,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments
 def test_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
     robot, qpos = load(name), stand_of(name).qpos
     feet = pa.Configuration(robot, qpos).foot_positions()
-    legs = figures.skeleton(robot, qpos).legs
+    legs = skeleton(robot, qpos).legs
     assert set(legs) == set(robot.feet)
     for foot, leg in legs.items():
         assert leg.shape == (4, 3)  # three joints and the foot
@@ -84,8 +92,8 @@ def test_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
 @pytest.mark.parametrize("name", pa.VARIANTS)
 def test_legs_keep_their_lengths_when_they_move(name: str) -> None:
     robot, qpos = load(name), stand_of(name).qpos
-    moved = figures.skeleton(robot, qpos).legs
-    still = figures.skeleton(robot, robot.neutral()).legs
+    moved = skeleton(robot, qpos).legs
+    still = skeleton(robot, robot.neutral()).legs
     for foot in robot.feet:
         lengths = [np.linalg.norm(np.diff(legs[foot], axis=0), axis=1) for legs in (moved, still)]
         np.testing.assert_allclose(*lengths, atol=1e-12)
@@ -93,7 +101,7 @@ def test_legs_keep_their_lengths_when_they_move(name: str) -> None:
 
 def test_lengths_are_those_of_the_model() -> None:
     for name, thigh, calf in (("original", 0.08, 0.11), ("long-leg", 0.12, 0.165)):
-        leg = figures.skeleton(load(name), stand_of(name).qpos).legs["FL"]
+        leg = skeleton(load(name), stand_of(name).qpos).legs["FL"]
         lengths = np.linalg.norm(np.diff(leg, axis=0), axis=1)
         np.testing.assert_allclose(lengths, (0.0, thigh, calf), atol=1e-12)
 
@@ -101,7 +109,7 @@ def test_lengths_are_those_of_the_model() -> None:
 @pytest.mark.parametrize(("name", "count"), [("original", 1), ("heavy", 2), ("v3", 1)])
 def test_the_base_is_its_boxes(name: str, count: int) -> None:
     robot = load(name)
-    boxes = figures.skeleton(robot, robot.neutral()).boxes
+    boxes = skeleton(robot, robot.neutral()).boxes
     assert boxes.shape == (count, 8, 3)
     edges = [np.linalg.norm(boxes[0, 0] - boxes[0, corner]) for corner in (4, 2, 1)]
     sizes = {"v3": (0.09014, 0.12758, 0.25943)}.get(name, (0.2, 0.11, 0.05))
@@ -110,29 +118,29 @@ def test_the_base_is_its_boxes(name: str, count: int) -> None:
 
 def test_a_fixed_base_can_be_drawn() -> None:
     robot = load("v3", fixed_base=True)
-    assert figures.skeleton(robot, robot.home).legs["FL"].shape == (4, 3)
+    assert skeleton(robot, robot.home).legs["FL"].shape == (4, 3)
 
 
 def test_support_polygon() -> None:
     points = [np.array(point, float) for point in ((0, 0, 1), (2, 0, 0), (2, 2, 0), (1, 0.5, 0))]
-    corners = figures.support_polygon(points)
+    corners = support_polygon(points)
     assert {tuple(corner) for corner in corners} == {(0, 0), (2, 0), (2, 2)}
-    assert len(figures.support_polygon(points[:2])) == 2
-    assert len(figures.support_polygon(points[:1])) == 1
+    assert len(support_polygon(points[:2])) == 2
+    assert len(support_polygon(points[:1])) == 1
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_margin_is_drawn_to_the_nearest_edge(name: str) -> None:
     statics = analysis_of(name).statics
     com = statics.center_of_mass[:2]
-    polygon = figures.support_polygon(statics.contact_points.values())
-    nearest = figures.nearest_edge_point(polygon, com)
+    polygon = support_polygon(statics.contact_points.values())
+    nearest = nearest_edge_point(polygon, com)
     assert np.linalg.norm(nearest - com) == pytest.approx(statics.com_margin, abs=1e-12)
 
 
 def test_utilisation() -> None:
     torques, limits = np.array([-1.0, 1.0, 1.0, 1.0]), np.array([2.0, 4.0, 0.0, np.inf])
-    np.testing.assert_allclose(figures.utilisation(torques, limits), (50, 25, 0, 0))
+    np.testing.assert_allclose(utilisation(torques, limits), (50, 25, 0, 0))
 
 
 # ------------------------------------------------------------------------------------- figures
@@ -141,13 +149,13 @@ def test_utilisation() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_pose_figure(name: str, tmp_path: Path) -> None:
     analysis = analysis_of(name)
-    figures.pose_figure(load(name), analysis.stand, analysis.statics, tmp_path / "pose.png")
+    pose_figure(load(name), analysis.stand, analysis.statics, tmp_path / "pose.png")
     check_picture(tmp_path / "pose.png")
 
 
 def test_pose_figure_says_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     analysis = analysis_of("v3")
-    figure = drawn(monkeypatch, figures.pose_figure, load("v3"), analysis.stand, analysis.statics)
+    figure = drawn(monkeypatch, pose_figure, load("v3"), analysis.stand, analysis.statics)
     texts = [text.get_text() for axes in figure.axes for text in axes.texts]
     assert f"margin {1e3 * analysis.statics.com_margin:.1f} mm" in texts
     for foot, force in analysis.statics.contact_forces.items():
@@ -172,7 +180,7 @@ def test_a_figure_without_robots_is_refused(
 
 def test_torque_figure_draws_both_torques(monkeypatch: pytest.MonkeyPatch) -> None:
     analysis = analysis_of("v3")
-    figure = drawn(monkeypatch, figures.torque_figure, [analysis])
+    figure = drawn(monkeypatch, torque_figure, [analysis])
     predicted, simulated, limit = (np.asarray(line.get_xdata()) for line in figure.axes[0].lines)
     for shown, torques in (
         (predicted, analysis.statics.joint_torques),
@@ -185,7 +193,7 @@ def test_torque_figure_draws_both_torques(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_height_figure_draws_task_and_runs_in_mm(monkeypatch: pytest.MonkeyPatch) -> None:
     analysis = analysis_of("v3")
-    figure = drawn(monkeypatch, figures.height_figure, [analysis])
+    figure = drawn(monkeypatch, height_figure, [analysis])
     task, run, sagging = (np.asarray(line.get_ydata()) for line in figure.axes[0].lines)
     assert set(task) == {1e3 * load("v3").stand_height}
     np.testing.assert_allclose(run, 1e3 * analysis.verification.height)
@@ -200,9 +208,9 @@ def test_gain_figure_marks_what_fell_and_what_is_best(
     fields = {**vars(sweep), "height_deviation": deviation, "fell": np.isinf(deviation)}
     fields |= {"best_kp": sweep.kp[1], "best_kd": sweep.kd[0], "best_deviation": 0.25e-3}
     analysis = other(analysis_of("v3"), sweep=SimpleNamespace(**fields))
-    figures.gain_figure([analysis], tmp_path / "gains.png")
+    gain_figure([analysis], tmp_path / "gains.png")
     check_picture(tmp_path / "gains.png")
-    axes = drawn(monkeypatch, figures.gain_figure, [analysis]).axes[0]
+    axes = drawn(monkeypatch, gain_figure, [analysis]).axes[0]
     texts = [text.get_text() for text in axes.texts]
     assert texts == ["1.500", "fell", "2.000", "0.250", "3.000", "fell"]
     marked = [patch.get_xy() for patch in axes.patches if not patch.get_fill()]  # type: ignore[attr-defined]
@@ -215,14 +223,14 @@ def test_gain_figure_where_all_fell(tmp_path: Path) -> None:
     everywhere = np.full((2, 3), np.inf)
     fields = {**vars(sweep), **none, "height_deviation": everywhere, "fell": np.isinf(everywhere)}
     analysis = other(analysis_of("v3"), sweep=SimpleNamespace(**fields))
-    figures.gain_figure([analysis], tmp_path / "gains.png")
+    gain_figure([analysis], tmp_path / "gains.png")
     check_picture(tmp_path / "gains.png")
 
 
 def test_a_name_is_not_taken_for_a_formula(tmp_path: Path) -> None:
     analysis = other(analysis_of("v3"), name="a$b_c$ \\frac")
-    figures.pose_figure(load("v3"), analysis.stand, analysis.statics, tmp_path / "pose.png")
-    figures.torque_figure([analysis], tmp_path / "torques.png")
+    pose_figure(load("v3"), analysis.stand, analysis.statics, tmp_path / "pose.png")
+    torque_figure([analysis], tmp_path / "torques.png")
 
 
 # ------------------------------------------------------------------------------------- files
@@ -237,11 +245,11 @@ def test_a_figure_that_fails_leaves_no_file(
 
     monkeypatch.setattr(Figure, "savefig", fail)
     with pytest.raises(OutputError, match="No space left"):
-        figures.height_figure([analysis_of("v3")], tmp_path / "heights.png")
+        height_figure([analysis_of("v3")], tmp_path / "heights.png")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_no_backend_is_touched(tmp_path: Path) -> None:
     before = dict(matplotlib.rcParams)
-    figures.height_figure([analysis_of("v3")], tmp_path / "heights.png")
+    height_figure([analysis_of("v3")], tmp_path / "heights.png")
     assert dict(matplotlib.rcParams) == before

@@ -11,7 +11,7 @@ from conftest import NAMES, load, mujoco_at, random_state, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis.robot.payload import with_payload
-from pupper_analysis.stance.sag.equilibrium import move
+from pupper_analysis.stance.sag.solution import move
 from pupper_analysis.stance.sunk import loaded_stand
 
 POINT = (0.05, -0.02, 0.08)

@@ -20,14 +20,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from pupper_analysis.errors import ModelError
-from pupper_analysis.models.loading import (
-    MjcfFile,
-    Place,
-    UrdfFile,
-    read_mjcf,
-    read_model,
-    read_urdf,
-)
+from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.places import Place
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.pupper.variants import model_folder
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"

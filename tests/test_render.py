@@ -15,7 +15,8 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.errors import ConfigurationError, OutputError
-from pupper_analysis.report import render
+from pupper_analysis.report import opengl, render
+from pupper_analysis.report.tiles import tiles_of
 
 WIDTH = 420
 BACKGROUND = np.array([0xEE, 0xF1, 0xF5]) / 255
@@ -111,7 +112,7 @@ def test_the_projection_is_that_of_the_camera(
     picture = render_with_opengl(pairs(name), tmp_path / "a.png", width=WIDTH)
     image = pixels(picture.path)
     robot, stand = load(name), stand_of(name)
-    (tile,) = render._tiles([(robot, stand.qpos)], WIDTH, 1)
+    (tile,) = tiles_of([(robot, stand.qpos)], WIDTH, 1)
     for foot, leg in tile.lines.legs.items():
         x, y = tile.pixels(leg[-1:])[0].astype(int)
         if foot != "RL":  # which others hide in part
@@ -185,8 +186,8 @@ def test_the_next_backend_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
-    monkeypatch.setattr(render.platform, "system", lambda: "Linux")
-    monkeypatch.setattr(render, "_render_with", fail)
+    monkeypatch.setattr(opengl.platform, "system", lambda: "Linux")
+    monkeypatch.setattr(opengl, "_render_with", fail)
     picture = render.render_variants(pairs("original"), tmp_path / "a.png", width=WIDTH)
     assert tried == ["egl", "osmesa"]
     assert picture.method == "lines"
@@ -217,8 +218,8 @@ def test_backends(
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(render.platform, "system", lambda: system)
-    assert render._backends() == expected
+    monkeypatch.setattr(opengl.platform, "system", lambda: system)
+    assert opengl._backends() == expected
 
 
 # ------------------------------------------------------------------------------------- errors

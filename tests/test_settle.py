@@ -11,7 +11,8 @@ import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.sag import steady_state as settle
-from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet, move
+from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
+from pupper_analysis.stance.sag.solution import move
 from pupper_analysis.stance.sag.steady_state import minimum_stiffness, steady_state
 from pupper_analysis.stance.sag.way import Way
 

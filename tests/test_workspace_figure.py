@@ -10,7 +10,7 @@ from conftest import load
 from matplotlib.figure import Figure
 
 import pupper_analysis as pa
-from pupper_analysis.report import workspace_figure as workspace_figure
+from pupper_analysis.report.figures import workspace as workspace_figure
 
 
 def test_every_direction_has_its_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

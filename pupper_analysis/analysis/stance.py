@@ -21,7 +21,8 @@ from pupper_analysis.simulation.payload import PayloadTrial, payload_trial
 from pupper_analysis.simulation.push import PushRecovery, push_recovery
 from pupper_analysis.simulation.tracking import PathTracking, track_path
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
-from pupper_analysis.stance.optimize.best import BestStance, Objective, best_stance
+from pupper_analysis.stance.optimize.best import BestStance, best_stance
+from pupper_analysis.stance.optimize.search import Objective
 from pupper_analysis.stance.path.stance_path import StancePath, stance_path
 from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
 from pupper_analysis.stance.sag.steady_state import (

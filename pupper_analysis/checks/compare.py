@@ -7,18 +7,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.checks.attribution import (
-    EXPLAINED,
-    Difference,
-    Effect,
-    Explanation,
-    Tolerances,
-    explain,
-)
+from pupper_analysis.checks.attribution import EXPLAINED, explain
+from pupper_analysis.checks.differences import Difference, Effect, Explanation
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
+from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ModelError
-from pupper_analysis.models.loading import MjcfFile, Place, UrdfFile, read_mjcf, read_urdf
+from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.places import Place
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.results import Result
 
 ENGINES_AGREE = 1e-8
@@ -223,8 +220,6 @@ def _armature_notes(explanation: Explanation) -> list[str]:
         f"{forward:.2g}, of their scale: set pin.Model.armature"
     ]
 
-
-# ------------------------------------------------------------------------------------- places
 
 _URDF_CHILD = {
     "mass": "inertial/mass",

@@ -90,8 +90,8 @@ def crosscheck(
     Exit status: 0 they agree within the tolerances, 1 they differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.checks import matching
-    from pupper_analysis.checks.attribution import Tolerances
     from pupper_analysis.checks.compare import compare_models
+    from pupper_analysis.checks.tolerances import Tolerances
     from pupper_analysis.report import comparison as comparison_report
     from pupper_analysis.report import formats
     from pupper_analysis.report.console import console

@@ -133,7 +133,7 @@ def stand(
     from pupper_analysis.report import stance as stance_report
     from pupper_analysis.report.console import console
     from pupper_analysis.robot.ground import Ground
-    from pupper_analysis.stance.optimize.best import Objective
+    from pupper_analysis.stance.optimize.search import Objective
     from pupper_analysis.stance.task import StandTask
 
     task = StandTask(
@@ -170,11 +170,11 @@ def stand(
     )
     stance_report.print_stance(console(), result)
     if figure is not None:
-        from pupper_analysis.report import figures
+        from pupper_analysis.report.figures.pose import pose_figure
 
-        figures.pose_figure(robot, result.stand, result.statics, figure)
+        pose_figure(robot, result.stand, result.statics, figure)
     if workspace_figure is not None and result.workspace is not None:
-        from pupper_analysis.report import workspace_figure as drawing
+        from pupper_analysis.report.figures import workspace as drawing
 
         drawing.workspace_figure(robot, result.workspace, workspace_figure)
     if csv is not None and result.path is not None:
@@ -255,7 +255,7 @@ def push(
     }
     push_report.print_pushes(console(), results)
     if figure is not None:
-        from pupper_analysis.report.push_figure import push_figure
+        from pupper_analysis.report.figures.push import push_figure
 
         push_figure(results, figure)
     write_json(json_path, results)

@@ -170,14 +170,18 @@ def _finish(
 
 def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> list[str]:
     """Writes all figures; returns what to say of them."""
-    from pupper_analysis.report import figures, render
+    from pupper_analysis.report import render
+    from pupper_analysis.report.figures.gains import gain_figure
+    from pupper_analysis.report.figures.heights import height_figure
+    from pupper_analysis.report.figures.pose import pose_figure
+    from pupper_analysis.report.figures.torques import torque_figure
 
     for robot, analysis in zip(robots, analyses, strict=True):
         path = folder / f"pose_{analysis.name}.png"
-        figures.pose_figure(robot, analysis.stand, analysis.statics, path)
-    figures.torque_figure(analyses, folder / "torques.png")
-    figures.height_figure(analyses, folder / "heights.png")
-    figures.gain_figure(analyses, folder / "gains.png")
+        pose_figure(robot, analysis.stand, analysis.statics, path)
+    torque_figure(analyses, folder / "torques.png")
+    height_figure(analyses, folder / "heights.png")
+    gain_figure(analyses, folder / "gains.png")
     stands = [analysis.stand for analysis in analyses]
     picture = render.render_variants(
         list(zip(robots, stands, strict=True)), folder / "variants.png"

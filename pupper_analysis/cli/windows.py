@@ -38,8 +38,9 @@ def drop(headless: bool, seconds: float | None, demo: str | None, csv: Path | No
         if csv is not None:
             raise ConfigurationError("--csv", "only a demo has a path to write; give --demo too")
         from pupper_analysis.pupper import viewer
+        from pupper_analysis.pupper.drop import DEFAULT_SECONDS
 
-        seconds = viewer.DEFAULT_SECONDS if seconds is None else seconds
+        seconds = DEFAULT_SECONDS if seconds is None else seconds
         good = viewer.stand(headless=headless, seconds=seconds)
     else:
         if seconds is not None:

@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 import pinocchio as pin
+from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import mjcf
+from pupper_analysis.models.xml import parse_text, to_text
 
 Array = NDArray[np.float64]
 
@@ -227,7 +228,7 @@ def mujoco_from_urdf(
     Raises:
         ModelError: If MuJoCo refuses it.
     """
-    root = ElementTree.fromstring(text)
+    root = parse_text(text)
     children = {child.get("link") for child in root.findall("joint/child")}
     links = root.findall("link")
     for link in links:
@@ -237,12 +238,12 @@ def mujoco_from_urdf(
     root_link = next(link.get("name") for link in links if link.get("name") not in children)
     assert root_link is not None
     floating = bool((like.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any())
-    extension = ElementTree.SubElement(root, "mujoco")
-    ElementTree.SubElement(
+    extension = etree.SubElement(root, "mujoco")
+    etree.SubElement(
         extension, "compiler", fusestatic="false", balanceinertia="false", discardvisual="false"
     )
     try:
-        spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+        spec = mujoco.MjSpec.from_string(to_text(root))
     except (ValueError, RuntimeError) as error:
         message = " ".join(str(error).split())
         raise ModelError(source, f"MuJoCo cannot import it: {message}") from error

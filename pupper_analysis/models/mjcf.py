@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ModelError
-from pupper_analysis.models.loading import quiet
+from pupper_analysis.models.places import one_line
 
 Array = NDArray[np.float64]
 
@@ -29,7 +32,7 @@ def load(path: Path) -> mujoco.MjSpec:
         with quiet():
             spec, same = (mujoco.MjSpec.from_file(str(path)) for _ in range(2))
     except (ValueError, RuntimeError) as error:
-        raise ModelError(path, f"not a valid MJCF: {_one_line(error)}") from error
+        raise ModelError(path, f"not a valid MJCF: {one_line(error)}") from error
     # Here and not later: a copy of a spec lacks what is dangling, and would compile.
     compile_spec(same, path)
     return spec
@@ -45,11 +48,20 @@ def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
         with quiet():
             return spec.compile()
     except (ValueError, RuntimeError) as error:
-        raise ModelError(source, f"MuJoCo cannot compile it: {_one_line(error)}") from error
+        raise ModelError(source, f"MuJoCo cannot compile it: {one_line(error)}") from error
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keeps MuJoCo from writing its warnings to a file MUJOCO_LOG.TXT, and from issuing them."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def to_xml(spec: mujoco.MjSpec) -> str:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.pupper.load import load_variant
-from pupper_analysis.pupper.viewer import check_display, show
+from pupper_analysis.pupper.window import check_display, show
 from pupper_analysis.report.console import console
 from pupper_analysis.report.stance import print_tracking
 from pupper_analysis.robot.configuration import Configuration

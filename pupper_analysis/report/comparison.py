@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from pupper_analysis.checks.attribution import Difference
 from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.engines import EDGES, EXTRAS
 from pupper_analysis.report.formats import Annotation, Case
 

@@ -2,51 +2,27 @@
 
 from __future__ import annotations
 
-import math
-import os
-import platform
-import sys
-import textwrap
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from pupper_analysis.analysis.robot import leg_lengths
-from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
-from pupper_analysis.models.mjcf import compile_spec
-from pupper_analysis.report import figures
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.report.figures.skeleton import BOX_FACES, support_polygon
+from pupper_analysis.report.figures.style import save
+from pupper_analysis.report.opengl import GROUND, rendered
+from pupper_analysis.report.tiles import LABEL, Tile, tiles_of
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-
-_ELEVATION, _AZIMUTH = math.radians(20), math.radians(140)  # of the camera's line of sight
-_AHEAD = np.array([math.cos(_AZIMUTH), math.sin(_AZIMUTH), 0.0])
-_RIGHT = np.array([math.sin(_AZIMUTH), -math.cos(_AZIMUTH), 0.0])
-_UP = math.sin(_ELEVATION) * _AHEAD + math.cos(_ELEVATION) * np.array([0.0, 0.0, 1.0])
-_SUN = np.array([-0.30, 0.24, -1.0])  # where the light that casts shadows goes
-_GROUND = "#EEF1F5"
-_GAP = 0.09  # around a robot, in tile widths
-_LABEL = 0.125  # for the text below it, in tile widths
-_SHADOWS = ((0.18, 0.012), (0.20, 0.056))  # darkness, and blur in radii of the robot
-_SHADOW_SIZE = 512  # pixels
-_OVERSAMPLING = 2  # pixels rendered per pixel shown, in each direction
-_HIDDEN = 5  # a group of geoms that MuJoCo does not draw
 _DPI = 100
-_OFF = ("disable", "disabled", "off", "false", "0")
 
 
 @dataclass(frozen=True)
@@ -116,11 +92,11 @@ def _picture(poses: Sequence[tuple[Robot, Array]], path: Path, width: int, colum
         raise ConfigurationError("width", f"{width} is not between 200 and 4096 pixels")
     if columns < 1:
         raise ConfigurationError("columns", f"{columns} is not positive")
-    tiles = _tiles(poses, width, min(columns, len(poses)))
-    images, method, note = _render(tiles)
+    tiles = tiles_of(poses, width, min(columns, len(poses)))
+    images, method, note = rendered(tiles)
     width = max(tile.left + tile.width for tile in tiles)
     height = max(tile.top + tile.height for tile in tiles)
-    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=_GROUND)
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=GROUND)
     canvas = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(height, 0), zorder=1)
     canvas.set_axis_off()
     if images:
@@ -132,92 +108,15 @@ def _picture(poses: Sequence[tuple[Robot, Array]], path: Path, width: int, colum
         if not images:
             _draw_lines(canvas, tile)
         _write_label(canvas, tile)
-    figures.save(figure, path)
+    save(figure, path)
     return Picture(path, method, note)
 
 
-# ------------------------------------------------------------------------------------- layout
-
-
-@dataclass(frozen=True, eq=False)
-class _Tile:
-    """The part of the picture that shows one robot, in a parallel projection.
-
-    Attributes:
-        robot: The robot.
-        qpos: (nq,) where it is.
-        lines: The same as lines.
-        left: Where the tile begins (pixels from the picture's left edge).
-        top: Likewise, from its top edge.
-        width: Of the tile (pixels).
-        height: Of the tile (pixels).
-        scale: Pixels per metre.
-        centre: (2,) what is in the tile's middle: m along ``_RIGHT`` and ``_UP``.
-    """
-
-    robot: Robot
-    qpos: Array
-    lines: figures.Skeleton
-    left: int
-    top: int
-    width: int
-    height: int
-    scale: float
-    centre: Array
-
-    def pixels(self, points: Array) -> Array:
-        """Returns where points (n, 3) in the world are in the picture (n, 2), y downwards."""
-        offset = self.scale * (_project(points) - self.centre) * (1, -1)
-        middle = (self.left + self.width / 2, self.top + self.height / 2)
-        place: Array = middle + offset
-        return place
-
-
-def _project(points: Array) -> Array:
-    """Returns points (n, 3) in the plane of the picture (n, 2) (m)."""
-    seen: Array = points @ np.array([_RIGHT, _UP]).T
-    return seen
-
-
-def _tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[_Tile]:
-    """Gives each robot a tile: all to one scale, and those of a row on one line."""
-    lines = [figures.skeleton(robot, qpos) for robot, qpos in poses]
-    low, high = np.empty((len(poses), 2)), np.empty((len(poses), 2))
-    for index, ((robot, _), line) in enumerate(zip(poses, lines, strict=True)):
-        points = line.points()
-        shadow = points - np.outer(points[:, 2] / _SUN[2], _SUN)
-        seen = _project(np.concatenate([points, shadow]))
-        radius = max(robot.foot_radius.values())
-        low[index], high[index] = seen.min(axis=0) - radius, seen.max(axis=0) + radius
-    size = high - low
-    tile_width = width // columns
-    scale = (1 - 2 * _GAP) * tile_width / float(size[:, 0].max())
-    gap, label = _GAP * tile_width / scale, _LABEL * tile_width / scale
-    tiles: list[_Tile] = []
-    top = 0
-    for first in range(0, len(poses), columns):
-        row = range(first, min(first + columns, len(poses)))
-        extent = float(size[row, 1].max()) + 2 * gap + label
-        height = round(extent * scale)
-        for index in row:
-            across = (low[index, 0] + high[index, 0]) / 2
-            middle = np.array([across, low[index, 1] + extent / 2 - label - gap])
-            left = (index - first) * tile_width
-            tiles.append(
-                _Tile(*poses[index], lines[index], left, top, tile_width, height, scale, middle)
-            )
-        top += height
-    return tiles
-
-
-# ------------------------------------------------------------------------------------- drawing
-
-
-def _write_label(canvas: Axes, tile: _Tile) -> None:
+def _write_label(canvas: Axes, tile: Tile) -> None:
     robot = tile.robot
     # Letters that fit the tile, in points.
     size = 0.03 * tile.width * 72 / _DPI
-    x, y = tile.left + tile.width / 2, tile.top + tile.height - (_LABEL + 0.02) * tile.width
+    x, y = tile.left + tile.width / 2, tile.top + tile.height - (LABEL + 0.02) * tile.width
     numbers = f"legs {1e3 * sum(leg_lengths(robot)):.0f} mm, mass {robot.total_mass:.2f} kg"
     below = y + 2.0 * size * _DPI / 72
     common: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}
@@ -225,12 +124,12 @@ def _write_label(canvas: Axes, tile: _Tile) -> None:
     canvas.text(x, below, numbers, size=size, color="#4B5563", **common)
 
 
-def _draw_lines(canvas: Axes, tile: _Tile) -> None:
+def _draw_lines(canvas: Axes, tile: Tile) -> None:
     """Draws a robot as lines, in the projection of the rendered picture."""
     lines = tile.lines
     thick = 0.035 * tile.width * 72 / _DPI
     legs = np.array([leg[[0, -1]] for leg in lines.legs.values()])
-    feet = figures.support_polygon(legs[:, -1])
+    feet = support_polygon(legs[:, -1])
     ground = tile.pixels(np.column_stack([feet, np.zeros(len(feet))]))
     canvas.fill(*ground.T, color="#DDE2E9", zorder=1)
     for leg in lines.legs.values():
@@ -241,223 +140,6 @@ def _draw_lines(canvas: Axes, tile: _Tile) -> None:
         canvas.plot(*seen, color=colour, lw=thick, solid_capstyle="round", zorder=order)
         canvas.plot(*seen[:, -1:], "o", color="#111827", ms=2 * thick, zorder=order)
     for box in lines.boxes:
-        for face in figures.BOX_FACES:
+        for face in BOX_FACES:
             corners = tile.pixels(box[list(face)]).T
             canvas.fill(*corners, fc="#F3C453", ec="#7A5300", alpha=0.6, lw=thick / 10, zorder=3)
-
-
-# ------------------------------------------------------------------------------------- OpenGL
-
-
-def _model(tile: _Tile) -> mujoco.MjModel:
-    """Compiles a robot's MJCF, its ground hidden, and with the lights of the picture."""
-    robot = tile.robot
-    spec = robot.description.mjcf.copy()
-    for geom in spec.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
-            geom.group = _HIDDEN
-    free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
-    for element in (*spec.lights, *(() if robot.floating else (*free, *spec.keys))):
-        spec.delete(element)
-    directional = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    sun, fill = (spec.worldbody.add_light(type=directional) for _ in range(2))
-    extent = max(tile.width, tile.height) / tile.scale / 2
-    sun.pos, sun.dir, sun.castshadow = (
-        tile.lines.points().mean(axis=0) - 2 * extent * _SUN,
-        _SUN,
-        True,
-    )
-    sun.diffuse, sun.specular = (0.45,) * 3, (0.25,) * 3
-    fill.dir, fill.castshadow = (-0.6, -0.7, -0.5), False
-    fill.diffuse, fill.specular = (0.18,) * 3, (0.0,) * 3
-    visual = spec.visual
-    visual.headlight.ambient, visual.headlight.diffuse = (0.42,) * 3, (0.25,) * 3
-    visual.headlight.specular = (0.05,) * 3
-    visual.global_.offwidth = _OVERSAMPLING * tile.width
-    visual.global_.offheight = _OVERSAMPLING * tile.height
-    visual.global_.orthographic = True
-    visual.quality.shadowsize, visual.quality.offsamples = 2048, 0
-    visual.map.shadowclip = 1.0
-    spec.stat.extent = extent
-    return compile_spec(spec, robot.description.mjcf_source)
-
-
-def _render(tiles: Sequence[_Tile]) -> tuple[list[Image], str, str | None]:
-    """Returns an image per tile, from which backend, and no note; or none, ``lines`` and why."""
-    reasons = []
-    for backend in _backends():
-        try:
-            with _quiet_attempt():
-                return _render_with(backend, tiles), backend, None
-        except PupperAnalysisError:
-            raise
-        except Exception as error:  # every driver fails in its own way
-            reasons.append(f"{backend}: {textwrap.shorten(str(error), 100, placeholder='...')}")
-    why = "; ".join(reasons) or "MUJOCO_GL switches it off"
-    return [], "lines", f"no OpenGL ({why}): a line drawing instead of a rendered picture"
-
-
-def _backends() -> tuple[str, ...]:
-    """Returns the modules of ``mujoco`` to get OpenGL from: the user's, or those that may do.
-
-    MuJoCo reads MUJOCO_GL when it is imported, which is too early: so its choice is made here.
-    """
-    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
-    if wanted in _OFF:
-        return ()
-    if wanted in ("egl", "osmesa", "glfw", "cgl"):
-        return (wanted,)
-    if platform.system() == "Linux":
-        display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        return ("egl", "osmesa", "glfw") if display else ("egl", "osmesa")
-    return ("cgl", "glfw") if platform.system() == "Darwin" else ("glfw",)
-
-
-@contextmanager
-def _quiet_attempt() -> Iterator[None]:
-    """Keeps drivers quiet, and lets another backend follow if this one fails.
-
-    PyOpenGL is bound to one backend on import, by an environment variable that mujoco sets.
-    """
-    variables = {name: os.environ.get(name) for name in ("PYOPENGL_PLATFORM", "EGL_LOG_LEVEL")}
-    modules = set(sys.modules)
-    os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    except Exception:
-        for name in set(sys.modules) - modules:
-            if name.startswith(("OpenGL", "mujoco.")):
-                del sys.modules[name]
-        raise
-    finally:
-        for name, value in variables.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-def _render_with(backend: str, tiles: Sequence[_Tile]) -> list[Image]:
-    size = tiles[0].width, max(tile.height for tile in tiles)
-    window: Any = import_module(f"mujoco.{backend}").GLContext(*size)
-    try:
-        window.make_current()
-        if backend == "glfw" and not import_module("glfw").get_current_context():
-            # MuJoCo ends the process when it is asked a second time without a context.
-            raise RuntimeError("it cannot open a window")
-        return [_render_tile(tile) for tile in tiles]
-    finally:
-        window.free()
-
-
-def _render_tile(tile: _Tile) -> Image:
-    model = _model(tile)
-    data = mujoco.MjData(model)
-    tile.robot.mj_convention.set_state(data, tile.qpos)
-    mujoco.mj_forward(model, data)
-    context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-    try:
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
-        shadow = _shadow(tile, model, data, context)
-        camera = _Camera(
-            _AZIMUTH, -_ELEVATION, tile.centre @ np.array([_RIGHT, _UP]), tile.height / tile.scale
-        )
-        shape = (_OVERSAMPLING * tile.height, _OVERSAMPLING * tile.width)
-        image, robot = _shoot(camera, shape, model, data, context)
-    finally:
-        context.free()
-    # Pixels on an outline are shared by robot and ground.
-    image[~robot] = 0
-    steps = [(i, j) for i in range(_OVERSAMPLING) for j in range(_OVERSAMPLING)]
-    colour, share = np.zeros((*shadow.shape, 3), np.uint16), np.zeros(shadow.shape, np.uint16)
-    for i, j in steps:
-        colour += image[i::_OVERSAMPLING, j::_OVERSAMPLING]
-        share += robot[i::_OVERSAMPLING, j::_OVERSAMPLING]
-    ground = np.array(to_rgb(_GROUND), np.float32) * (255 * shadow)[:, :, None]
-    mixed = (colour + (len(steps) - share)[:, :, None] * ground) / np.float32(len(steps))
-    return np.asarray(mixed + np.float32(0.5), dtype=np.uint8)
-
-
-def _shadow(
-    tile: _Tile, model: mujoco.MjModel, data: mujoco.MjData, context: mujoco.MjrContext
-) -> Array:
-    """Returns by what the ground's light is to be multiplied, per pixel of the tile.
-
-    The shadow is the robot's outline as the sun sees it, blurred, and mapped to the ground.
-    """
-    azimuth = math.atan2(_SUN[1], _SUN[0])
-    elevation = math.atan2(_SUN[2], math.hypot(_SUN[0], _SUN[1]))
-    points = tile.lines.points()
-    middle = points.mean(axis=0)
-    reach = float(np.linalg.norm(points - middle, axis=1).max())
-    sun = _Camera(azimuth, elevation, middle, 2.8 * reach)
-    side = min(_SHADOW_SIZE, _OVERSAMPLING * min(tile.width, tile.height))
-    outline = _shoot(sun, (side, side), model, data, context)[1].astype(float)
-    scale = side / sun.height
-    # Both a sharp shadow, which ties the feet to the ground, and a soft one.
-    dark = sum(
-        weight * ndimage.gaussian_filter(outline, scale * reach * blur) for weight, blur in _SHADOWS
-    )
-    # From a pixel (row, column) of the tile to the ground, and on to a pixel of the outline.
-    ground = np.column_stack([-_AHEAD / math.sin(_ELEVATION), _RIGHT]) / tile.scale
-    to_pixels = scale * np.array([-sun.axes()[1], sun.axes()[0]])
-    matrix = to_pixels @ ground
-    x, y = tile.centre
-    centre = x * _RIGHT + y / math.sin(_ELEVATION) * _AHEAD
-    shape = (tile.height, tile.width)
-    offset = to_pixels @ (centre - middle) + (side - 1) / 2 - matrix @ (np.array(shape) - 1) / 2
-    mapped = ndimage.affine_transform(dark, matrix, offset, shape, order=1)
-    light: Array = 1 - mapped
-    return light.astype(np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class _Camera:
-    """A camera with parallel projection.
-
-    Attributes:
-        azimuth: Of its line of sight (rad).
-        elevation: Likewise; negative looks down.
-        centre: (3,) what is in the picture's middle (m).
-        height: Of what it shows (m).
-    """
-
-    azimuth: float
-    elevation: float
-    centre: Array
-    height: float
-
-    def axes(self) -> Array:
-        """Returns the directions (2, 3) of the picture's right and up in the world."""
-        sine, cosine = math.sin(self.azimuth), math.cos(self.azimuth)
-        tilt, level = math.sin(self.elevation), math.cos(self.elevation)
-        return np.array([[sine, -cosine, 0.0], [-tilt * cosine, -tilt * sine, level]])
-
-
-def _shoot(
-    camera: _Camera,
-    shape: tuple[int, int],
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    context: mujoco.MjrContext,
-) -> tuple[Image, NDArray[np.bool_]]:
-    """Returns a picture (height, width, 3), and where in it there is a robot (height, width)."""
-    model.vis.global_.fovy = camera.height
-    view = mujoco.MjvCamera()
-    view.lookat[:] = camera.centre
-    view.distance = 2 * camera.height
-    view.azimuth, view.elevation = math.degrees(camera.azimuth), math.degrees(camera.elevation)
-    view.orthographic = 1
-    scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
-    everything = mujoco.mjtCatBit.mjCAT_ALL.value
-    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, view, everything, scene)
-    scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX.value] = 0
-    height, width = shape
-    image = np.empty((height, width, 3), dtype=np.uint8)
-    depth = np.empty((height, width), dtype=np.float32)
-    frame = mujoco.MjrRect(0, 0, width, height)
-    mujoco.mjr_render(frame, scene, context)
-    mujoco.mjr_readPixels(image, depth, frame, context)
-    return image[::-1], depth[::-1] < 1.0

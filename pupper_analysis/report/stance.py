@@ -14,7 +14,8 @@ from pupper_analysis.report.analysis import print_loads
 from pupper_analysis.report.console import titled_table
 from pupper_analysis.report.push import print_pushes
 from pupper_analysis.simulation.tracking import PathTracking
-from pupper_analysis.stance.optimize.best import BestStance, Objective
+from pupper_analysis.stance.optimize.best import BestStance
+from pupper_analysis.stance.optimize.search import Objective
 from pupper_analysis.stance.path.stance_path import StancePath
 from pupper_analysis.stance.sag.steady_state import (
     RELEASE_MARGIN,

@@ -17,7 +17,8 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
 from pupper_analysis.models.conversion import gravity, joint_armature
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.loading import read_mjcf, read_urdf
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
@@ -92,19 +93,7 @@ def build_robot(
     mj_convention = MujocoConvention.of(mj_model, joint_names)
     pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
-    armature = np.zeros(pin_model.nv)
-    dofs = mj_convention.qvel_index[pin_convention.base_nv :]
-    armature[pin_convention.v_index] = joint_armature(mj_model)[dofs]
-    base = mj_convention.qvel_index[: pin_convention.base_nv]
-    armature[: pin_convention.base_nv] = mj_model.dof_armature[base]
-    pin_model.armature = armature
-    if armature.any():
-        notes.append("armature is the MJCF's: URDF cannot carry it")
-    if armature[: pin_convention.base_nv].any():
-        notes.append(
-            f"the MJCF's free joint has an armature of {armature[0]:g}, as if the base were "
-            "heavier: a default class meant for the joints reaches it; use <freejoint/>"
-        )
+    notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention)
     foot_frames = {foot: frames[0] for foot, frames in description.feet.items()}
     for frame in foot_frames.values():
         if not pin_model.existFrame(frame, pin.FrameType.BODY):
@@ -147,6 +136,30 @@ def build_robot(
         fingerprint=f"{description.name} {_hash(pin_model, joint_names, foot_frames, radius)}",
         notes=tuple(notes),
     )
+
+
+def _take_armature(
+    mj_model: mujoco.MjModel,
+    mj_convention: MujocoConvention,
+    pin_model: pin.Model,
+    pin_convention: PinocchioConvention,
+) -> list[str]:
+    """Gives Pinocchio's model the armature of MuJoCo's, in place; returns notes about it."""
+    notes = []
+    armature = np.zeros(pin_model.nv)
+    dofs = mj_convention.qvel_index[pin_convention.base_nv :]
+    armature[pin_convention.v_index] = joint_armature(mj_model)[dofs]
+    base = mj_convention.qvel_index[: pin_convention.base_nv]
+    armature[: pin_convention.base_nv] = mj_model.dof_armature[base]
+    pin_model.armature = armature
+    if armature.any():
+        notes.append("armature is the MJCF's: URDF cannot carry it")
+    if armature[: pin_convention.base_nv].any():
+        notes.append(
+            f"the MJCF's free joint has an armature of {armature[0]:g}, as if the base were "
+            "heavier: a default class meant for the joints reaches it; use <freejoint/>"
+        )
+    return notes
 
 
 def _hash(

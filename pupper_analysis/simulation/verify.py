@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import mujoco.rollout
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import (
     FALLEN_TILT,
@@ -165,9 +165,8 @@ def verify_stand(
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     drive = servos(robot, kp, kd, integrator)
-    positions = stand.joint_positions(robot)
     torques = prediction.joint_torques if feedforward else None
-    ctrl = drive.command(robot, positions, torques)
+    ctrl = drive.command(robot, stand.joint_positions(robot), torques)
     start = place_on_ground(robot, drive, stand, prediction.joint_torques)
     timestep = float(drive.model.opt.timestep)
     states, _ = mujoco.rollout.rollout(
@@ -177,20 +176,56 @@ def verify_stand(
         np.tile(ctrl, (1, max(2, round(duration / timestep)), 1)),
     )
     states = states[0]
-    last_second = round(1.0 / timestep)
-    settled = states[-last_second:]
-    heights = base_heights(robot, states)
-
     light = LIGHT * sum(force[2] for force in prediction.contact_forces.values())
     loaded = {
         foot
         for foot, force in prediction.contact_forces.items()
         if force[2] >= FORCE_TOLERANCE * light
     }
-    watch = _watch(robot, drive.model, stand, states, ctrl, last_second, loaded)
-    drops = {
-        foot: stand.foot_targets[foot] - watch.feet_settled[foot] for foot in stand.stance_feet
-    }
+    watch = _watch(robot, drive.model, stand, states, ctrl, round(1.0 / timestep), loaded)
+    found = _measured(robot, stand, drive, prediction, states, watch, light)
+    found = replace(found, feedforward=feedforward)
+    failures = _failures(robot, stand, states, watch, found)
+    if feedforward:
+        failures += _deviations(stand, watch, found, alone=not failures)
+    return replace(found, passed=not failures, failures=tuple(failures))
+
+
+@dataclass(frozen=True, eq=False)
+class _Watch:
+    """What a close look at some states of a rollout shows."""
+
+    failures: tuple[str, ...]
+    torques: Array
+    forces: dict[str, Array]
+    feet_settled: dict[str, Array]
+
+    def drops(self, stand: Stand) -> dict[str, Array]:
+        """Returns by what (3,) the stance feet ended below, or beside, where they should be (m)."""
+        return {
+            foot: stand.foot_targets[foot] - self.feet_settled[foot] for foot in stand.stance_feet
+        }
+
+
+def _measured(
+    robot: Robot,
+    stand: Stand,
+    drive: Servos,
+    prediction: GravityCompensation,
+    states: Array,
+    watch: _Watch,
+    light: float,
+) -> StandVerification:
+    """Compares a rollout with what was predicted, and does not judge it yet.
+
+    A foot's force is compared with what was predicted for it, or with ``light`` (N) if that is
+    more.
+    """
+    timestep = float(drive.model.opt.timestep)
+    last_second = round(1.0 / timestep)
+    settled = states[-last_second:]
+    heights = base_heights(robot, states)
+    drops = watch.drops(stand)
     base_height = float(base_heights(robot, settled).mean())
     height_loss = float(stand.qpos[2]) - base_height
     contact_sag = drop_at(
@@ -199,7 +234,7 @@ def verify_stand(
         np.array([drop[2] for drop in drops.values()]),
     )
     joints = settled[:, 1 + robot.mj_convention.qpos_index[7:]]
-    joint_error = float(np.abs(joints - positions).max())
+    joint_error = float(np.abs(joints - stand.joint_positions(robot)).max())
     largest = np.abs(prediction.joint_torques).max()
     torque_error = float(np.abs(watch.torques - prediction.joint_torques).max() / largest)
     force_error = max(
@@ -207,39 +242,14 @@ def verify_stand(
         for foot, force in prediction.contact_forces.items()
     )
     tilt = turned_by(robot, stand.task.rotation(), states[-1])
-    leaning = lean(robot, stand.task.rotation(), states[-1])
     deviation = float(base_heights(robot, settled).std())
     drift = float(heights[-1] - heights[-last_second]) / (timestep * (last_second - 1))
-
-    failures = list(watch.failures)
-    if diverged(states, timestep):
-        failures.insert(0, f"the simulation diverged ({drive.integrator}, {1e3 * timestep:g} ms)")
-    if leaning > FALLEN_TILT or base_height < 0.5 * stand.qpos[2]:
-        failures.insert(
-            0, f"it fell over: tilt {math.degrees(leaning):.0f} deg, height {base_height:.3f} m"
-        )
-    if not deviation < STABLE_DEVIATION:
-        failures.append(f"the height deviates by {1e3 * deviation:.2f} mm in the last second")
-    if not abs(drift) < SETTLED_DRIFT:
-        failures.append(f"it has not settled: the height changes by {1e3 * drift:+.2f} mm/s")
-    if feedforward:
-        off = []
-        if not joint_error < JOINT_TOLERANCE:
-            off.append(f"a joint is off by {joint_error:.1e} rad")
-        if not torque_error < FORCE_TOLERANCE:
-            off.append(f"a motor torque is off by {torque_error:.1%} of the largest")
-        if not force_error < FORCE_TOLERANCE:
-            off.append(f"a vertical foot force is off by {force_error:.1%}")
-        deepest = max(float(drop @ stand.normals[foot]) for foot, drop in drops.items())
-        if off and not failures and deepest > SOFT:
-            off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")
-        failures += off
     step = max(1, round(_SAMPLE / timestep))
     foot_error, residual = _backend_evaluation(robot, stand, prediction)
     return StandVerification(
-        passed=not failures,
-        failures=tuple(failures),
-        feedforward=feedforward,
+        passed=True,
+        failures=(),
+        feedforward=True,
         integrator=drive.integrator,
         timestep=timestep,
         duration=len(states) * timestep,
@@ -267,14 +277,45 @@ def verify_stand(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Watch:
-    """What a close look at some states of a rollout shows."""
+def _failures(
+    robot: Robot, stand: Stand, states: Array, watch: _Watch, found: StandVerification
+) -> list[str]:
+    """Says why the robot does not stand still on its feet, if it does not."""
+    leaning = lean(robot, stand.task.rotation(), states[-1])
+    failures = list(watch.failures)
+    if diverged(states, found.timestep):
+        failures.insert(
+            0, f"the simulation diverged ({found.integrator}, {1e3 * found.timestep:g} ms)"
+        )
+    if leaning > FALLEN_TILT or found.base_height < 0.5 * stand.qpos[2]:
+        failures.insert(
+            0,
+            f"it fell over: tilt {math.degrees(leaning):.0f} deg, height {found.base_height:.3f} m",
+        )
+    if not found.height_deviation < STABLE_DEVIATION:
+        failures.append(
+            f"the height deviates by {1e3 * found.height_deviation:.2f} mm in the last second"
+        )
+    if not abs(found.height_drift) < SETTLED_DRIFT:
+        failures.append(
+            f"it has not settled: the height changes by {1e3 * found.height_drift:+.2f} mm/s"
+        )
+    return failures
 
-    failures: tuple[str, ...]
-    torques: Array
-    forces: dict[str, Array]
-    feet_settled: dict[str, Array]
+
+def _deviations(stand: Stand, watch: _Watch, found: StandVerification, *, alone: bool) -> list[str]:
+    """Says what is not as predicted; soft ground may be why, if that ``alone`` is wrong."""
+    off = []
+    if not found.joint_error < JOINT_TOLERANCE:
+        off.append(f"a joint is off by {found.joint_error:.1e} rad")
+    if not found.torque_error < FORCE_TOLERANCE:
+        off.append(f"a motor torque is off by {found.torque_error:.1%} of the largest")
+    if not found.force_error < FORCE_TOLERANCE:
+        off.append(f"a vertical foot force is off by {found.force_error:.1%}")
+    deepest = max(float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
+    if off and alone and deepest > SOFT:
+        off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")
+    return off
 
 
 def _watch(

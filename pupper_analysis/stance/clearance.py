@@ -9,7 +9,6 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 import coal  # comes with pin
 import numpy as np
@@ -17,6 +16,7 @@ import pinocchio as pin
 import placo
 from numpy.typing import NDArray
 
+from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.ground import STEP_HALF_WIDTH, Ground
 from pupper_analysis.robot.robot import Robot
@@ -197,11 +197,11 @@ def _is_sole(
 
 def _primitives(robot: Robot) -> str:
     """Returns the URDF without visuals and meshes, so that no file is needed."""
-    root = ElementTree.fromstring(robot.description.urdf)
+    root = parse_text(robot.description.urdf)
     for link in root.iter("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
         for shape in link.findall("collision"):
             if shape.find("geometry/mesh") is not None:
                 link.remove(shape)
-    return ElementTree.tostring(root, encoding="unicode")
+    return to_text(root)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
@@ -291,29 +291,7 @@ def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) ->
             gradient += 2 * error @ jacobians[foot][:, columns]
         return total, gradient
 
-    constraint: dict[str, object]
-    if goal.task.com == "inside":
-        sides = _sides(goal.contacts)
-        constraint = {
-            "type": "ineq",
-            "fun": lambda values: (
-                sides[:, :2] @ at(values).center_of_mass()[:2] + sides[:, 2] - goal.task.com_margin
-            ),
-            "jac": lambda values: sides[:, :2] @ at(values).com_jacobian()[:2, columns],
-        }
-    elif goal.by_base:
-        constraint = {
-            "type": "eq",
-            "fun": lambda values: values[:2] - goal.place,
-            "jac": lambda values: np.eye(2, len(values)),
-        }
-    else:
-        constraint = {
-            "type": "eq",
-            "fun": lambda values: at(values).center_of_mass()[:2] - goal.place,
-            "jac": lambda values: at(values).com_jacobian()[:2, columns],
-        }
-    constraints = [constraint]
+    constraints = [_com_constraint(goal, at, columns)]
     if clear:
 
         def room(values: Array) -> Array:
@@ -332,6 +310,38 @@ def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) ->
         options={"ftol": 1e-14, "maxiter": 200},
     )
     return measure(shapes, goal, at(outcome.x).qpos, 0)
+
+
+def _com_constraint(
+    goal: Goal, at: Callable[[Array], Configuration], columns: Sequence[int]
+) -> dict[str, object]:
+    """Says to SLSQP where the com, or the base, shall be.
+
+    Args:
+        goal: What shall hold.
+        at: The configuration of the free values.
+        columns: The columns of Jacobians that belong to them.
+    """
+    if goal.task.com == "inside":
+        sides = _sides(goal.contacts)
+        return {
+            "type": "ineq",
+            "fun": lambda values: (
+                sides[:, :2] @ at(values).center_of_mass()[:2] + sides[:, 2] - goal.task.com_margin
+            ),
+            "jac": lambda values: sides[:, :2] @ at(values).com_jacobian()[:2, columns],
+        }
+    if goal.by_base:
+        return {
+            "type": "eq",
+            "fun": lambda values: values[:2] - goal.place,
+            "jac": lambda values: np.eye(2, len(values)),
+        }
+    return {
+        "type": "eq",
+        "fun": lambda values: at(values).center_of_mass()[:2] - goal.place,
+        "jac": lambda values: at(values).com_jacobian()[:2, columns],
+    }
 
 
 def _sides(contacts: Array) -> Array:

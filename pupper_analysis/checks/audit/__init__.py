@@ -14,7 +14,11 @@ from pupper_analysis.checks.audit.from_urdf import urdf_view
 from pupper_analysis.checks.audit.registry import CHECKS, RULES, Found, Rule
 from pupper_analysis.checks.audit.result import Audit, Finding, Severity
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.models.loading import MjcfFile, Place, UrdfFile, quiet, read_model
+from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import Place
+from pupper_analysis.models.urdf_file import UrdfFile
 
 __all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 

@@ -31,7 +31,8 @@ from pupper_analysis.checks.audit.view import (
     Shape,
 )
 from pupper_analysis.models.conversion import effort_limit
-from pupper_analysis.models.loading import MjcfFile, Place
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import Place
 
 _KINDS = {
     mujoco.mjtJoint.mjJNT_FREE.value: FREE,

@@ -23,7 +23,7 @@ from pupper_analysis.checks.audit.view import (
     Shape,
     UrdfView,
 )
-from pupper_analysis.models.loading import UrdfFile
+from pupper_analysis.models.urdf_file import UrdfFile
 
 _KINDS = {"revolute": HINGE, "continuous": HINGE, "prismatic": SLIDE, "fixed": FIXED}
 _PAIRS = (("ixx", 0, 0), ("iyy", 1, 1), ("izz", 2, 2), ("ixy", 0, 1), ("ixz", 0, 2), ("iyz", 1, 2))

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from pupper_analysis.checks.audit.result import Severity
-from pupper_analysis.models.loading import Place
+from pupper_analysis.models.places import Place
 
 Check = Callable[[Any], Iterator["Found"]]
 """Takes a ``View`` (or a ``UrdfView`` or ``MjcfView``, if the rule is for that format alone)."""

@@ -13,7 +13,9 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.checks.audit.pose import Array, Pose
-from pupper_analysis.models.loading import MjcfFile, Place, UrdfFile
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import Place
+from pupper_analysis.models.urdf_file import UrdfFile
 
 HINGE, SLIDE, BALL, FREE, FIXED = "hinge", "slide", "ball", "free", "fixed"
 

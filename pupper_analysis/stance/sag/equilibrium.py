@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,11 +15,11 @@ from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
+from pupper_analysis.stance.sag.solution import Anchor, Solution, move
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 Feet = Literal["pinned", "sliding"]
-
 RESIDUAL_TOLERANCE = 1e-10
 """What the equations of an equilibrium may leave over (N, N m, m)."""
 
@@ -34,38 +33,6 @@ _WEAK = 1e-3  # N/m: holds a sliding robot in its place as creep does, with 1e-5
 _HEIGHT_TOLERANCE = 1e-8  # m: by less than this the base is at the end of friction's range
 _RHO = 1e3  # N/m: weighs slip against force in telling which way a foot slips; any would do
 _MAX_ROUNDS = 40  # of friction and pose, each by the other; 4 to 8 do
-
-
-@dataclass(frozen=True, eq=False)
-class Anchor:
-    """Where a foot touched the ground first: if it is pinned, it has rolled from there.
-
-    Attributes:
-        place: (3,) of the sphere's centre (m).
-        turned: (3, 3) of the foot's frame.
-    """
-
-    place: Array
-    turned: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """A solution of the equations.
-
-    Attributes:
-        qpos: (nq,).
-        forces: {foot that touches: (3,)} in the ground's frame, whose z is its normal (N).
-        residuals: The largest element left after each Newton step (N, N m, m).
-    """
-
-    qpos: Array
-    forces: dict[str, Array]
-    residuals: tuple[float, ...] = ()
-
-    def force(self, foot: str) -> Array:
-        """Returns the force (3,) on a foot, zero if it does not touch (N)."""
-        return self.forces.get(foot, np.zeros(3))
 
 
 class Equilibrium:
@@ -116,8 +83,6 @@ class Equilibrium:
         self.friction, self.lift = DryFriction.of(robot), lift
         self.joint_friction = np.zeros(robot.nu)
         self.moments: dict[str, Array] = {}  # N m: on feet, in the ground's frame
-
-    # ---------------------------------------------------------------------------------- terms
 
     def depths(self, config: Configuration) -> dict[str, float]:
         """Returns how deep every foot is in the ground or its step; negative: above it (m)."""
@@ -234,8 +199,6 @@ class Equilibrium:
                 found.append((row, mu, tried))
         return found
 
-    # ---------------------------------------------------------------------------------- solving
-
     def solve(self, guess: Solution) -> Solution | None:
         """Solves the equations for the feet that touch, friction included; None if it fails."""
         found = self._newton(guess)
@@ -299,8 +262,6 @@ class Equilibrium:
             qpos, forces = move(qpos, step[:n]), forces + step[n:].reshape(-1, 3)
         return None
 
-    # ---------------------------------------------------------------------------------- feet
-
     def against(self, solution: Solution) -> dict[str, float]:
         """Returns the feet that a solution has wrong, and by how much.
 
@@ -359,8 +320,6 @@ class Equilibrium:
         """Returns tangential force per velocity (N s/m); infinite where a foot pulls."""
         return self.laws[foot].viscosity(depth) if depth > 0 else math.inf
 
-    # ---------------------------------------------------------------------------------- judging
-
     def friction_left(self, forces: dict[str, Array]) -> float:
         """Returns the least of mu f_n - |f_t|, in parts of the weight."""
         left = [
@@ -394,11 +353,3 @@ class Equilibrium:
         free = linalg.null_space(held)
         reduced = free.T @ hessian @ free, free.T @ config.mass_matrix() @ free
         return float(linalg.eigvals(*reduced).real.min())
-
-
-def move(qpos: Array, step: Array) -> Array:
-    """Returns the qpos (nq,) after a step (nv,) in the directions of qvel."""
-    w, x, y, z = qpos[3:7]
-    x, y, z, w = (pin.Quaternion(w, x, y, z) * pin.Quaternion(pin.exp3(step[3:6]))).coeffs()
-    moved: Array = np.concatenate([qpos[:3] + step[:3], (w, x, y, z), qpos[7:] + step[6:]])
-    return moved

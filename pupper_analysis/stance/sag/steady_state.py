@@ -15,7 +15,8 @@ from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet, Solution
+from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
+from pupper_analysis.stance.sag.solution import Solution
 from pupper_analysis.stance.sag.way import Way
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.support_polygon import drop_at

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from pupper_analysis.errors import NoEquilibriumError
-from pupper_analysis.stance.sag.equilibrium import Equilibrium, Solution
+from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.solution import Solution
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 

@@ -10,7 +10,8 @@ from lxml import etree
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import FIXED, MjcfView, UrdfView, View
-from pupper_analysis.models.loading import MjcfFile, Place
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import Place
 
 
 @rule(

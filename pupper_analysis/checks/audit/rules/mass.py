@@ -12,7 +12,7 @@ from pupper_analysis.checks.audit.geometry import extent_points, link_points, ou
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import FREE, MjcfView, View
-from pupper_analysis.models.loading import Place
+from pupper_analysis.models.places import Place
 
 LIGHT, HEAVY = 0.05, 500.0
 """Total masses between which a legged robot is expected (kg)."""

@@ -14,7 +14,7 @@ from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import MjcfView, UrdfView
-from pupper_analysis.models.loading import Place
+from pupper_analysis.models.places import Place
 
 FULL_TURN = 2 * math.pi + 1e-3
 

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.report.figures import (
+from pupper_analysis.report.figures.style import (
     BLACK,
     BLUE,
     DPI,

@@ -12,20 +12,18 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from pupper_analysis.report.figures import (
+from pupper_analysis.report.figures.skeleton import Skeleton, skeleton, support_polygon
+from pupper_analysis.report.figures.style import (
     BLUE,
     DPI,
     FONT,
     GREY,
     RED,
     WIDTH,
-    Skeleton,
     put_legend,
     put_style,
     put_title,
     save,
-    skeleton,
-    support_polygon,
 )
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot

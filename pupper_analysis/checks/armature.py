@@ -1,0 +1,67 @@
+"""The rotors' inertia: what it does, and where it differs from leg to leg."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+from pupper_analysis.checks.behaviour import behaviour
+from pupper_analysis.checks.differences import Armature, Difference, Judge
+from pupper_analysis.checks.states import States
+from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.robot.robot import Robot
+
+
+def armature_differences(
+    robot: Robot, values: Parameters, states: States, judge: Judge
+) -> list[Difference]:
+    """Returns armatures unlike those of the other legs, which a URDF cannot state."""
+    differences = []
+    for name, usual in _unusual_armatures(values).items():
+        joint = replace(values.joints[name], armature=usual)
+        alone = behaviour(robot, replace(values, joints={**values.joints, name: joint}), states)
+        value = values.joints[name].armature
+        unit = "kg" if joint.slides else "kg m^2"
+        message = (
+            f"joint {name}: armature {value:.6g} {unit} in the MJCF, but {usual:.6g} {unit} on the "
+            "joints at the same place of the other legs (a URDF cannot state it)"
+        )
+        effects = judge.effects(judge.urdf, alone)
+        differences.append(Difference("armature", name, None, value, unit, message, effects))
+    return differences
+
+
+def _unusual_armatures(values: Parameters) -> dict[str, float]:
+    """Returns the joints whose armature differs from that of most at the same place of a leg.
+
+    Joints are at the same place if as many joints are above as below them.
+
+    Returns:
+        {joint: the usual armature there}.
+    """
+    places: dict[tuple[int, int], list[str]] = {}
+    depth = {values.base: 0}
+    below = dict.fromkeys(values.joints, 0)
+    for name, joint in values.joints.items():
+        depth[name] = depth[joint.parent] + 1
+        ancestor = joint.parent
+        while ancestor != values.base:
+            below[ancestor] += 1
+            ancestor = values.joints[ancestor].parent
+    for name in values.joints:
+        places.setdefault((depth[name], below[name]), []).append(name)
+    unusual: dict[str, float] = {}
+    for names in places.values():
+        found = Counter(values.joints[name].armature for name in names)
+        usual, count = found.most_common(1)[0]
+        if 2 * count > len(names) >= 3:
+            unusual |= {n: usual for n in names if values.joints[n].armature != usual}
+    return unusual
+
+
+def armature_of(robot: Robot, values: Parameters, states: States, judge: Judge) -> Armature:
+    """Returns every joint's armature, and what leaving it out of the URDF's model does."""
+    without_it = {name: replace(joint, armature=0.0) for name, joint in values.joints.items()}
+    bare = behaviour(robot, replace(values, joints=without_it), states)
+    armature = {name: values.joints[name].armature for name in robot.joint_names}
+    return Armature(armature, judge.effects(judge.urdf, bare))

@@ -1,0 +1,1 @@
+"""One quantity, many backends: Pinocchio, MuJoCo, yourdfpy."""

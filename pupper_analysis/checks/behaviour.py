@@ -1,0 +1,151 @@
+"""What differences are judged by: the quantities of a model at many states, in both engines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.checks.states import States
+from pupper_analysis.models import parameters
+from pupper_analysis.models.conversion import joint_damping
+from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.coordinates import PinocchioConvention
+from pupper_analysis.robot.feet import foot_site
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+def mujoco_behaviour(
+    robot: Robot, reference: Reference, states: States, model: mujoco.MjModel
+) -> dict[str, Array]:
+    """Evaluates the same quantities as `behaviour` in MuJoCo, at all states.
+
+    Args:
+        robot: The robot.
+        reference: Names the elements of the model.
+        states: The states.
+        model: One with the elements of the reference.
+    """
+    names, data = reference.names, mujoco.MjData(model)
+    convention = reference.convention()
+    joints = [names.joint(name).id for name in robot.joint_names]
+    dofs = convention.qvel_index[robot.nv - robot.nu :]
+    slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE.value
+    coordinates = model.jnt_qposadr[joints]
+    frames = {**robot.description.feet, **robot.description.frames}
+    places = [foot_site(names, frame, robot.name) for _, frame in frames.values()]
+    public = convention.qvel_index
+    weights = _weights(robot, reference)
+    full = np.zeros((model.nv, model.nv))
+    rows: dict[str, list[Array]] = {}
+    for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
+        convention.set_state(data, qpos)
+        data.qfrc_applied[:] = 0.0
+        mujoco.mj_forward(model, data)
+        gravity = data.qfrc_bias[public].copy()
+        convention.set_state(data, qpos, qvel)
+        data.qfrc_applied[dofs] = torques
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        # MuJoCo's anchor of a slide is where it is at rest.
+        slid = np.where(slides, data.qpos[coordinates] - model.qpos0[coordinates], 0.0)
+        result = {
+            "mass matrix": full[np.ix_(public, public)],
+            "gravity": gravity,
+            "bias forces": data.qfrc_bias[public].copy(),
+            "com": weights @ data.xipos / max(weights.sum(), 1e-300),
+            "forward dynamics": data.qacc[public].copy(),
+            "joint positions": data.xanchor[joints] + slid[:, None] * data.xaxis[joints],
+        }
+        if places:
+            result["foot positions"] = np.array(
+                [data.xpos[b] + data.xmat[b].reshape(3, 3) @ local for b, local in places]
+            )
+        for name, value in result.items():
+            rows.setdefault(name, []).append(value)
+    return {name: np.array(values) for name, values in rows.items()}
+
+
+def _weights(robot: Robot, reference: Reference) -> Array:
+    """Returns the mass (nbody,) of each body of the reference that is the robot's, else 0 (kg).
+
+    On a fixed base all that is static counts, as in `pinocchio_from_mujoco`.
+    """
+    model, moving = reference.model, reference.bodies()
+    kept = {robot.mj_model.body(body).name for body in range(robot.mj_model.nbody)}
+    members = [
+        (body in moving or not (robot.floating or model.body_weldid[body]))
+        and reference.names.body(body).name in kept
+        for body in range(model.nbody)
+    ]
+    return np.where(members, model.body_mass, 0.0)
+
+
+_FORCES = ("spring", "damper", "gravcomp", "fluid", "adhesion", "actuator", "constraint")
+
+
+def still_acting(reference: Reference, model: mujoco.MjModel, states: States) -> Iterator[str]:
+    """Yields the forces that still act, besides linear damping, of which a tree of joints has none.
+
+    Args:
+        reference: The MJCF.
+        model: The reference's, without what was found that a URDF cannot state.
+        states: The states.
+    """
+    data = mujoco.MjData(model)
+    convention = reference.convention()
+    damping = joint_damping(model)
+    worst = dict.fromkeys(_FORCES, 0.0)
+    scale = 0.0
+    for qpos, qvel in zip(states.qpos, states.qvel, strict=True):
+        convention.set_state(data, qpos, qvel)
+        mujoco.mj_forward(model, data)
+        scale = max(scale, float(np.abs(data.qfrc_bias).max()))
+        for name in worst:
+            force = np.array(getattr(data, f"qfrc_{name}"))
+            if name == "damper":
+                force += damping * data.qvel
+            worst[name] = max(worst[name], float(np.abs(force[convention.qvel_index]).max()))
+    for name, greatest in worst.items():
+        if greatest > 1e-12 * scale:  # rounding
+            yield f"MuJoCo's qfrc_{name} is up to {greatest:.2g} N or N m"
+
+
+def behaviour(robot: Robot, values: Parameters, states: States) -> dict[str, Array]:
+    """Evaluates the quantities that differences are judged by, at all states."""
+    model = parameters.to_pinocchio(values)
+    robot = replace(
+        robot,
+        pin_model=model,
+        pin_convention=PinocchioConvention.of(model, robot.joint_names),
+        foot_frames={},
+    )
+    base_rows = robot.nv - robot.nu
+    damping = np.full(robot.nv, values.base_damping)
+    damping[base_rows:] = [values.joints[name].damping for name in robot.joint_names]
+    rows: dict[str, list[Array]] = {}
+    for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
+        config = Configuration(robot, qpos, qvel)
+        force = -damping * qvel
+        force[base_rows:] += torques
+        result = {
+            "mass matrix": config.mass_matrix(),
+            "gravity": config.gravity(),
+            "bias forces": config.bias_forces(),
+            "com": config.center_of_mass(),
+            "forward dynamics": config.forward_dynamics(force),
+            "joint positions": np.array([config.joint_position(n) for n in robot.joint_names]),
+        }
+        if values.frames:
+            positions = [config.frame_position(name) for name in values.frames]
+            result["foot positions"] = np.array(positions)
+        for name, value in result.items():
+            rows.setdefault(name, []).append(value)
+    return {name: np.array(values) for name, values in rows.items()}

@@ -1,0 +1,323 @@
+"""Which numbers of two trees of parameters differ, in words, and how to take each over."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pinocchio as pin
+
+from pupper_analysis.checks.differences import Difference, Effect
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.checks.words import (
+    in_degrees,
+    mirrored,
+    mm,
+    pair,
+    quaternion_order,
+    ratio,
+    triple,
+    vector,
+)
+from pupper_analysis.models.parameters import Body, Joint, Parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A difference between two sets of parameters, and how to take it over."""
+
+    kind: str
+    element: str
+    urdf: object
+    mjcf: object
+    unit: str
+    message: str
+    apply: Callable[[Parameters, Parameters], Parameters]
+    felt: bool  # by the dynamics
+
+    def difference(self, effects: dict[str, Effect]) -> Difference:
+        """Returns it as a result, with what it does."""
+        return Difference(
+            self.kind, self.element, self.urdf, self.mjcf, self.unit, self.message, effects
+        )
+
+
+ORDER = (
+    "name",
+    "type",
+    "parent",
+    "gravity",
+    "mass",
+    "com",
+    "inertia",
+    "position",
+    "rotation",
+    "axis",
+    "frame",
+    "damping",
+    "armature",
+    "lower limit",
+    "upper limit",
+    "effort",
+    "velocity",
+    "friction",
+    "mimic",
+    "spring",
+    "damping polynomial",
+    "gravity compensation",
+    "tendon",
+    "actuator",
+    "fluid",
+    "equality",
+    "flex",
+    "plugin",
+    "flag",
+)
+
+NOTHING = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
+
+
+def changes_between(one: Parameters, two: Parameters, tolerances: Tolerances) -> Iterable[Change]:
+    """Yields the differences of two sets of parameters.
+
+    Args:
+        one: Those of the URDF.
+        two: Those of the MJCF.
+        tolerances: What counts as a difference.
+    """
+    for name, body in one.bodies.items():
+        yield from _body_changes(name, body, two.bodies[name], tolerances)
+    for name, joint in one.joints.items():
+        yield from _joint_changes(name, joint, two.joints[name], tolerances)
+    if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
+        message = (
+            f"gravity: {vector(one.gravity)} m/s^2, which Pinocchio gives a URDF, "
+            f"{vector(two.gravity)} m/s^2 in the MJCF"
+        )
+        yield Change(
+            "gravity",
+            "option",
+            one.gravity,
+            two.gravity,
+            "m/s^2",
+            message,
+            lambda first, second: replace(first, gravity=second.gravity),
+            felt=True,
+        )
+    if abs(two.base_damping - one.base_damping) > tolerances.damping * two.base_damping:
+        message = (
+            f"free joint of {one.base}: damping {one.base_damping:g} in the URDF, "
+            f"{two.base_damping:g} N s/m in the MJCF (a default class reaches it; use <freejoint/>)"
+        )
+        yield Change(
+            "damping",
+            one.base,
+            one.base_damping,
+            two.base_damping,
+            "N s/m",
+            message,
+            lambda first, second: replace(first, base_damping=second.base_damping),
+            felt=True,
+        )
+    for name, (owner, position) in one.frames.items():
+        other_owner, other = two.frames[name]
+        apart = float(np.linalg.norm(other - position))
+        if owner != other_owner or apart > tolerances.position:
+            message = f"frame {name} is {mm(apart)} apart: {triple(position, other, 'm')}"
+            if owner != other_owner:
+                message = (
+                    f"frame {name} is on the body of {owner} in the URDF, "
+                    f"of {other_owner} in the MJCF"
+                )
+            yield Change("frame", name, position, other, "m", message, _take_frame(name), felt=True)
+
+
+def _body_changes(name: str, one: Body, two: Body, tolerances: Tolerances) -> Iterable[Change]:
+    greater = max(abs(one.mass), abs(two.mass))
+    if abs(two.mass - one.mass) > tolerances.mass * greater:
+        message = f"body of {name}: mass {pair(one.mass, two.mass, 'kg')}"
+        message += ratio(one.mass, two.mass)
+        yield Change(
+            "mass", name, one.mass, two.mass, "kg", message, _take_body(name, "mass"), felt=True
+        )
+    apart = float(np.linalg.norm(two.com - one.com))
+    if apart > tolerances.com:
+        message = (
+            f"body of {name}: com {mm(apart)} apart: {triple(one.com, two.com, 'm')}"
+            f"{mirrored(one.com, two.com, tolerances.com)}"
+        )
+        yield Change(
+            "com", name, one.com, two.com, "m", message, _take_body(name, "com"), felt=True
+        )
+    size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
+    if float(np.abs(two.inertia - one.inertia).max()) > tolerances.inertia * size:
+        entries = []
+        for label, place in _ENTRIES.items():
+            a, b = float(one.inertia[place]), float(two.inertia[place])
+            if abs(b - a) > tolerances.inertia * size:
+                entries.append(f"{label} {pair(a, b, 'kg m^2')}{ratio(a, b)}")
+        message = f"body of {name}: inertia about the com: {'; '.join(entries)}{_turned(one, two)}"
+        yield Change(
+            "inertia",
+            name,
+            one.inertia,
+            two.inertia,
+            "kg m^2",
+            message,
+            _take_body(name, "inertia"),
+            felt=True,
+        )
+
+
+_ENTRIES = {
+    "ixx": (0, 0),
+    "iyy": (1, 1),
+    "izz": (2, 2),
+    "ixy": (0, 1),
+    "ixz": (0, 2),
+    "iyz": (1, 2),
+}
+
+
+def _turned(one: Body, two: Body) -> str:
+    """Says so if two tensors have the same principal moments."""
+    moments = np.linalg.eigvalsh(one.inertia), np.linalg.eigvalsh(two.inertia)
+    off = np.abs(one.inertia - np.diag(np.diag(one.inertia))).max()
+    if np.allclose(np.diag(one.inertia), np.diag(two.inertia), rtol=1e-3) and off > 0:
+        return " (the products of inertia differ, perhaps in sign)"
+    if np.allclose(*moments, rtol=1e-3, atol=1e-3 * abs(moments[0]).max()):
+        return " (the same principal moments: one of the tensors is in turned axes)"
+    return ""
+
+
+def _joint_changes(name: str, one: Joint, two: Joint, tolerances: Tolerances) -> Iterable[Change]:
+    yield from _kinds_of_joints(name, one, two)
+    yield from _placements(name, one, two, tolerances)
+    yield from _axes(name, one, two, tolerances)
+    yield from _joint_numbers(name, one, two, tolerances)
+
+
+def _kinds_of_joints(name: str, one: Joint, two: Joint) -> Iterable[Change]:
+    """Yields another parent, and another type."""
+    if one.parent != two.parent:
+        message = f"joint {name}: its parent is {one.parent} in the URDF, {two.parent} in the MJCF"
+        yield Change(
+            "parent",
+            name,
+            one.parent,
+            two.parent,
+            "",
+            message,
+            _take_joint(name, "parent"),
+            felt=True,
+        )
+    if one.slides != two.slides:
+        kinds = ["prismatic" if joint.slides else "revolute" for joint in (one, two)]
+        message = f"joint {name}: {kinds[0]} in the URDF, {kinds[1]} in the MJCF"
+        yield Change(
+            "type", name, kinds[0], kinds[1], "", message, _take_joint(name, "slides"), felt=True
+        )
+
+
+def _placements(name: str, one: Joint, two: Joint, tolerances: Tolerances) -> Iterable[Change]:
+    """Yields another position or orientation in the parent's frame."""
+    apart = float(np.linalg.norm(two.position - one.position))
+    if apart > tolerances.position:
+        message = (
+            f"joint {name}: {mm(apart)} apart, from its parent's frame: "
+            f"{triple(one.position, two.position, 'm')}"
+            f"{mirrored(one.position, two.position, tolerances.position)}"
+        )
+        yield Change(
+            "position",
+            name,
+            one.position,
+            two.position,
+            "m",
+            message,
+            _take_joint(name, "position"),
+            felt=True,
+        )
+    turn = pin.log3(one.rotation.T @ two.rotation)
+    angle = float(np.linalg.norm(turn))
+    if angle > tolerances.rotation:
+        about = abs(float(turn @ one.axis)) > (1 - 1e-6) * angle
+        message = (
+            f"joint {name}: its frame is turned by {math.degrees(angle):.4g} deg about "
+            f"{vector(turn / angle)}"
+            + (" (its own axis: the files' zero angles differ)" if about else "")
+            + quaternion_order(one.rotation, two.rotation)
+        )
+        yield Change(
+            "rotation",
+            name,
+            one.rotation,
+            two.rotation,
+            "1",
+            message,
+            _take_joint(name, "rotation"),
+            felt=True,
+        )
+
+
+def _axes(name: str, one: Joint, two: Joint, tolerances: Tolerances) -> Iterable[Change]:
+    """Yields another axis."""
+    between = math.acos(min(1.0, max(-1.0, float(one.axis @ two.axis))))
+    if float(np.linalg.norm(np.cross(one.axis, two.axis))) > tolerances.axis or between > 1.0:
+        reversed_axis = between > math.pi - tolerances.axis
+        how = "reversed" if reversed_axis else f"turned by {math.degrees(between):.4g} deg"
+        message = f"joint {name}: axis {how}: {triple(one.axis, two.axis, '')}"
+        yield Change(
+            "axis", name, one.axis, two.axis, "1", message, _take_joint(name, "axis"), felt=True
+        )
+
+
+def _joint_numbers(name: str, one: Joint, two: Joint, tolerances: Tolerances) -> Iterable[Change]:
+    """Yields other limits, damping and friction."""
+    for kind, field, unit, tolerance, relative in (
+        ("lower limit", "lower", "rad", tolerances.limit, False),
+        ("upper limit", "upper", "rad", tolerances.limit, False),
+        ("effort", "effort", "N m", tolerances.effort, True),
+        ("velocity", "velocity", "rad/s", tolerances.velocity, True),
+        ("damping", "damping", "N m s/rad", tolerances.damping, True),
+        ("friction", "friction", "N m", tolerances.friction, True),
+    ):
+        a, b = float(getattr(one, field)), float(getattr(two, field))
+        if field == "velocity" and not (math.isfinite(a) and math.isfinite(b)):
+            continue  # an MJCF cannot state it
+        if a == b or (
+            math.isfinite(a)
+            and math.isfinite(b)
+            and abs(b - a) <= tolerance * (max(abs(a), abs(b)) if relative else 1.0)
+        ):
+            continue
+        unit = unit.replace("N m", "N").replace("rad", "m") if one.slides else unit
+        message = f"joint {name}: {kind} {pair(a, b, unit)}{in_degrees(a, b)}"
+        yield Change(
+            kind, name, a, b, unit, message, _take_joint(name, field), felt=field == "damping"
+        )
+
+
+def _take_body(name: str, field: str) -> Callable[[Parameters, Parameters], Parameters]:
+    def apply(one: Parameters, two: Parameters) -> Parameters:
+        body = replace(one.bodies[name], **{field: getattr(two.bodies[name], field)})
+        return replace(one, bodies={**one.bodies, name: body})
+
+    return apply
+
+
+def _take_joint(name: str, field: str) -> Callable[[Parameters, Parameters], Parameters]:
+    def apply(one: Parameters, two: Parameters) -> Parameters:
+        joint = replace(one.joints[name], **{field: getattr(two.joints[name], field)})
+        return replace(one, joints={**one.joints, name: joint})
+
+    return apply
+
+
+def _take_frame(name: str) -> Callable[[Parameters, Parameters], Parameters]:
+    def apply(one: Parameters, two: Parameters) -> Parameters:
+        return replace(one, frames={**one.frames, name: two.frames[name]})
+
+    return apply

@@ -1,0 +1,140 @@
+"""What a comparison finds: differences, their effects, and whether they are all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.results import Result
+
+Array = NDArray[np.float64]
+_MAIN = ("mass matrix", "gravity", "foot positions", "joint positions")
+
+
+@dataclass(frozen=True)
+class Effect(Result):
+    """What one difference does to one quantity.
+
+    Attributes:
+        deviation: The worst absolute deviation that it causes alone.
+        relative: Relative to the quantity's scale.
+        share: Relative to the deviation that all differences cause together; may exceed 1 where
+            differences cancel.
+    """
+
+    deviation: float
+    relative: float
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Difference(Result):
+    """One number, or vector, in which the two files differ.
+
+    Attributes:
+        kind: ``mass``, ``com``, ``inertia``, ``position``, ``rotation``, ``axis``, ``lower limit``,
+            ``upper limit``, ``effort``, ``velocity``, ``damping``, ``friction``, ``frame``,
+            ``parent``, ``type``, ``gravity``, or ``armature`` (which a URDF cannot state: then it
+            differs from that of the joints at the same place of other legs); ``mimic``, that the
+            URDF alone has; ``name``, where names count; or what the MJCF alone has, the kinds of
+            `passive.extra.Extra`.
+        element: The joint, the body (named by the joint that moves it, or the base) or the frame;
+            of what the MJCF alone has, its name there, or ``#3``.
+        urdf: The URDF's value, in the URDF's frames; None where it has none.
+        mjcf: The MJCF's, in the URDF's frames.
+        unit: Of both.
+        message: The difference in plain words.
+        effects: {quantity: what it does}.
+        urdf_place: File and line, where known.
+        mjcf_place: File and line, where known.
+    """
+
+    kind: str
+    element: str
+    urdf: object
+    mjcf: object
+    unit: str
+    message: str
+    effects: dict[str, Effect]
+    urdf_place: str | None = None
+    mjcf_place: str | None = None
+
+    @property
+    def weight(self) -> tuple[float, float]:
+        """What differences are sorted by.
+
+        The greatest relative effect on mass matrix, gravity and positions; then on any quantity.
+        Both are 0 for what the dynamics do not feel.
+        """
+        main = [self.effects[name].relative for name in _MAIN if name in self.effects]
+        every = [effect.relative for effect in self.effects.values()]
+        return max(main, default=0.0), max(every, default=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Armature(Result):
+    """The rotors' inertia, which an MJCF states and a URDF cannot.
+
+    Attributes:
+        values: {joint: kg m^2}.
+        effects: {quantity: what leaving it out of the URDF's model does}.
+    """
+
+    values: dict[str, float]
+    effects: dict[str, Effect]
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation(Result):
+    """Why two models disagree.
+
+    Attributes:
+        differences: Sorted by effect, the greatest first.
+        deviations: {quantity: relative deviation between the two models}.
+        left: {quantity: relative deviation that is left when the URDF's model is given the MJCF's
+            value for every difference, and what the MJCF alone has is taken out of it}.
+        complete: Whether nothing is left.
+        remains: What acts in MuJoCo when all that was found is taken away, and has no part in a
+            tree of joints, by MuJoCo's names, in words.
+        armature: What the armature does; both models were given the MJCF's.
+    """
+
+    differences: tuple[Difference, ...]
+    deviations: dict[str, float]
+    left: dict[str, float]
+    complete: bool
+    remains: tuple[str, ...]
+    armature: Armature
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """Weighs deviations against the quantities of the URDF's model, and against the whole."""
+
+    urdf: Mapping[str, Array]
+    mjcf: Mapping[str, Array]
+
+    def scale(self, name: str) -> float:
+        """Returns the greatest absolute value of a quantity."""
+        return max(float(np.abs(self.urdf[name]).max()), 1e-300)
+
+    def relative(self, name: str, one: Array, two: Array) -> float:
+        """Returns the worst deviation, relative to the scale; infinite if it is no number."""
+        deviation = float(np.abs(one - two).max())
+        # What is no number differs from everything.
+        return deviation / self.scale(name) if math.isfinite(deviation) else math.inf
+
+    def effects(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> dict[str, Effect]:
+        """Returns what has changed between two evaluations, but for rounding."""
+        found = {}
+        for name, values in after.items():
+            relative = self.relative(name, values, before[name])
+            if relative > 1e-12:  # rounding
+                total = self.relative(name, self.urdf[name], self.mjcf[name])
+                share = relative / total if 0 < total < math.inf else math.inf
+                found[name] = Effect(relative * self.scale(name), relative, share)
+        return found

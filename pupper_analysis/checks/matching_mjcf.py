@@ -1,0 +1,118 @@
+"""The side of an MJCF in matching: names, what is not the robot, joints that go."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models import parameters
+from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.robot.robot import Robot
+
+
+def name_all(spec: mujoco.MjSpec, taken: set[str], notes: list[str]) -> None:
+    """Names the bodies and joints that have no name, by names that are not taken."""
+
+    def new(name: str, known: set[str]) -> str:
+        while name in known:
+            name += "_"
+        known.add(name)
+        return name
+
+    bodies = {body.name for body in spec.bodies}
+    for number, body in enumerate(spec.bodies):
+        if not body.name:
+            body.name = new(f"body_{number}", bodies)
+    joints = {joint.name for joint in spec.joints} | taken
+    for joint in spec.joints:
+        if not joint.name and joint.type != mujoco.mjtJoint.mjJNT_FREE:
+            joint.name = new(f"{joint.parent.name}_joint", joints)
+            notes.append(f"a joint without a name in the MJCF is called {joint.name!r}")
+
+
+def hinges(spec: mujoco.MjSpec, source: Path) -> list[str]:
+    """Returns the names of the joints, but for free ones.
+
+    Raises:
+        ModelError: If one is a ball joint.
+    """
+    names = []
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_BALL:
+            raise ModelError(
+                source,
+                f"joint {joint.name!r} is a ball joint; hinge and slide joints, and one free joint "
+                "at the base, can be analysed",
+            )
+        if joint.type != mujoco.mjtJoint.mjJNT_FREE:
+            names.append(joint.name)
+    return names
+
+
+def drop_other_objects(
+    spec: mujoco.MjSpec, source: Path, links: set[str], notes: list[str]
+) -> None:
+    """Keeps the largest tree of joints: a scene may have loose objects besides the robot.
+
+    Beside a robot on a fixed base, a table or a wall would count as part of that base, unless it
+    has the name of one of the URDF's links.
+    """
+    kinds = mujoco.mjtObj
+    size = {body.name: len(body.find_all(kinds.mjOBJ_JOINT)) for body in spec.worldbody.bodies}
+    if not any(size.values()):
+        raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")
+    robot = max(spec.worldbody.bodies, key=lambda body: size[body.name])
+    fixed = not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in robot.joints)
+    for body in list(spec.worldbody.bodies):
+        names = {body.name, *(below.name for below in body.find_all(kinds.mjOBJ_BODY))}
+        scenery = fixed and not body.mocap and not names & links
+        if body.name != robot.name and (size[body.name] or scenery):
+            notes.append(f"{source.name}: body {body.name!r} is not part of the robot: left out")
+            spec.delete(body)
+
+
+def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
+    """Deletes a joint with all that refers to it."""
+    name = joint.name
+    for actuator in list(spec.actuators):
+        if actuator.target == name:
+            _delete_sensors(spec, actuator.name)
+            spec.delete(actuator)
+    for equality in list(spec.equalities):
+        if name in (equality.name1, equality.name2):
+            spec.delete(equality)
+    _delete_sensors(spec, name)
+    spec.delete(joint)
+
+
+def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
+    for sensor in list(spec.sensors):
+        if name and name in (sensor.objname, sensor.refname):
+            spec.delete(sensor)
+
+
+def bodies_of(robot: Robot) -> dict[str, str]:
+    """Returns {base or joint: the body that it moves}."""
+    model = robot.mj_model
+    bodies = {robot.base: robot.mj_base}
+    for name in robot.joint_names:
+        bodies[name] = str(model.body(int(model.jnt_bodyid[model.joint(name).id])).name)
+    return bodies
+
+
+def mjcf_tree(spec: mujoco.MjSpec, source: Path) -> parameters.Parameters:
+    """Returns the parameters of an MJCF's joints and bodies.
+
+    Raises:
+        ModelError: If MuJoCo cannot compile it.
+    """
+    try:
+        compiled = spec.copy().compile()
+    except (ValueError, RuntimeError) as error:
+        message = " ".join(str(error).split())
+        raise ModelError(source, f"MuJoCo cannot compile it: {message}") from error
+    model = pinocchio_from_mujoco(compiled)
+    names = [joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
+    return parameters.from_pinocchio(model, "", names, {})

@@ -1,0 +1,130 @@
+"""The side of a URDF in matching: its base, its joints, its links."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+
+from pupper_analysis.checks.matching_places import at_zero
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models import parameters
+from pupper_analysis.robot.robot import Robot
+
+_MOVING = ("revolute", "continuous", "prismatic")
+
+
+def without_shapes(urdf: etree._Element) -> etree._Element:
+    """Returns a copy of a URDF's XML without visuals and collision shapes."""
+    root = copy.deepcopy(urdf)
+    for link in root.iter("link"):
+        for tag in ("visual", "collision"):
+            for shape in link.findall(tag):
+                link.remove(shape)
+    return root
+
+
+def root_link(root: etree._Element) -> etree._Element:
+    """Returns the link that is no joint's child."""
+    children = {child.get("link") for child in root.findall("joint/child")}
+    return next(link for link in root.findall("link") if link.get("name") not in children)
+
+
+def strip_roots(
+    root: etree._Element, source: Path, other: parameters.Parameters, notes: list[str]
+) -> etree._Element:
+    """Takes out root links without mass, as long as they carry one fixed or floating joint.
+
+    Where such a link's frame, not that of the base on it, is the one that the MJCF has, the link
+    stays: whichever brings the joints nearer to the MJCF's.
+    """
+    candidates = [(root, list(notes))]
+    while True:
+        tree, said = copy.deepcopy(candidates[-1][0]), list(candidates[-1][1])
+        link = root_link(tree)
+        name = link.get("name")
+        mass = link.find("inertial/mass")
+        heavy = mass is not None and float(mass.get("value")) > 0
+        joints = [joint for joint in tree.findall("joint") if end_link(joint, "parent") == name]
+        if heavy or len(joints) != 1 or joints[0].get("type") not in ("fixed", "floating"):
+            break
+        said.append(f"{source.name}: root link {name!r} has no mass and was left out")
+        tree.remove(link)
+        tree.remove(joints[0])
+        if joints[0].get("type") == "floating":
+            candidates.clear()  # the base cannot stay on a joint that floats by itself
+        candidates.append((tree, said))
+    there = at_zero(other)
+
+    def distance(tree: etree._Element) -> float:
+        here = at_zero(urdf_tree(tree, source))
+        common = [name for name in here if name in there]
+        apart = sum(float(np.linalg.norm(here[name][0] - there[name][0])) for name in common)
+        return round(apart, 6)
+
+    if len(candidates) == 1 or not other.floating:
+        best, said = candidates[-1]  # a fixed base is put where the MJCF has it
+    else:  # the last of the equally good: no needless root
+        best, said = min(reversed(candidates), key=lambda candidate: distance(candidate[0]))
+    notes[:] = said
+    return best
+
+
+def end_link(joint: etree._Element, tag: str) -> str:
+    """Returns the link at one end of a joint: ``parent`` or ``child``."""
+    return str(joint.find(tag).get("link"))
+
+
+def moving_joints(root: etree._Element, source: Path) -> list[str]:
+    """Returns the names of the joints that move.
+
+    Raises:
+        ModelError: If one is of a kind that cannot be analysed.
+    """
+    moving = []
+    for joint in root.findall("joint"):
+        kind = joint.get("type")
+        if kind in _MOVING:
+            moving.append(str(joint.get("name")))
+        elif kind != "fixed":
+            raise ModelError(
+                source,
+                f"joint {joint.get('name')!r} is {kind}; revolute, continuous, prismatic and fixed "
+                "joints, and a floating one at the root, can be analysed",
+            )
+    return moving
+
+
+def fix_joints(root: etree._Element, names: Iterable[str]) -> None:
+    """Makes joints fixed, in place."""
+    fixed = set(names)
+    for joint in root.findall("joint"):
+        if joint.get("name") in fixed:
+            joint.set("type", "fixed")
+
+
+def links_of(root: etree._Element, robot: Robot) -> dict[str, str]:
+    """Returns {base or joint: the link that it moves}."""
+    links = {robot.base: str(root_link(root).get("name"))}
+    for joint in root.findall("joint"):
+        if joint.get("name") in robot.joint_names:
+            links[str(joint.get("name"))] = end_link(joint, "child")
+    return links
+
+
+def urdf_tree(root: etree._Element, source: Path) -> parameters.Parameters:
+    """Returns the parameters of a URDF's joints and bodies.
+
+    Raises:
+        ModelError: If Pinocchio cannot read it.
+    """
+    text = etree.tostring(root, encoding="unicode")
+    try:
+        model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(source, f"not a valid URDF: {' '.join(str(error).split())}") from error
+    return parameters.from_pinocchio(model, "", list(model.names)[2:], {})

@@ -1,0 +1,1 @@
+"""What acts on a robot in MuJoCo and has no words in a URDF."""

@@ -1,0 +1,86 @@
+"""An element of an MJCF that a URDF cannot state, and how to switch it off."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.checks.passive.scene import DISABLE
+
+Slot = tuple[str, int | slice]
+"""An array of ``mjModel`` (or a number of its ``opt``), and which of its rows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Extra:
+    """An element of an MJCF that a URDF cannot state.
+
+    Attributes:
+        kind: ``spring``, ``damping polynomial``, ``gravity compensation``, ``tendon``, ``fluid``,
+            ``actuator``, ``equality``, ``flex``, ``plugin`` or ``flag``.
+        element: The joint, body, tendon ... by name; ``#3`` where it has none.
+        value: Its numbers.
+        unit: Of the numbers, where they have one in common.
+        message: What it is, in plain words.
+        slots: What has to be zero for it to be gone; none if it does not act on the unconstrained
+            robot, or cannot be taken away.
+    """
+
+    kind: str
+    element: str
+    value: object
+    unit: str
+    message: str
+    slots: tuple[Slot, ...] = field(default=())
+
+    def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:
+        """Takes it away in a model (of `as_it_is`), in place; or takes another's numbers again."""
+        for name, where in self.slots:
+            if name.startswith("opt."):
+                option = name.removeprefix("opt.")
+                setattr(model.opt, option, 0.0 if like is None else getattr(like.opt, option))
+            else:
+                getattr(model, name)[where] = 0 if like is None else getattr(like, name)[where]
+
+
+def as_it_is(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Returns a copy whose ``mj_forward`` gives the accelerations that the motors do not make.
+
+    All that acts is left as it is; but no contact, joint or tendon limit, or dry friction acts, and
+    the motors' control does not (their inertia and damping, the gravity compensation that goes
+    through them, and what a DC motor does without a command, do). The integrator is set to Euler,
+    for ``discrete`` would give accelerations that depend on the timestep.
+    """
+    result = copy.copy(model)
+    for bit in (DISABLE.mjDSBL_CONTACT, DISABLE.mjDSBL_LIMIT, DISABLE.mjDSBL_FRICTIONLOSS):
+        result.opt.disableflags |= bit.value
+    result.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER.value
+    # MuJoCo takes a com within 1e-6 m of its body's frame for the frame itself; not here.
+    result.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE.value
+    # By groups: mjDSBL_ACTUATION would take away the gravity compensation of actuatorgravcomp, too.
+    passive = [acts_without_command(model, motor) for motor in range(model.nactuator)]
+    result.actuator_group[:] = np.where(passive, 1, 0)
+    result.opt.disableactuator = 1
+    return result
+
+
+def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
+    """Says whether a motor is a DC motor without a controller: its back-EMF brakes all the same."""
+    dc = model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_DCMOTOR.value
+    # Its inputs are a sum of 1 and 2 (setpoints of a controller), 4, 8 and 16 (none).
+    controlled = bool(model.actuator_ctrlspec[motor] & 3)
+    group = int(model.actuator_group[motor])
+    switched_off = 0 <= group < 31 and bool(model.opt.disableactuator >> group & 1)
+    return bool(dc) and not controlled and not switched_off
+
+
+def without(model: mujoco.MjModel, extras: Iterable[Extra]) -> mujoco.MjModel:
+    """Returns ``as_it_is(model)`` with some extras taken away."""
+    result = as_it_is(model)
+    for extra in extras:
+        extra.switch(result, None)
+    return result

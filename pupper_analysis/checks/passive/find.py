@@ -1,0 +1,38 @@
+"""What acts on a robot in MuJoCo and has no words in a URDF: springs, tendons, fluid, loops.
+
+A URDF states a tree of bodies, and damping and friction of its joints. MuJoCo's smooth dynamics
+have more terms: passive forces (``qfrc_spring``, ``qfrc_damper``, ``qfrc_gravcomp``,
+``qfrc_fluid``, and those of flexes and plugins), inertia through tendons and motors, and equality
+constraints. Here they are found in a compiled model, one by one, each with the numbers that have
+to be zero for it to be gone. Nothing rests on the list being complete: who uses it switches all of
+it off, and compares what is left with a model that has none of it.
+
+Source: MuJoCo documentation, "Computation: Passive forces" and "Constraint model: Equality"; the
+arrays are those of ``mjModel``.
+"""
+
+from __future__ import annotations
+
+from pupper_analysis.checks.passive.extra import Extra
+from pupper_analysis.checks.passive.joints import damping_polynomials, gravity_compensation, springs
+from pupper_analysis.checks.passive.others import equalities, flags, flexes, fluid, plugins
+from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.checks.passive.scene import Scene
+from pupper_analysis.checks.passive.transmissions import actuators, tendons
+
+
+def extras(reference: Reference) -> list[Extra]:
+    """Finds all that acts on the robot and that a URDF cannot state."""
+    scene = Scene(reference)
+    return [
+        *springs(scene),
+        *damping_polynomials(scene),
+        *gravity_compensation(scene),
+        *tendons(scene),
+        *actuators(scene),
+        *fluid(scene),
+        *equalities(scene),
+        *flexes(scene),
+        *plugins(scene),
+        *flags(scene),
+    ]

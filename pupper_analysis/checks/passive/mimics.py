@@ -1,0 +1,71 @@
+"""Joints that follow others: ``<mimic>`` of a URDF, and joint equalities of an MJCF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+
+from pupper_analysis.checks.passive.extra import Extra
+from pupper_analysis.checks.passive.reference import Reference
+
+Mimics = Mapping[str, tuple[str, float, float]]
+"""{joint: (the joint that it follows, multiplier, offset)}: q = multiplier q_other + offset."""
+
+EQUALITY = mujoco.mjtEq
+
+
+def urdf_mimics(root: Any) -> dict[str, tuple[str, float, float]]:
+    """Returns the joints of a parsed URDF that follow others: their ``<mimic>``."""
+    found = {}
+    for joint in root.findall("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None and joint.get("type") != "fixed":
+            numbers = (float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0)))
+            found[str(joint.get("name"))] = (str(mimic.get("joint")), *numbers)
+    return found
+
+
+def split_mimics(
+    found: Sequence[Extra], reference: Reference, mimics: Mimics, tolerance: float
+) -> tuple[list[Extra], list[str]]:
+    """Tells which joint equalities say the same as a URDF's ``<mimic>``, and are no extras.
+
+    Both state q = m q_other + c. MuJoCo's polynomial is of the coordinates less their ``qpos0``:
+    q - q0 = a0 + a1 (q_other - q0_other), so that m = a1 and c = a0 + q0 - a1 q0_other.
+
+    Args:
+        found: The extras of the reference.
+        reference: The MJCF.
+        mimics: The URDF's, by the reference's names.
+        tolerance: How far offsets (rad or m), and multipliers relative to 1, may differ.
+
+    Returns:
+        The extras that are the URDF's, too; and the joints whose mimic no equality states.
+    """
+    model = reference.model
+    same: list[Extra] = []
+    left = dict(mimics)
+    for extra in found:
+        if extra.kind != "equality":
+            continue
+        index = int(extra.slots[0][1])  # type: ignore[arg-type]
+        data, ids = model.eq_data[index], (model.eq_obj1id[index], model.eq_obj2id[index])
+        if model.eq_type[index] != EQUALITY.mjEQ_JOINT.value or min(ids) < 0 or data[2:5].any():
+            continue
+        one, two = (reference.names.joint(int(joint)).name for joint in ids)
+        rest = [float(model.qpos0[model.jnt_qposadr[joint]]) for joint in ids]
+        slope = float(data[1])
+        offset = float(data[0]) + rest[0] - slope * rest[1]
+        said = [(one, (two, slope, offset))]
+        if slope:
+            said.append((two, (one, 1 / slope, -offset / slope)))  # the same, read backwards
+        for joint, (other, multiplier, constant) in said:
+            leader, wanted, shift = left.get(joint, ("", 0.0, 0.0))
+            near = abs(multiplier - wanted) <= tolerance * max(1.0, abs(wanted))
+            if leader == other and near and abs(constant - shift) <= tolerance:
+                same.append(extra)
+                del left[joint]
+                break
+    return same, list(left)

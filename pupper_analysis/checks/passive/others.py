@@ -1,0 +1,133 @@
+"""What else acts: fluid, equality constraints, flexes, plugins; and what flags switch off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.checks.passive.extra import Extra, Slot
+from pupper_analysis.checks.passive.mimics import EQUALITY
+from pupper_analysis.checks.passive.scene import DISABLE, Scene, numbers_in_words
+from pupper_analysis.checks.passive.transmissions import wraps
+
+
+def fluid(scene: Scene) -> Iterator[Extra]:
+    """Yields the medium, if it has density or viscosity."""
+    option = scene.model.opt
+    if option.density or option.viscosity:
+        wind = [float(each) for each in option.wind]
+        value = {"density": option.density, "viscosity": option.viscosity, "wind": wind}
+        text = (
+            f"fluid: none in the URDF, in the MJCF of density {option.density:.6g} kg/m^3, "
+            f"viscosity {option.viscosity:.6g} Pa s, wind {numbers_in_words(wind)} m/s"
+        )
+        slots: tuple[Slot, ...] = (("opt.density", 0), ("opt.viscosity", 0))
+        yield Extra("fluid", "option", value, "", text, slots)
+
+
+def equalities(scene: Scene) -> Iterator[Extra]:
+    """Yields the equality constraints that are on at the start and hold the robot."""
+    model = scene.model
+    if scene.off(DISABLE.mjDSBL_CONSTRAINT) or scene.off(DISABLE.mjDSBL_EQUALITY):
+        return
+    for index in range(model.neq):
+        if not model.eq_active0[index]:
+            continue
+        ends = _ends(scene, index)
+        bodies = [_end_bodies(scene, what, target) for what, target in ends]
+        if not any(end is None or end & scene.bodies for end in bodies):
+            continue  # of other objects of the scene
+        name = scene.name("equality", index)
+        kind = EQUALITY(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
+        what = " and ".join(_end_name(scene, *end) for end in ends)
+        yield Extra(
+            "equality",
+            name,
+            [float(each) for each in model.eq_data[index]],
+            "",
+            f"equality {name}: nothing in the URDF, in the MJCF it is a {kind} of {what}",
+            (("eq_active0", index),),
+        )
+
+
+def _ends(scene: Scene, index: int) -> list[tuple[mujoco.mjtObj, int]]:
+    """The kinds and ids of the two objects of an equality; -1 where it has one only."""
+    model = scene.model
+    what = _ENDS.get(int(model.eq_type[index])) or mujoco.mjtObj(int(model.eq_objtype[index]))
+    return [(what, int(model.eq_obj1id[index])), (what, int(model.eq_obj2id[index]))]
+
+
+def _end_bodies(scene: Scene, what: mujoco.mjtObj, target: int) -> set[int] | None:
+    """The bodies that an equality holds at one end; None where it is not known."""
+    model, kinds = scene.model, mujoco.mjtObj
+    if target < 0:
+        return set()
+    if what == kinds.mjOBJ_TENDON:
+        return wraps(scene, target)
+    carrier = {
+        kinds.mjOBJ_BODY: np.arange(model.nbody),
+        kinds.mjOBJ_JOINT: model.jnt_bodyid,
+        kinds.mjOBJ_SITE: model.site_bodyid,
+        kinds.mjOBJ_GEOM: model.geom_bodyid,
+    }.get(what)
+    return None if carrier is None else {int(carrier[target])}
+
+
+def _end_name(scene: Scene, what: mujoco.mjtObj, target: int) -> str:
+    """An end's kind and name."""
+    if target < 0:
+        return "a constant"
+    name = mujoco.mj_id2name(scene.names, what.value, target)
+    return f"{what.name.removeprefix('mjOBJ_').lower()} {name or f'#{target}'}"
+
+
+def flexes(scene: Scene) -> Iterator[Extra]:
+    """Yields the deformable bodies, as one, if they are fixed to the robot."""
+    model = scene.model
+    if not model.nflex:
+        return
+    touched = {int(body) for body in (*model.flex_vertbodyid, *model.flex_nodebodyid)}
+    everything = slice(None)
+    arrays = ("stiffness", "bending", "damping", "edgestiffness", "edgedamping")
+    filled = [f"flex_{array}" for array in arrays if getattr(model, f"flex_{array}").any()]
+    if touched & scene.bodies:
+        name = scene.name("flex", 0)
+        message = f"flex {name}: nothing in the URDF, in the MJCF it is fixed to the robot"
+        slots = tuple((array, everything) for array in filled)
+        yield Extra("flex", name, model.nflex, "", message, slots)
+
+
+def plugins(scene: Scene) -> Iterator[Extra]:
+    """Plugins of bodies; they cannot be switched off in a compiled model."""
+    for body in sorted(scene.bodies):
+        if scene.model.body_plugin[body] >= 0:
+            name = scene.name("body", body)
+            message = f"body {name}: nothing in the URDF, in the MJCF a plugin acts on it"
+            yield Extra("plugin", name, int(scene.model.body_plugin[body]), "", message)
+
+
+def flags(scene: Scene) -> Iterator[Extra]:
+    """What the file states and switches off again; springs and damping are 0 then."""
+    for bit, word, what in _FLAGS:
+        if scene.off(bit):
+            message = f'flag {word}="disable" of the MJCF: {what}, the URDF cannot say so'
+            yield Extra("flag", word, "disable", "", message)
+
+
+# MuJoCo's eq_objtype is for constraints that take bodies or sites.
+_ENDS = {
+    EQUALITY.mjEQ_JOINT.value: mujoco.mjtObj.mjOBJ_JOINT,
+    EQUALITY.mjEQ_TENDON.value: mujoco.mjtObj.mjOBJ_TENDON,
+    EQUALITY.mjEQ_FLEX.value: mujoco.mjtObj.mjOBJ_FLEX,
+    EQUALITY.mjEQ_FLEXVERT.value: mujoco.mjtObj.mjOBJ_FLEX,
+    EQUALITY.mjEQ_FLEXSTRAIN.value: mujoco.mjtObj.mjOBJ_FLEX,
+}
+
+_FLAGS = (
+    (DISABLE.mjDSBL_LIMIT, "limit", "no joint limit acts"),
+    (DISABLE.mjDSBL_FRICTIONLOSS, "frictionloss", "no dry friction acts"),
+    (DISABLE.mjDSBL_CONSTRAINT, "constraint", "no limit, dry friction or contact acts"),
+    (DISABLE.mjDSBL_ACTUATION, "actuation", "no motor acts"),
+)

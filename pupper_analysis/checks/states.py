@@ -1,0 +1,54 @@
+"""Random states to compare models at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """States and motor torques.
+
+    Attributes:
+        qpos: (n, nq).
+        qvel: (n, nv).
+        torques: (n, nu) (N m).
+    """
+
+    qpos: Array
+    qvel: Array
+    torques: Array
+
+
+def random_states(robot: Robot, count: int, seed: int) -> States:
+    """Draws states: joints inside their limits, the base anywhere, with velocities and torques.
+
+    Raises:
+        ConfigurationError: If the seed is not a whole number from 0.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ConfigurationError("seed", f"{seed!r} is not a whole number from 0")
+    rng = np.random.default_rng(seed)
+    lower = np.where(np.isfinite(robot.lower_limits), robot.lower_limits, -np.pi)
+    upper = np.where(np.isfinite(robot.upper_limits), robot.upper_limits, np.pi)
+    # A file may have them the wrong way round; that is for the comparison to find.
+    ends = np.minimum(lower, upper), np.maximum(lower, upper)
+    qpos = rng.uniform(*ends, (count, robot.nu))
+    if robot.floating:
+        quaternion = rng.normal(size=(count, 4))
+        quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+        qpos = np.concatenate([rng.uniform(-1, 1, (count, 3)), quaternion, qpos], axis=1)
+    efforts = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 1.0)
+    return States(
+        qpos=qpos,
+        qvel=rng.normal(size=(count, robot.nv)),
+        torques=rng.uniform(-efforts, efforts, (count, robot.nu)),
+    )

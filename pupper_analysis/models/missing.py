@@ -1,0 +1,146 @@
+"""Leaves out of an MJCF what needs files that are missing: meshes, textures, skins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.mjcf_tree import Node, Tree
+from pupper_analysis.models.packages import existing
+from pupper_analysis.models.places import Place, source_name
+
+
+def leave_out_missing(
+    spec: mujoco.MjSpec, tree: Tree, index: Mapping[tuple[str, str], Node]
+) -> list[str]:
+    """Takes out of a spec what needs files that are missing; returns what it took out."""
+    folders = tuple(tree.folders)
+
+    def missing(file: str, folder: str) -> bool:
+        name = Path(file).name if spec.strippath else file
+        return bool(file) and not any(existing(top / folder / name) for top in folders)
+
+    meshes = {m.name: m.file for m in spec.meshes if missing(m.file, m.compiler.meshdir)}
+    hfields = {h.name: h.file for h in spec.hfields if missing(h.file, h.compiler.meshdir)}
+    textures = {
+        t.name: next(filter(None, (t.file, *t.cubefiles)))
+        for t in spec.textures
+        if any(missing(file, t.compiler.texturedir) for file in (t.file, *t.cubefiles))
+    }
+    skins = {s.name: s.file for s in spec.skins if missing(s.file, s.compiler.meshdir)}
+    if not (meshes or hfields or textures or skins):
+        return []
+    geoms = [g for g in spec.geoms if g.meshname in meshes or g.hfieldname in hfields]
+    for geom in geoms:
+        if geom.meshname in meshes and _gives_mass(spec, geom):
+            body = geom.parent.name
+            place = index[("body", body)].place if ("body", body) in index else Place(tree.path)
+            raise ModelError(
+                source_name(place.file, place.line),
+                f"body {body!r} takes its mass from geom {geom.name!r}, whose mesh file "
+                f"{meshes[geom.meshname]!r} is missing; give the body an <inertial>, or put the "
+                "mesh there",
+            )
+    names = {geom.name for geom in geoms if geom.name}
+    _refuse_wrapped(tree.root, names)
+    users = _users(spec, tree.root, names)
+    notes = _notes(meshes, hfields, textures, skins)
+    if users:
+        notes.append(f"left out, for they refer to such a geom: {', '.join(users)}")
+    for element in geoms:
+        spec.delete(element)
+    for name in textures:
+        for material in spec.materials:
+            if name in list(material.textures):
+                material.textures = ["" if t == name else t for t in material.textures]
+    for elements, gone in (
+        (spec.meshes, meshes),
+        (spec.hfields, hfields),
+        (spec.textures, textures),
+        (spec.skins, skins),
+    ):
+        for element in list(elements):
+            if element.name in gone:
+                spec.delete(element)
+    return notes
+
+
+def _notes(
+    meshes: dict[str, str],
+    hfields: dict[str, str],
+    textures: dict[str, str],
+    skins: dict[str, str],
+) -> list[str]:
+    """Says how many files of each kind are missing, and which; by element, each kind's files."""
+    notes = []
+    for what, files in (
+        ("mesh file", meshes),
+        ("height field file", hfields),
+        ("texture file", textures),
+        ("skin file", skins),
+    ):
+        if files:
+            some = ", ".join(list(dict.fromkeys(files.values()))[:2])
+            more = ", ..." if len(set(files.values())) > 2 else ""
+            notes.append(
+                f"{len(set(files.values()))} {what}(s) missing ({some}{more}): what uses them was "
+                "left out"
+            )
+    return notes
+
+
+def _gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
+    """Says whether MuJoCo would take (part of) a body's inertia from a geom."""
+    body = geom.parent
+    if body.name == spec.worldbody.name:
+        return False
+    from_geom = geom.compiler.inertiafromgeom
+    if from_geom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE or (
+        from_geom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO and body.explicitinertial
+    ):
+        return False
+    low, high = geom.compiler.inertiagrouprange
+    weight = geom.density if math.isnan(geom.mass) else geom.mass
+    return bool(low <= geom.group <= high and weight != 0)
+
+
+def _refuse_wrapped(root: Node, names: set[str]) -> None:
+    for section in root.children:
+        for tendon in section.children if section.tag == "tendon" else ():
+            for part in tendon.children:
+                if part.attributes.get("geom") in names:
+                    raise ModelError(
+                        source_name(part.place.file, part.place.line),
+                        f"the tendon wraps geom {part.attributes['geom']!r}, whose mesh file is "
+                        "missing; put the mesh there",
+                    )
+
+
+def _users(spec: mujoco.MjSpec, root: Node, names: set[str]) -> list[str]:
+    """Deletes the sensors, contact pairs and tuples that refer to geoms; returns what they are."""
+    kind = mujoco.mjtObj.mjOBJ_GEOM
+    tuples = {
+        node.attributes.get("name")
+        for section in root.children
+        if section.tag == "custom"
+        for node in section.children
+        if any(part.attributes.get("objname") in names for part in node.children)
+    }
+    users = [
+        *(
+            ("sensor", sensor)
+            for sensor in spec.sensors
+            if (sensor.objtype == kind and sensor.objname in names)
+            or (sensor.reftype == kind and sensor.refname in names)
+        ),
+        *(("contact pair", p) for p in spec.pairs if {p.geomname1, p.geomname2} & names),
+        *(("tuple", element) for element in spec.tuples if element.name in tuples),
+    ]
+    words = [f"{what} {user.name!r}" for what, user in users]
+    for _, user in users:
+        spec.delete(user)
+    return words

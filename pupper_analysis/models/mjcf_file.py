@@ -1,0 +1,205 @@
+"""Reads an MJCF: what MuJoCo makes of it, and where its elements stand."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import mujoco
+from lxml import etree
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.missing import leave_out_missing
+from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, walk
+from pupper_analysis.models.places import Place, one_line, refusal_at, source_name
+from pupper_analysis.models.xml import parse
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfFile:
+    """An MJCF that MuJoCo has parsed.
+
+    Attributes:
+        path: The file.
+        spec: What MuJoCo read, not compiled, without what needs files that are missing.
+        files: The file and all it includes.
+        notes: What was left out on reading, in plain words.
+        refusal: Why MuJoCo does not compile the file as it is, and where; None if it does.
+            ``MjSpec.copy()`` drops elements that refer to nothing, so that a copy of the spec may
+            compile where the file does not.
+    """
+
+    path: Path
+    spec: mujoco.MjSpec = field(repr=False)
+    files: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()
+    refusal: tuple[str, Place] | None = None
+    _model: mujoco.MjModel | None = field(default=None, repr=False)
+    _index: Mapping[tuple[str, str], Node] = field(default_factory=dict, repr=False)
+    _roots: tuple[Node, ...] = field(default=(), repr=False)
+
+    def place(self, kind: str, name: str, child: str | None = None) -> Place:
+        """Finds an element, in the file where it really stands.
+
+        Args:
+            kind: Its tag: ``"body"``, ``"joint"``, ``"geom"``, ``"site"``, ``"key"`` ..., or its
+                section: ``"actuator"``, ``"sensor"``, ``"equality"``, ``"tendon"``, ``"contact"``.
+            name: Its name; an actuator's joint will do, a default's class, and for a joint
+                without a name its body.
+            child: A path below it (``"inertial"``): the innermost that exists.
+
+        Returns:
+            Its file and line; the file alone where there is no such element.
+        """
+        node = self._index.get((kind, name))
+        if node is None:
+            return Place(self.path)
+        for tag in child.split("/") if child else ():
+            tags = ("joint", "freejoint") if tag == "joint" else (tag,)
+            below = next((c for c in node.children if c.tag in tags), None)
+            if below is None:
+                break
+            node = below
+        return node.place
+
+    def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
+        """Yields the attributes and the place of every element of a kind, as they are written.
+
+        In the file, in what it includes, and in the models it attaches.
+        """
+        for root in self._roots:
+            for node in walk(root):
+                if node.tag == tag:
+                    yield node.attributes, node.place
+
+    def numbered(self, section: str, number: int) -> Place:
+        """Returns the place of an element without a name.
+
+        Args:
+            section: ``"actuator"``, ``"equality"`` or ``"tendon"``.
+            number: Its place in the section, from 0.
+
+        Returns:
+            Its file and line; the file alone where attached models or replicates add elements.
+        """
+        if len(self._roots) > 1 or any(True for _ in self.elements("replicate")):
+            return Place(self.path)
+        tops = (node for node in self._roots[0].children if node.tag == section)
+        found = [node.place for top in tops for node in top.children]
+        return found[number] if number < len(found) else Place(self.path)
+
+    def compile(self) -> mujoco.MjModel:
+        """Returns what MuJoCo compiles the file to, as it is (without what files are missing for).
+
+        Raises:
+            ModelError: If MuJoCo refuses it; the message is MuJoCo's.
+        """
+        if self.refusal is not None:
+            message, place = self.refusal
+            raise ModelError(source_name(place.file, place.line), message)
+        assert self._model is not None
+        return copy.copy(self._model)
+
+
+def read_mjcf(path: str | Path) -> MjcfFile:
+    """Reads an MJCF with all it includes, and compiles it as it is.
+
+    Raises:
+        ModelError: If it cannot be loaded, or MuJoCo does not compile it; one line that tells where
+            and why.
+    """
+    path = Path(path)
+    _, root = parse(path)
+    file = mjcf_from(path, root)
+    if file.refusal is not None:
+        file.compile()  # raises
+    return file
+
+
+_MUJOCO_ERRORS: Final = (ValueError, RuntimeError, TypeError, OSError, MemoryError)
+
+
+def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
+    """Makes an MJCF of its root element; ``refusal`` tells if MuJoCo does not compile it.
+
+    Raises:
+        ModelError: If MuJoCo cannot read it.
+    """
+    if root.tag != "mujoco":
+        hint = {
+            "robot": "; it is a URDF",
+            "mujocoinclude": "; it is a part, give the file that includes it",
+        }.get(str(root.tag), "")
+        raise refusal_at(path, root, f"an MJCF's root element is <mujoco>, not <{root.tag}>{hint}")
+    tree = Tree(path, root)
+    index = index_of(tree.root)
+    spec, notes = _spec(tree, index)
+    model, refusal = None, None
+    try:
+        with quiet():
+            # Another spec, for compiling changes it; and no copy, which lacks what is dangling.
+            model = _spec(tree, index)[0].compile()
+    except _MUJOCO_ERRORS as error:
+        refusal = _mujoco_refusal(tree, index, "MuJoCo cannot compile it", error)
+    return MjcfFile(
+        path,
+        spec,
+        tuple(tree.files),
+        tuple(notes),
+        refusal,
+        model,
+        index,
+        (tree.root, *tree.attached),
+    )
+
+
+def _spec(tree: Tree, index: Mapping[tuple[str, str], Node]) -> tuple[mujoco.MjSpec, list[str]]:
+    """Returns what MuJoCo reads, without what needs files that are missing, and what that is."""
+    try:
+        with quiet():
+            spec = mujoco.MjSpec.from_file(str(tree.path))
+    except _MUJOCO_ERRORS as error:
+        if "could not find decoder" in str(error):
+            problem = "MuJoCo reads files *.xml only; rename it"
+            raise ModelError(source_name(tree.path), problem) from error
+        message, place = _mujoco_refusal(tree, index, "not a valid MJCF", error)
+        raise ModelError(source_name(place.file, place.line), message) from error
+    return spec, leave_out_missing(spec, tree, index)
+
+
+def _mujoco_refusal(
+    tree: Tree, index: Mapping[tuple[str, str], Node], what: str, error: BaseException
+) -> tuple[str, Place]:
+    """Returns MuJoCo's message, and the place of the element that it is about.
+
+    MuJoCo tells the line in the main file, or in an unnamed one, and 0 of what is included; and the
+    name that it tells may be the one that is not there.
+    """
+    message = one_line(error)
+    found = re.search(r"(?:, line |Line number=)([1-9][0-9]*)", message)
+    line = int(found[1]) if found else None
+    said = set(re.findall(r"'([^']+)'", message))
+    name = re.search(r"Element name '([^']+)'", message)
+    named = [node.place for (_, known), node in index.items() if name and known == name[1]]
+    nodes = [node for root in (tree.root, *tree.attached) for node in walk(root)]
+    meant = [
+        node.place
+        for node in nodes
+        if said & {v for k, v in node.attributes.items() if k != "name" or line is not None}
+        and line in (None, node.place.line)
+    ]
+    place = Place(tree.path)
+    if line is not None and len(tree.files) == 1:
+        place = Place(tree.path, line)
+    elif line is not None and len({where.file for where in meant}) == 1:
+        place = meant[0]
+    elif named or meant:
+        place = (named or meant)[0]
+    elif line is not None and len({n.place.file for n in nodes if n.place.line == line}) == 1:
+        place = next(node.place for node in nodes if node.place.line == line)
+    return f"{what}: {message}", place

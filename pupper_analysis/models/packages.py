@@ -1,0 +1,37 @@
+"""Files that a model names, and the folders of ROS packages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.xml import parse
+
+
+def existing(path: Path) -> Path | None:
+    """Returns the path if there is such a file; the name may be any text of a model file."""
+    try:
+        return path if path.is_file() else None
+    except (OSError, ValueError):
+        return None
+
+
+def folders_of_package(folder: Path, package: str) -> Iterator[Path]:
+    """Yields the folders of that package that are a folder or stand in it."""
+    if folder.name == package or _package_name(folder) == package:
+        yield folder
+    if package not in ("", ".", "..") and (folder / package).is_dir():
+        yield folder / package
+
+
+def _package_name(folder: Path) -> str | None:
+    """Returns the name that a folder's package.xml gives."""
+    manifest = existing(folder / "package.xml")
+    if manifest is None:
+        return None
+    try:
+        _, root = parse(manifest)
+    except ModelError:
+        return None
+    return str(root.findtext("name", "")).strip()

@@ -1,0 +1,53 @@
+"""Where something stands in a model file, and refusals that say so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lxml import etree
+
+from pupper_analysis.errors import ModelError
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where something stands.
+
+    Attributes:
+        file: The file.
+        line: Its line, from 1; None where the file as a whole is meant.
+    """
+
+    file: Path
+    line: int | None = None
+
+    def __str__(self) -> str:
+        return self.file.name if self.line is None else f"{self.file.name}:{self.line}"
+
+
+def short(value: str) -> str:
+    """Quotes a value; of a long one, its first 37 characters."""
+    return repr(value if len(value) <= 40 else value[:37] + "...")
+
+
+def line_of(element: etree._Element) -> int | None:
+    """Returns an element's line; lxml is not sure of lines after 65534."""
+    line = element.sourceline
+    return line if line is not None and line < 65535 else None
+
+
+def refusal_at(path: Path, element: etree._Element, problem: str) -> ModelError:
+    """Returns the error that tells an element's file and line, and what is wrong with it."""
+    return ModelError(source_name(path, line_of(element)), one_line(problem))
+
+
+def source_name(path: Path, line: int | None = None) -> str:
+    """Names a file, and a line of it, on one line of text."""
+    name = str(path) if str(path).isprintable() else repr(str(path))
+    return name if line is None else f"{name}:{line}"
+
+
+def one_line(text: object) -> str:
+    """Makes one line of a text of several."""
+    return " ".join(str(text).split())

@@ -1,0 +1,242 @@
+"""What a URDF must be: elements, numbers, names, one tree of links."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from lxml import etree
+
+from pupper_analysis.models.places import line_of, refusal_at, short
+from pupper_analysis.models.xml import MAX_DEPTH, NUMBER
+
+MAX_LINKS: Final = 2000
+"""Most links of a URDF."""
+
+_JOINT_TYPES: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+_INERTIA: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+# The attributes that hold numbers, and how many; and those that must be there.
+_NUMBERS: Final[Mapping[str, Mapping[str, int]]] = {
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "mass": {"value": 1},
+    "inertia": dict.fromkeys(_INERTIA, 1),
+    "limit": {"effort": 1, "velocity": 1, "lower": 1, "upper": 1},
+    "dynamics": {"damping": 1, "friction": 1},
+    "mimic": {"multiplier": 1, "offset": 1},
+    "calibration": {"rising": 1, "falling": 1, "reference_position": 1},
+    "safety_controller": {
+        "k_velocity": 1,
+        "k_position": 1,
+        "soft_lower_limit": 1,
+        "soft_upper_limit": 1,
+    },
+    "box": {"size": 3},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+    "sphere": {"radius": 1},
+    "mesh": {"scale": 3},
+    "color": {"rgba": 4},
+}
+
+_REQUIRED: Final[Mapping[str, tuple[str, ...]]] = {
+    "mass": ("value",),
+    "inertia": _INERTIA,
+    "limit": ("effort", "velocity"),
+    "mimic": ("joint",),
+    "safety_controller": ("k_velocity",),
+    "box": ("size",),
+    "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"),
+    "sphere": ("radius",),
+    "mesh": ("filename",),
+    "parent": ("link",),
+    "child": ("link",),
+}
+
+# Line breaks and tabs in numbers; an XML parser makes them spaces, Pinocchio's does not.
+UNTIDY_NUMBER: Final = re.compile(
+    rf"""\b(?:{"|".join(name for names in _NUMBERS.values() for name in names)})"""
+    r"""\s*=\s*(?:"[^"<\t\r\n]*[\t\r\n]|'[^'<\t\r\n]*[\t\r\n])"""
+)
+
+# Which children an element may have once only, and which it must have.
+_ONCE: Final[Mapping[str, tuple[str, ...]]] = {
+    "link": ("inertial",),
+    "inertial": ("origin", "mass", "inertia"),
+    "visual": ("origin", "geometry", "material"),
+    "collision": ("origin", "geometry"),
+    "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
+}
+
+_MUST: Final[Mapping[str, tuple[str, ...]]] = {
+    "inertial": ("mass", "inertia"),
+    "visual": ("geometry",),
+    "collision": ("geometry",),
+    "joint": ("parent", "child"),
+}
+
+_KNOWN: Final = frozenset((*_NUMBERS, *_REQUIRED, *_ONCE, *_MUST, "geometry", "material"))
+
+
+def leave_out_undeclared(root: etree._Element, notes: list[str]) -> bool:
+    """Takes out what has a prefix that is not declared: Pinocchio skips it, other parsers refuse.
+
+    Returns:
+        Whether there was any.
+    """
+    gone: dict[str, None] = {}
+    for element in list(root.iter()):
+        for name in [str(name) for name in element.attrib if ":" in str(name).rpartition("}")[2]]:
+            gone[name] = None
+            del element.attrib[name]
+        parent = element.getparent()
+        if ":" in element.tag.rpartition("}")[2] and parent is not None:
+            gone[element.tag] = None
+            parent.remove(element)
+    if gone:
+        notes.append(f"left out, for their prefixes are not declared: {', '.join(gone)}")
+    return bool(gone)
+
+
+def distinct(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:
+    """Returns the root's children of a kind by name; the names are to be distinct."""
+    found: dict[str, etree._Element] = {}
+    for element in root.findall(tag):
+        name = element.get("name")
+        if not name:
+            raise refusal_at(path, element, f'the {tag} has no name; write <{tag} name="...">')
+        if name in found:
+            first = line_of(found[name])
+            raise refusal_at(
+                path, element, f"{tag} {name!r} is there already (line {first}); rename one"
+            )
+        found[name] = element
+    return found
+
+
+def check_element(path: Path, element: etree._Element) -> bool:
+    """Checks the children and numbers of a link or joint; returns whether it had to rewrite any."""
+    rewritten = False
+    what = f"{element.tag} {element.get('name')!r}"
+    pending = [element]
+    while pending:
+        part = pending.pop()
+        children = [child for child in part if child.tag in _KNOWN]
+        tags = [child.tag for child in children]
+        for tag in _ONCE.get(part.tag, ()):
+            if tags.count(tag) > 1:
+                again = [child for child in children if child.tag == tag][1]
+                raise refusal_at(path, again, f"{what} has <{tag}> more than once; keep one")
+        for tag in _MUST.get(part.tag, ()):
+            if tag not in tags:
+                raise refusal_at(path, part, f"{what}: <{part.tag}> has no <{tag}>; add it")
+        for attribute in _REQUIRED.get(part.tag, ()):
+            if part.get(attribute) is None:
+                raise refusal_at(path, part, f"{what}: <{part.tag}> has no {attribute}; add it")
+        for attribute, count in _NUMBERS.get(part.tag, {}).items():
+            value = part.get(attribute)
+            if value is None:
+                continue
+            _check_numbers(path, part, attribute, value, count, what)
+            tidy = " ".join(value.split())
+            if tidy != value:
+                part.set(attribute, tidy)
+                rewritten |= count == 1
+        if part.tag == "dynamics" and not (part.get("damping") or part.get("friction")):
+            raise refusal_at(path, part, f"{what}: <dynamics> has neither damping nor friction")
+        pending.extend(children)
+    return rewritten
+
+
+def _check_numbers(
+    path: Path, part: etree._Element, attribute: str, value: str, count: int, what: str
+) -> None:
+    where = f"{what}: <{part.tag} {attribute}={short(value)}>"
+    numbers = value.split()
+    if len(numbers) != count:
+        wanted = "a number" if count == 1 else f"{count} numbers"
+        raise refusal_at(path, part, f"{where} has {len(numbers)} values; it takes {wanted}")
+    for number in numbers:
+        if "${" in number or "$(" in number:
+            raise refusal_at(path, part, f"{where} is xacro; expand the file with xacro first")
+        if not NUMBER.fullmatch(number) or not math.isfinite(float(number)):
+            raise refusal_at(path, part, f"{where}: {short(number)} is not a finite number")
+
+
+def check_joint(
+    path: Path,
+    name: str,
+    joint: etree._Element,
+    links: Mapping[str, etree._Element],
+) -> None:
+    """Refuses an unknown type, a missing limit, and ends that are no links."""
+    what = f"joint {name!r}"
+    kind = joint.get("type")
+    if kind not in _JOINT_TYPES:
+        problem = f"{what} has " + ("no type" if kind is None else f"the unknown type {kind!r}")
+        raise refusal_at(path, joint, f"{problem}; valid: {', '.join(_JOINT_TYPES)}")
+    if kind in ("revolute", "prismatic") and joint.find("limit") is None:
+        raise refusal_at(
+            path,
+            joint,
+            f'{what} is {kind} without a <limit>; add <limit lower="" upper="" effort="" '
+            'velocity=""/>' + (', or make it "continuous"' if kind == "revolute" else ""),
+        )
+    for tag in ("parent", "child"):
+        end = joint.find(tag)
+        if end.get("link") not in links:
+            raise refusal_at(path, end, f"{what}: its {tag} {end.get('link')!r} is not a link here")
+
+
+def check_tree(
+    path: Path, links: Mapping[str, etree._Element], joints: Mapping[str, etree._Element]
+) -> None:
+    """Refuses joints that do not make the links one tree."""
+    above: dict[str, str] = {}
+    through: dict[str, str] = {}
+    for name, joint in joints.items():
+        child = joint.find("child").get("link")
+        if child in above:
+            raise refusal_at(
+                path,
+                joint,
+                f"link {child!r} is the child of two joints, {through[child]!r} and {name!r}; "
+                "the links are to form a tree",
+            )
+        above[child] = joint.find("parent").get("link")
+        through[child] = name
+    depth: dict[str, int] = {}
+    for link in links:
+        chain: list[str] = []
+        at = link
+        while at in above and at not in depth:
+            depth[at] = -1
+            chain.append(at)
+            at = above[at]
+        if depth.get(at) == -1:
+            raise refusal_at(
+                path,
+                joints[through[at]],
+                f"joint {through[at]!r} closes a loop of links at {at!r}; the links are to form a "
+                "tree",
+            )
+        base = depth.setdefault(at, 0)
+        for steps, passed in enumerate(reversed(chain), start=1):
+            depth[passed] = base + steps
+        if depth[link] > MAX_DEPTH:
+            raise refusal_at(
+                path, links[link], f"link {link!r} is at the end of more than {MAX_DEPTH} joints"
+            )
+    roots = [link for link in links if link not in above]
+    if len(roots) > 1:
+        raise refusal_at(
+            path,
+            links[roots[1]],
+            f"{len(roots)} links have no parent ({', '.join(map(repr, roots[:3]))}"
+            f"{', ...' if len(roots) > 3 else ''}); join them, so that one root is left",
+        )

@@ -1,0 +1,156 @@
+"""Reads a URDF: where its elements stand, and what its meshes are."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+from lxml import etree
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.packages import existing, folders_of_package
+from pupper_analysis.models.places import Place, line_of, refusal_at, source_name
+from pupper_analysis.models.urdf_checks import (
+    MAX_LINKS,
+    UNTIDY_NUMBER,
+    check_element,
+    check_joint,
+    check_tree,
+    distinct,
+    leave_out_undeclared,
+)
+from pupper_analysis.models.xml import parse, to_text
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfFile:
+    """A URDF that can be loaded.
+
+    Attributes:
+        path: The file.
+        text: Its XML.
+        root: The parsed XML, without comments; ``sourceline`` is an element's line.
+        packages: Folders of packages, for ``package://``.
+        notes: What was assumed on reading, in plain words.
+    """
+
+    path: Path
+    text: str = field(repr=False)
+    root: etree._Element = field(repr=False)
+    packages: Mapping[str, Path] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def place(self, kind: str, name: str, child: str | None = None) -> Place:
+        """Finds an element.
+
+        Args:
+            kind: Its tag: ``"link"``, ``"joint"``, ``"material"`` ...
+            name: Its name.
+            child: A path below it (``"limit"``, ``"inertial/mass"``): the innermost that exists.
+
+        Returns:
+            Its file and line; the file alone where there is no such element.
+        """
+        named = (e for e in (*self.root, *self.root.iter(kind)) if e.tag == kind)
+        element = next((e for e in named if e.get("name") == name), None)
+        if element is None:
+            return Place(self.path)
+        for tag in child.split("/") if child else ():
+            below = element.find(tag)
+            if below is None:
+                break
+            element = below
+        return Place(self.path, line_of(element))
+
+    def resolve_mesh(self, filename: str) -> Path | None:
+        """Finds the file that a mesh's ``filename`` means.
+
+        ``package://NAME/...`` and ``model://NAME/...`` are looked up in ``packages``, then in the
+        folders of ``ROS_PACKAGE_PATH``, then in the folders above the URDF. Other names are
+        relative to the URDF.
+
+        Returns:
+            The file, or None where there is none.
+        """
+        scheme, separator, rest = filename.partition("://")
+        if not separator:
+            return existing(self.path.parent / filename)
+        if scheme == "file":
+            return existing(self.path.parent / rest)
+        if scheme not in ("package", "model"):
+            return None
+        package, _, inside = rest.lstrip("/").partition("/")
+        for folder in self._package_folders(package):
+            found = existing(folder / inside)
+            if found is not None:
+                return found
+        return None
+
+    def _package_folders(self, package: str) -> Iterator[Path]:
+        if package in self.packages:
+            yield Path(self.packages[package])
+        for entry in filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)):
+            yield from folders_of_package(Path(entry), package)
+        for folder in self.path.absolute().parents:
+            yield from folders_of_package(folder, package)
+
+
+def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile:
+    """Reads a URDF.
+
+    Args:
+        path: The file.
+        packages: Folders of packages, for ``package://``.
+
+    Raises:
+        ModelError: If it cannot be loaded; one line that tells where and why.
+    """
+    path = Path(path)
+    text, root = parse(path)
+    return urdf_from(path, text, root, packages)
+
+
+def urdf_from(
+    path: Path, text: str, root: etree._Element, packages: Mapping[str, Path] | None
+) -> UrdfFile:
+    """Makes a URDF of its root element, after all checks.
+
+    Raises:
+        ModelError: If it cannot be loaded; one line that tells where and why.
+    """
+    if root.tag != "robot":
+        hint = "; it is an MJCF" if root.tag == "mujoco" else ""
+        raise refusal_at(path, root, f"a URDF's root element is <robot>, not <{root.tag}>{hint}")
+    if not root.get("name"):
+        raise refusal_at(path, root, 'the robot has no name; write <robot name="...">')
+    if root.get("version") not in (None, "1", "1.0"):
+        raise refusal_at(path, root, f"version {root.get('version')!r} is unknown; valid: 1.0")
+    notes: list[str] = []
+    rewritten = leave_out_undeclared(root, notes)
+    materials = distinct(path, root, "material")
+    links = distinct(path, root, "link")
+    joints = distinct(path, root, "joint")
+    if not links:
+        raise ModelError(source_name(path), "it has no <link>; a robot has at least one")
+    if len(links) > MAX_LINKS:
+        raise ModelError(
+            source_name(path), f"it has {len(links)} links; at most {MAX_LINKS} are read"
+        )
+    spaces = False
+    for element in (*links.values(), *joints.values(), *materials.values()):
+        spaces |= check_element(path, element)
+    for name, joint in joints.items():
+        check_joint(path, name, joint, links)
+        mimic = joint.find("mimic")
+        if mimic is not None and mimic.get("joint") not in joints.keys() - {name}:
+            notes.append(f"joint {name!r} mimics {mimic.get('joint')!r}, not another joint here")
+    check_tree(path, links, joints)
+    if spaces or UNTIDY_NUMBER.search(text):
+        rewritten = True
+        notes.append("white space in numbers was normalised: Pinocchio takes single spaces only")
+    if rewritten:
+        text = to_text(root)
+    return UrdfFile(path, text, root, MappingProxyType(dict(packages or {})), tuple(notes))

@@ -1,0 +1,151 @@
+"""The one reader of XML: its limits, no DOCTYPE, no entities, every line known."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+from lxml import etree
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.places import one_line, refusal_at, source_name
+
+MAX_BYTES: Final = 20_000_000
+"""Largest file that is read."""
+
+MAX_DEPTH: Final = 250
+"""Deepest nesting of XML elements, and longest chain of a URDF's joints."""
+
+MAX_ELEMENTS: Final = 30_000
+"""Most elements of a file with all it includes."""
+
+NUMBER: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+"""A number as a model file writes it; what XML Schema calls a decimal or a double."""
+
+
+def parse(path: Path) -> tuple[str, etree._Element]:
+    """Returns a file's text, and its root element without comments and default namespace."""
+    text = _text(path)
+    _refuse_doctype(path, text)
+    parser = _parser(recover=False)
+    try:
+        root = etree.fromstring(text.encode(), parser)
+    except etree.XMLSyntaxError as error:
+        errors = [entry for entry in parser.error_log if entry.domain_name != "NAMESPACE"]
+        if errors or not len(parser.error_log):
+            line, message = (errors[0].line, errors[0].message) if errors else (1, str(error))
+            if "Excessive depth" in message:
+                message = f"elements are nested deeper than {MAX_DEPTH}"
+            raise ModelError(
+                source_name(path, line or None), f"not well-formed XML: {one_line(message)}"
+            ) from error
+        # A prefix is used that is not declared, which neither Pinocchio nor MuJoCo minds.
+        root = etree.fromstring(text.encode(), _parser(recover=True))
+    count = 0
+    ends = etree.iterwalk(root, events=("start", "end"))
+    depth = 0
+    for event, element in ends:
+        depth += 1 if event == "start" else -1
+        count += event == "start"
+        if depth > MAX_DEPTH:
+            raise refusal_at(path, element, f"elements are nested deeper than {MAX_DEPTH}")
+        name = etree.QName(element) if ":" not in element.tag.rpartition("}")[2] else None
+        if element.prefix == "xacro" or element.tag.startswith("xacro:"):
+            raise refusal_at(
+                path,
+                element,
+                "it is a xacro file; expand it first: xacro robot.urdf.xacro > robot.urdf",
+            )
+        if name is not None and name.namespace and element.prefix is None:
+            element.tag = name.localname
+    if count > MAX_ELEMENTS:
+        raise ModelError(
+            source_name(path), f"it has {count} elements; at most {MAX_ELEMENTS} are read"
+        )
+    return text, root
+
+
+def parse_text(text: str) -> etree._Element:
+    """Parses XML that was read before, or written here; comments are left out."""
+    return etree.fromstring(text.encode(), _parser(recover=False))
+
+
+def to_text(root: etree._Element) -> str:
+    """Writes XML, without a declaration."""
+    return str(etree.tostring(root, encoding="unicode"))
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.is_dir():
+            raise ModelError(
+                source_name(path), "it is a folder; give the path of a URDF or MJCF file"
+            )
+        if not path.exists():
+            raise ModelError(
+                source_name(path), "there is no such file; give the path of a URDF or MJCF file"
+            )
+        if not path.is_file():
+            raise ModelError(
+                source_name(path), "it is no regular file; give the path of a URDF or MJCF file"
+            )
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise ModelError(source_name(path), f"cannot be read: {one_line(error)}") from error
+    if len(data) > MAX_BYTES:
+        raise ModelError(
+            source_name(path), f"it has more than {MAX_BYTES // 10**6} MB, the most that is read"
+        )
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise ModelError(source_name(path), "it is encoded in UTF-16; save it as UTF-8")
+    if b"\0" in data:
+        line = data.count(b"\n", 0, data.index(b"\0")) + 1
+        raise ModelError(
+            source_name(path, line), "it has a zero byte, so it is no text; give an XML file"
+        )
+    if not data.strip():
+        raise ModelError(source_name(path), "it is empty; give a URDF or an MJCF")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ModelError(
+            source_name(path, line),
+            f"byte 0x{data[error.start]:02x} is not UTF-8; save the file as UTF-8",
+        ) from error
+
+
+def _refuse_doctype(path: Path, text: str) -> None:
+    """Refuses a DOCTYPE, which can only stand before the root element; none is ever needed."""
+    at = 0
+    while True:
+        at = _SPACE.match(text, at).end()  # type: ignore[union-attr]
+        closing = "-->" if text.startswith("<!--", at) else "?>"
+        if closing == "?>" and not text.startswith("<?", at):
+            break
+        end = text.find(closing, at + len(closing) + 1 - (closing == "?>"))
+        if end < 0:
+            return
+        at = end + len(closing)
+    if text.startswith("<!", at):
+        line = text.count("\n", 0, at) + 1
+        raise ModelError(source_name(path, line), "it has a DOCTYPE, which is refused; take it out")
+
+
+_SPACE: Final = re.compile(r"\s*")
+
+
+def _parser(recover: bool) -> etree.XMLParser:
+    return etree.XMLParser(
+        encoding="utf-8",
+        recover=recover,
+        resolve_entities=False,
+        no_network=True,
+        load_dtd=False,
+        dtd_validation=False,
+        huge_tree=False,
+        remove_comments=True,
+        remove_pis=True,
+    )

@@ -1,0 +1,1 @@
+"""Figures, as PNG files. No pyplot: no window, and nobody's backend is touched."""

@@ -1,0 +1,79 @@
+"""The figure of the base's height over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.lines import Line2D
+
+from pupper_analysis.report.figures.style import (
+    BLACK,
+    BLUE,
+    COLUMNS,
+    FONT,
+    RED,
+    panels_of,
+    put_legend,
+    put_style,
+    save,
+)
+
+if TYPE_CHECKING:
+    from pupper_analysis.analysis.robot import Analysis
+
+_WITH: dict[str, Any] = {"color": BLUE, "lw": 1.5, "marker": "o", "ms": 4, "mfc": "white"}
+_WITHOUT: dict[str, Any] = {"color": RED, "lw": 1.5, "ls": (0, (5, 1.5)), "marker": "s", "ms": 4}
+
+
+def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+    """Draws the base's height over the simulated time, with and without feed-forward.
+
+    Args:
+        analyses: The robots; ``stand``, ``verification`` and ``sagging`` are drawn.
+        path: The PNG to write.
+
+    Raises:
+        ConfigurationError: If there is no robot.
+        OutputError: If the file cannot be written.
+    """
+    figure, panels = panels_of(analyses, "Height of the simulated base", 1.75)
+    for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
+        task = 1e3 * analysis.stand.qpos[2]
+        axes.axhline(task, color=BLACK, lw=1.2, ls=":")
+        low = high = task
+        for run, style in ((analysis.verification, _WITH), (analysis.sagging, _WITHOUT)):
+            label = f"{1e3 * run.height_loss:.2f} mm"
+            axes.plot(run.time, 1e3 * run.height, **style, markevery=(0.1, 0.2), label=label)
+            low = min(low, float(np.nanmin(1e3 * run.height)))
+            high = max(high, float(np.nanmax(1e3 * run.height)))
+        span = max(high - low, 1.0)
+        axes.set_ylim(high - 1.3 * span, high + 0.1 * span)
+        axes.legend(
+            loc="lower right",
+            ncols=2,
+            fontsize=FONT,
+            handlelength=1.8,
+            columnspacing=1.0,
+            frameon=False,
+            borderpad=0.1,
+        )
+        put_style(axes, f"{analysis.name}: task {task:.1f} mm")
+        axes.set_xlim(0, max(analysis.verification.time[-1], analysis.sagging.time[-1]))
+        axes.grid(color="#E3E6EB", lw=0.6)
+        if index + COLUMNS >= len(analyses):
+            axes.set_xlabel("time (s)", size=FONT)
+        if index % COLUMNS == 0:
+            axes.set_ylabel("base height (mm)", size=FONT)
+    put_legend(
+        figure,
+        [
+            Line2D([], [], color=BLACK, lw=1.2, ls=":", label="task"),
+            Line2D([], [], **_WITH, label="with feed-forward"),
+            Line2D([], [], **_WITHOUT, label="without"),
+            Line2D([], [], ls="", label="in the panels: height lost, mean of the last second"),
+        ],
+    )
+    save(figure, path)

@@ -1,0 +1,267 @@
+"""The figure of how a robot stands."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon
+from matplotlib.ticker import MultipleLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+from mpl_toolkits.mplot3d.proj3d import proj_transform  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from pupper_analysis.report.figures.skeleton import (
+    BOX_FACES,
+    Skeleton,
+    nearest_edge_point,
+    skeleton,
+    support_polygon,
+)
+from pupper_analysis.report.figures.style import (
+    BLACK,
+    BLUE,
+    DPI,
+    FONT,
+    GREEN,
+    RED,
+    WIDTH,
+    put_legend,
+    put_style,
+    put_title,
+    save,
+)
+from pupper_analysis.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from pupper_analysis.stance.stand import Stand
+    from pupper_analysis.statics.equilibrium import GravityCompensation
+
+Array = NDArray[np.float64]
+_ELEVATION, _AZIMUTH = 16, -33  # deg: from the front and the right
+_ARROW = 0.35  # length of the largest force's arrow / length of the support polygon
+_NEAR, _FAR = "#374151", "#A3AAB5"
+_BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
+_SUPPORT = "#CFE8F7"
+_COM: dict[str, Any] = {
+    "color": GREEN,
+    "marker": "o",
+    "ls": "",
+    "mfc": "white",
+    "mew": 2.2,
+    "ms": 8,
+}
+
+_PROJECTION: dict[str, Any] = {"color": GREEN, "marker": "x", "ls": "", "mew": 2.2, "ms": 7}
+
+
+def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: str | Path) -> None:
+    """Draws how a robot stands: legs, base, contact forces, com and support polygon.
+
+    On the left in space; on the right from above, with the com's margin to the polygon's edge.
+
+    Args:
+        robot: The robot.
+        stand: How it stands.
+        statics: What it takes.
+        path: The PNG to write.
+
+    Raises:
+        OutputError: If the file cannot be written.
+    """
+    lines = skeleton(robot, stand.qpos)
+    figure = Figure(figsize=(WIDTH, 0.6 * WIDTH), dpi=DPI)
+    put_title(figure, f"{robot.name}: how it stands")
+    text = f"{stand.task}; mass {robot.total_mass:.2f} kg; the contact forces that last"
+    figure.text(0.012, 0.925, textwrap.fill(text, 120), size=FONT, va="top")
+    _draw_in_space(figure, lines, statics)
+    _draw_from_above(figure, lines, statics)
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=_NEAR, lw=3, marker="o", mfc="white", mec=BLACK, ms=4, label="leg"),
+        Line2D([], [], color=BLACK, marker="o", ls="", ms=6, label="foot"),
+        Patch(facecolor=_BASE_FACE, edgecolor=_BASE_EDGE, label="base"),
+        Line2D([], [], color=RED, marker=r"$\uparrow$", ls="", ms=9, label="contact force"),
+        Line2D([], [], **_COM, label="com"),
+        Line2D([], [], **_PROJECTION, label="com's projection"),
+        Patch(facecolor=_SUPPORT, edgecolor=BLUE, hatch="//", label="support polygon"),
+    ]
+    put_legend(figure, handles)
+    save(figure, path)
+
+
+def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation) -> None:
+    # mpl_toolkits has no type information.
+    axes: Any = figure.add_axes((-0.03, 0.165, 0.74, 0.76), projection="3d", computed_zorder=False)
+    axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
+    axes.set_proj_type("ortho")
+    polygon = support_polygon(statics.contact_points.values())
+    ground = 1e3 * np.column_stack([polygon, _heights_below(statics, polygon)])
+    axes.add_collection3d(
+        Poly3DCollection([ground], facecolor=_SUPPORT, alpha=0.6, edgecolor=BLUE, lw=1.2, zorder=1)
+    )
+    hips = 1e3 * np.array([leg[0] for leg in lines.legs.values()])
+    for leg in lines.legs.values():
+        # The viewer stands on the right: the legs of that side hide the base, it hides the others.
+        near = leg[0, 1] < hips[:, 1].mean() / 1e3
+        order = 4 if near else 2
+        x, y, z = 1e3 * leg.T
+        axes.plot(
+            x, y, z, color=_NEAR if near else _FAR, lw=4.5, solid_capstyle="round", zorder=order
+        )
+        axes.plot(
+            x[:-1], y[:-1], z[:-1], "o", color="white", mec=BLACK, mew=0.8, ms=4, zorder=order
+        )
+        axes.plot(x[-1:], y[-1:], z[-1:], "o", color=BLACK, ms=7, zorder=order)
+    for box in lines.boxes:
+        faces = [1e3 * box[list(face)] for face in BOX_FACES]
+        axes.add_collection3d(
+            Poly3DCollection(faces, fc=_BASE_FACE, alpha=0.45, ec=_BASE_EDGE, lw=0.9, zorder=3)
+        )
+    around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
+    axes.plot(*np.concatenate([around, around[:1]]).T, color=_BASE_EDGE, lw=2.2, zorder=3)
+    com = 1e3 * statics.center_of_mass
+    below = 1e3 * _heights_below(statics, statics.center_of_mass[np.newaxis, :2])
+    ends = np.array([com, [*com[:2], below[0]]])
+    axes.plot(*ends.T, color=GREEN, ls="--", lw=1.2, zorder=6)
+    axes.plot(com[:1], com[1:2], com[2:], **_COM, zorder=6)
+    axes.plot(com[:1], com[1:2], below, **_PROJECTION, zorder=6)
+    _draw_forces(axes, lines, statics, polygon)
+
+
+def _draw_forces(axes: Any, lines: Skeleton, statics: GravityCompensation, polygon: Array) -> None:
+    """Draws the contact forces as arrows that end at the feet, after the axes are fitted.
+
+    Args:
+        axes: In space (mm).
+        lines: The robot.
+        statics: What it takes.
+        polygon: The support polygon (n, 2), whose size the arrows have (m).
+    """
+    forces, tips = statics.contact_forces, statics.contact_points
+    largest = max(float(np.linalg.norm(force)) for force in forces.values())
+    scale = _ARROW * float(np.ptp(polygon, axis=0).max()) / largest
+    tails = {foot: tips[foot] - scale * force for foot, force in forces.items()}
+    _fit(axes, 1e3 * np.concatenate([lines.points(), list(tails.values())]))
+    # In the projection that the axes have now: an arrow's head in space would be seen askew.
+    projection = axes.get_proj()
+    for foot, force in forces.items():
+        arrow = (1e3 * tails[foot], 1e3 * tips[foot])
+        (x0, y0, _), (x1, y1, _) = (proj_transform(*end, projection) for end in arrow)
+        axes.annotate(
+            f"{foot}\n{np.linalg.norm(force):.2f} N",
+            (x1, y1),
+            (x0, y0),
+            size=FONT,
+            color=RED,
+            ha="center",
+            va="top",
+            zorder=7,
+            parse_math=False,
+            bbox={"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.75},
+            arrowprops={
+                "arrowstyle": "-|>",
+                "color": RED,
+                "lw": 1.8,
+                "shrinkA": 0,
+                "shrinkB": 0,
+                "relpos": (0.5, 1),
+            },
+        )
+
+
+def _heights_below(statics: GravityCompensation, places: Array) -> Array:
+    """Returns z (n,) of the plane through the contact points at places (n, 2) (m)."""
+    points = np.array(list(statics.contact_points.values()))
+    known = np.column_stack([points[:, :2], np.ones(len(points))])
+    plane = np.linalg.lstsq(known, points[:, 2], rcond=None)[0]
+    heights: Array = places @ plane[:2] + plane[2]
+    return heights
+
+
+def _fit(axes: Any, shown: Array) -> None:
+    """Gives axes in space equal scales, and limits around points (n, 3) (mm)."""
+    room = float(np.ptp(shown, axis=0).max()) / 300
+    low = shown.min(axis=0) - room * np.array([35, 20, 50])
+    high = shown.max(axis=0) + room * np.array([20, 35, 10])
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect(high - low, zoom=1.02)
+    # No ticks in the corners, where those of two axes meet, nor below the ground.
+    first, last = low + 30 * room, high - 15 * room
+    first[2] = 0.0
+    step = _tick_step(shown)
+    names = ("x, forward", "y, left", "z, up")
+    for index, axis in enumerate((axes.xaxis, axes.yaxis, axes.zaxis)):
+        axis.set_ticks(np.arange(step * np.ceil(first[index] / step), last[index], step))
+        axis.set_tick_params(labelsize=FONT, pad=-2)
+        axis.set_label_text(f"{names[index]} (mm)", fontsize=FONT)
+        axis.labelpad = 0
+        axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
+
+
+def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensation) -> None:
+    axes = figure.add_axes((0.735, 0.17, 0.255, 0.66))
+    put_style(axes, "from above")
+    points = {foot: 1e3 * point[:2] for foot, point in statics.contact_points.items()}
+    polygon = 1e3 * support_polygon(statics.contact_points.values())
+    # Forward is up and left is left: y is drawn to the left, x upwards.
+    axes.add_patch(Polygon(polygon[:, ::-1], fc=_SUPPORT, ec=BLUE, hatch="//", lw=1.2, zorder=1))
+    for box in lines.boxes:
+        outline = 1e3 * support_polygon(box)
+        axes.plot(outline[:, 1], outline[:, 0], color=_BASE_EDGE, lw=1.0, zorder=2)
+    for leg in lines.legs.values():
+        axes.plot(
+            1e3 * leg[:, 1], 1e3 * leg[:, 0], color=_FAR, lw=3, solid_capstyle="round", zorder=2
+        )
+    middle = np.mean(list(points.values()), axis=0)
+    for foot, (x, y) in points.items():
+        axes.plot(y, x, "o", color=BLACK, ms=6, zorder=3)
+        left = y > middle[1]
+        axes.annotate(
+            foot,
+            (y, x),
+            (-7 if left else 7, 0),
+            textcoords="offset points",
+            size=FONT,
+            ha="right" if left else "left",
+            va="center",
+            parse_math=False,
+        )
+    com = 1e3 * statics.center_of_mass[:2]
+    axes.plot(com[1], com[0], **_PROJECTION, zorder=5)
+    if statics.com_margin is not None:
+        edge = nearest_edge_point(polygon, com)
+        axes.plot((com[1], edge[1]), (com[0], edge[0]), color=GREEN, lw=1.6, zorder=4)
+        axes.plot(edge[1], edge[0], "o", color=GREEN, ms=4, zorder=4)
+        axes.annotate(
+            f"margin {1e3 * statics.com_margin:.1f} mm",
+            (com[1], com[0]),
+            (0, 8),
+            textcoords="offset points",
+            size=FONT,
+            ha="center",
+            va="bottom",
+            color="#00644A",
+            bbox={"fc": "white", "ec": "none", "pad": 1.5, "alpha": 0.9},
+            zorder=6,
+        )
+    shown = 1e3 * lines.points()
+    axes.set_aspect("equal")
+    room = float(np.ptp(shown, axis=0).max()) / 300
+    axes.set_xlim(shown[:, 1].max() + 55 * room, shown[:, 1].min() - 55 * room)
+    axes.set_ylim(shown[:, 0].min() - 15 * room, shown[:, 0].max() + 15 * room)
+    axes.xaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
+    axes.yaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
+    axes.set_xlabel("y, left (mm)", size=FONT)
+    axes.set_ylabel("x, forward (mm)", size=FONT)
+
+
+def _tick_step(points: Array) -> float:
+    """Returns a round distance of ticks, at most half of the span of points (n, 3) (mm)."""
+    span = float(np.ptp(points, axis=0).max()) / 2
+    power = 10.0 ** math.floor(math.log10(span))
+    return power * max(factor for factor in (1, 2, 5) if factor * power <= span)

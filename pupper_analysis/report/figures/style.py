@@ -1,0 +1,93 @@
+"""What all figures share: sizes, colours, titles, legends, panels, and how they are saved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.files import whole_file
+
+if TYPE_CHECKING:
+    from pupper_analysis.analysis.robot import Analysis
+
+DPI = 180
+FONT = 8  # pt
+
+# Okabe and Ito's colours, which the colour-blind can tell apart.
+BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#D55E00",
+    "#56B4E9",
+    "#000000",
+    "#6B7280",
+)
+
+plain_numbers = FuncFormatter(lambda value, _: f"{value:g}")
+
+WIDTH = 178 / 25.4
+"""A page's text (inch)."""
+
+COLUMNS = 3
+
+
+def panels_of(
+    analyses: Sequence[Analysis], title: str, row_height: float
+) -> tuple[Figure, list[Axes]]:
+    """Returns a figure with one panel (of ``row_height`` inches) per robot, in rows of three."""
+    if not analyses:
+        raise ConfigurationError("analyses", "there is no robot to draw")
+    columns = min(COLUMNS, len(analyses))
+    rows = -(-len(analyses) // columns)
+    figure = Figure(figsize=(WIDTH, rows * row_height + 0.75), dpi=DPI, layout="constrained")
+    put_title(figure, title)
+    grid = figure.add_gridspec(rows, columns)
+    panels = [figure.add_subplot(grid[divmod(index, columns)]) for index in range(len(analyses))]
+    return figure, panels
+
+
+def put_title(figure: Figure, title: str) -> None:
+    """Puts a title over a figure."""
+    figure.suptitle(title, x=0.012, ha="left", size=FONT + 2, weight="bold", parse_math=False)
+
+
+def put_style(axes: Axes, title: str) -> None:
+    """Gives a panel its title, and the look of all panels."""
+    axes.set_title(title, size=FONT, weight="bold", loc="left", pad=4, parse_math=False)
+    axes.tick_params(labelsize=FONT)
+    for spine in ("top", "right"):
+        axes.spines[spine].set_visible(False)
+
+
+def put_legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
+    """Puts a legend in one line under a figure."""
+    figure.legend(
+        handles=handles,
+        loc="outside lower center" if figure.get_layout_engine() else "lower center",
+        ncols=len(handles),
+        fontsize=FONT,
+        frameon=False,
+        handletextpad=0.5,
+        columnspacing=1.4,
+    )
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Writes a figure as a PNG, and its folder if need be; no half-written file is ever there.
+
+    Raises:
+        OutputError: If the file cannot be written.
+    """
+    FigureCanvasAgg(figure)
+    with whole_file(Path(path)) as temporary:
+        figure.savefig(temporary, format="png")

@@ -1,0 +1,283 @@
+"""The search for the best stance: a smooth programme, from many starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.errors import (
+    ConfigurationError,
+    NoEquilibriumError,
+    StanceUnreachableError,
+    StaticsInfeasibleError,
+)
+from pupper_analysis.robot.payload import point_on_base, with_payload
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.stance.optimize.space import JOINT_RESERVE, Room, StanceSpace
+from pupper_analysis.stance.payload.first_order import FirstOrder
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.equilibrium import ForceDistribution
+
+Array = NDArray[np.float64]
+_SAMPLES = 64  # a power of two, as Sobol's sequence likes it
+_STARTS = 3  # of the samples, besides the nominal stand
+_DESCENT = 25  # iterations of one descent
+_LOOK = 4  # iterations with all coordinates free, each of which takes a dozen stances
+_WORTHWHILE = 1e-3  # of the value: a gain for which it goes on
+_CONVERGED = 1e-4  # of the nominal value: a gain in one iteration that ends a descent
+_STEP = 1e-6  # of the bounds' distance: of the differences that gradients are taken from
+_INSIDE = 1e-6  # of what may not be used up: where descents stop short, so that they end inside
+_UNREACHED = 10.0  # what is missing where there is no stance, in parts of the nominal value
+
+
+class Objective(StrEnum):
+    """What the best stance has the best of.
+
+    UTILISATION: the least peak motor utilisation.
+    MARGIN: the largest distance of the com's projection from the support polygon's edge.
+    PAYLOAD: the largest payload at a point of the base (``payload_limit``).
+    """
+
+    UTILISATION = "utilisation"
+    MARGIN = "margin"
+    PAYLOAD = "payload"
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluatedStance:
+    """A stance that was evaluated.
+
+    Attributes:
+        coordinates: In the space of stances.
+        stand: Its stand.
+        level: The objective's level, in parts of the nominal one: less is better.
+        rows: (k, 2): a + b level >= 0 are the constraints that make the level what it is, and the
+            room.
+        allowed: Whether nothing is used up.
+    """
+
+    coordinates: Array
+    stand: Stand
+    level: float
+    rows: Array
+    allowed: bool
+
+
+class StanceSearch:
+    """The search; ``best`` is the best stance so far."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        objective: Objective,
+        task: StandTask | None = None,
+        point: Sequence[float] = (0.0, 0.0, 0.0),
+        distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
+        kp: ArrayLike | None = None,
+    ) -> None:
+        self.robot, self.objective, self.distribution = robot, objective, distribution
+        self.point = point_on_base(point)
+        self.limits = robot.effort_limits
+        self.bears = np.isfinite(self.limits)
+        self.evaluations = 0
+        self.space = StanceSpace(robot, task or StandTask())
+        if objective is not Objective.MARGIN:
+            self._check_limits()
+        self.mass = robot.total_mass
+        if objective is Objective.PAYLOAD:
+            # Small: with one that tips the robot there is no line to follow.
+            self.loaded = with_payload(robot, robot.total_mass / 10, self.point.tolist())
+            self.kp = servos(robot, kp, None if kp is None else 0.0).kp
+        self.scale = 1.0
+        first = self.stance(self.space.start, self.space.nominal)
+        self.scale = abs(first.level) or robot.stand_height
+        self.nominal = self.best = self.stance(self.space.start, self.space.nominal)
+        self.known: dict[bytes, EvaluatedStance | None] = {}
+
+    def _check_limits(self) -> None:
+        robot = self.robot
+        if not self.bears.any():
+            raise ConfigurationError("objective", f"no motor of {robot.name} has an effort limit")
+        none = np.flatnonzero(self.limits <= 0)
+        if len(none):
+            raise ConfigurationError(
+                "objective",
+                f"the effort limit of {robot.joint_names[none[0]]} is 0 N m, no part of which can "
+                "be used; give the URDF limits > 0",
+            )
+
+    def value(self, stand: Stand) -> float:
+        """Returns the utilisation, or the margin (m), of a stand."""
+        statics = stand_statics(self.robot, stand, distribution=self.distribution)
+        assert statics.com_margin is not None
+        if self.objective is Objective.MARGIN:
+            return statics.com_margin
+        return float(statics.motor_utilisation.max())
+
+    def evaluate(self, coordinates: Array) -> EvaluatedStance | None:
+        """Returns a stance, or None if there is none; remembers the best that is allowed."""
+        key = coordinates.tobytes()
+        if key not in self.known:
+            self.evaluations += 1
+            try:
+                stand = solve_stand(self.robot, self.space.task(coordinates), explain=False)
+                self.known[key] = self.stance(coordinates, stand)
+            except (
+                StanceUnreachableError,
+                StaticsInfeasibleError,
+                NoEquilibriumError,
+                ConfigurationError,
+            ):
+                self.known[key] = None
+        found = self.known[key]
+        if found is not None and found.allowed and found.level < self.best.level:
+            self.best = found
+        return found
+
+    def stance(self, coordinates: Array, stand: Stand) -> EvaluatedStance:
+        """Evaluates a stand."""
+        room = self.space.room(stand)
+        level, rows = self._level(stand, room)
+        left = room.less(_INSIDE)
+        allowed = bool(
+            room.singular_values.min() >= 0
+            and room.joints.min() >= -JOINT_RESERVE
+            and room.edges.min() >= 0
+            and room.touching >= 0
+        )
+        kept = np.column_stack([left, np.zeros(len(left))])
+        return EvaluatedStance(coordinates, stand, level, np.concatenate([rows, kept]), allowed)
+
+    def _level(self, stand: Stand, room: Room) -> tuple[float, Array]:
+        """Returns the level, and the rows (k, 2) of which it is the least that satisfies all."""
+        if self.objective is Objective.PAYLOAD:
+            return self._payload_level(stand)
+        if self.objective is Objective.MARGIN:
+            inside = (room.edges + stand.task.com_margin) / self.scale
+            return -float(inside.min()), np.column_stack([inside, np.ones(len(inside))])
+        torques = stand_statics(self.robot, stand, distribution=self.distribution).joint_torques
+        use = torques[self.bears] / self.limits[self.bears] / self.scale
+        both = np.concatenate([use, -use])
+        return float(both.max()), np.column_stack([-both, np.ones(len(both))])
+
+    def _payload_level(self, stand: Stand) -> tuple[float, Array]:
+        """Returns the same for a payload, of mass -scale * level."""
+        first = FirstOrder.of(self.robot, self.loaded, stand, self.kp)
+        if first is None:
+            raise NoEquilibriumError(0.0, "the servos are too soft for the stand without payload")
+        loads, limits = first.loads, self.limits[self.bears]
+        torque, rate = loads.torques[self.bears] / limits, loads.torque_rates[self.bears] / limits
+        weight = self.mass * float(np.linalg.norm(self.robot.gravity))
+        light = np.isfinite(first.strongest)
+        sinking = first.strongest[light] - loads.normals[light]
+        # Rows room + slope * mass >= 0.
+        rows = [
+            np.column_stack([1 - torque, -rate]),
+            np.column_stack([1 + torque, rate]),
+            np.column_stack([loads.normals, loads.normal_rates]) / weight,
+            np.column_stack([sinking, -loads.normal_rates[light]]) / weight,
+            np.column_stack([np.ones(len(first.modes)), -first.modes]),
+        ]
+        level = -first.limit(self.limits) / self.scale
+        return level, np.concatenate(rows) * (1.0, -self.scale)
+
+    def run(self) -> None:
+        """Searches, with the feet together first, and then with each free."""
+        from scipy.stats import qmc  # slow to import
+
+        space = self.space
+        if not (space.high > space.low).any():
+            return
+        together = Subspace(space, space.start, space.directions())
+        samples = qmc.Sobol(together.size, seed=0).random(_SAMPLES)
+        tried = [self.evaluate(together.at(sample)) for sample in samples]
+        order = np.argsort([self.merit(stance) for stance in tried], kind="stable")
+        for start in (together.start, *samples[order[:_STARTS]]):
+            self._descend(together, start, _DESCENT)
+        # Where symmetry makes the best, nothing is to be gained apart: a look tells.
+        before = np.inf
+        while before - self.best.level > _WORTHWHILE * abs(self.best.level):
+            before = self.best.level
+            apart = Subspace(space, self.best.coordinates, np.eye(len(space.start)))
+            self._descend(apart, apart.start, _LOOK)
+
+    def merit(self, stance: EvaluatedStance | None) -> float:
+        """Returns the level, worse by what is used up more than there is; infinite for none."""
+        if stance is None:
+            return np.inf
+        room = stance.rows[stance.rows[:, 1] == 0, 0]  # rows that do not depend on the level
+        return stance.level - _UNREACHED * float(np.minimum(room, 0).sum())
+
+    def _descend(self, subspace: Subspace, start: Array, iterations: int) -> None:
+        """Goes down to a local best in (shares, level), as SLSQP finds it."""
+        from scipy import optimize  # slow to import
+
+        first = self.evaluate(subspace.at(start))
+        if first is None:
+            return
+        missing = first.rows - np.array([_UNREACHED, 0.0])
+
+        def rows(share: Array) -> Array:
+            stance = self.evaluate(subspace.at(share))
+            return missing if stance is None else stance.rows
+
+        def derivative(values: Array) -> Array:
+            share, level = values[:-1], values[-1]
+            here = rows(share)
+            columns = []
+            for index in range(len(share)):
+                step = np.zeros(len(share))
+                step[index] = _STEP if share[index] + _STEP <= 1 else -_STEP
+                ahead = self.evaluate(subspace.at(share + step))
+                if ahead is None:
+                    step = -step
+                    ahead = self.evaluate(subspace.at(share + step))
+                change = np.zeros_like(here) if ahead is None else ahead.rows - here
+                columns.append((change @ (1.0, level)) / step[index])
+            return np.column_stack([*columns, here[:, 1]])
+
+        optimize.minimize(
+            lambda values: values[-1],
+            np.append(start, first.level),
+            jac=lambda values: np.eye(len(values))[-1],
+            method="SLSQP",
+            bounds=[(0.0, 1.0)] * len(start) + [(None, None)],
+            constraints={
+                "type": "ineq",
+                "fun": lambda values: rows(values[:-1]) @ (1.0, values[-1]),
+                "jac": derivative,
+            },
+            options={"maxiter": iterations, "ftol": _CONVERGED},
+        )
+
+
+class Subspace:
+    """Stances along some directions, as shares from 0 to 1 of the way between the bounds."""
+
+    def __init__(self, space: StanceSpace, origin: Array, directions: Array) -> None:
+        low, high = [], []
+        for column in directions.T:
+            moved = column != 0
+            ends = np.sort(
+                [(limit - origin)[moved] / column[moved] for limit in (space.low, space.high)],
+                axis=0,
+            )
+            low.append(ends[0].max())
+            high.append(ends[1].min())
+        movable = np.array(high) > np.array(low)
+        self.origin, self.directions = origin, directions[:, movable]
+        self.low, self.width = np.array(low)[movable], (np.array(high) - np.array(low))[movable]
+        self.size = int(movable.sum())
+        self.start = np.clip(-self.low / self.width, 0, 1)
+
+    def at(self, share: Array) -> Array:
+        """Returns the coordinates of shares (size,)."""
+        way = self.low + np.clip(share, 0, 1) * self.width
+        coordinates: Array = self.origin + self.directions @ way
+        return coordinates
