@@ -77,7 +77,7 @@ def stand_statics(
     Args:
         robot: The robot.
         stand: The stand.
-        distribution: Which of the feasible contact forces: by default ``EVEN``, those that last.
+        distribution: Which of the feasible contact forces: by default those that last.
 
     Raises:
         ConfigurationError: If the stand is another robot's, or ``distribution`` is unknown.

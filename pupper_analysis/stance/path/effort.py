@@ -61,7 +61,7 @@ def path_effort(
     friction: Mapping[str, float] | None = None,
     beyond: bool = False,
 ) -> Effort:
-    """Returns what a sample of a path takes, the feet distribution the load evenly.
+    """Returns what a sample of a path takes, with minimum tangential forces.
 
     Towards a leg of the path on which fewer feet carry, the load passes to those: a mean of two
     sets of forces that balance the robot does so too.
