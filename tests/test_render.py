@@ -149,7 +149,7 @@ def test_a_fresh_process_is_quiet(
     """Renders twice, in a process without a display: MuJoCo may not survive a second failure."""
     code = (
         "import sys, pupper_analysis as pa\n"
-        "from pupper_analysis.render import render_robot\n"
+        "from pupper_analysis.report.render import render_robot\n"
         "robot = pa.load_variant('original')\n"
         "for _ in range(2):\n"
         "    picture = render_robot(robot, robot.home, sys.argv[1], width=300)\n"

@@ -10,7 +10,9 @@ import pytest
 from rich.console import Console
 
 import pupper_analysis as pa
+from pupper_analysis.pupper import comparison
 from pupper_analysis.report import analysis as report
+from pupper_analysis.report.console import WIDTH
 
 
 @cache
@@ -19,7 +21,7 @@ def analysis(name: str) -> pa.Analysis:
 
 
 def printed(*analyses: pa.Analysis) -> str:
-    out = Console(file=io.StringIO(), width=report.WIDTH, highlight=False)
+    out = Console(file=io.StringIO(), width=WIDTH, highlight=False)
     for item in analyses:
         report.print_analysis(out, item)
     assert isinstance(out.file, io.StringIO)
@@ -59,13 +61,13 @@ def test_zeros_have_no_minus() -> None:
 def test_ratios() -> None:
     base = pa.load_variant("original")
     one = analysis("original")
-    reference = report.Reference(base.total_mass, one.thigh_length, one.thigh_shape_length)
-    row = report.compare(analysis("heavy"), "skeleton", reference)
+    reference = comparison.Reference(base.total_mass, one.thigh_length, one.thigh_shape_length)
+    row = comparison.compare(analysis("heavy"), "skeleton", reference)
     assert row.mass_ratio == pytest.approx(4.216 / 2.710)
     assert f"{row.mass_ratio:.3f}" == "1.556"
     assert row.thigh_ratio == pytest.approx(1.0)
     assert row.verified
-    out = Console(file=io.StringIO(), width=report.WIDTH)
-    report.print_comparison(out, [row])
+    out = Console(file=io.StringIO(), width=WIDTH)
+    comparison.print_comparison(out, [row])
     assert isinstance(out.file, io.StringIO)
     assert "1.556" in out.file.getvalue()

@@ -12,6 +12,7 @@ from matplotlib.image import imread
 from rich.console import Console
 
 from pupper_analysis import Ground, StandTask, VariantSpec, load_variant, solve_stand, write_variant
+from pupper_analysis.analysis.stance import study, way_to
 from pupper_analysis.report import stance as stance_report
 
 
@@ -93,7 +94,7 @@ def test_failure_in_simulation_is_exit_status_1(
 
 def test_sag_is_that_of_the_simulation() -> None:
     robot = load_variant("long-leg")
-    result = stance_report.study(robot, StandTask(yaw=0.1))
+    result = study(robot, StandTask(yaw=0.1))
     assert result.settled is not None
     settled = result.settled
     loss = result.stand.qpos[2] - settled.base_height
@@ -126,7 +127,7 @@ def test_way_there(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
 def test_the_way_keeps_moved_feet_and_ground() -> None:
     robot = load_variant("v3")
     task = StandTask(0.12, foot_offsets={"FL": (0.01, 0.0)}, ground=Ground(0.05), com=(0.005, 0.0))
-    way = stance_report.way_to(robot, solve_stand(robot, task))
+    way = way_to(robot, solve_stand(robot, task))
     assert len(way) == 2
     for stance in way:
         assert stance.ground == task.ground
@@ -191,7 +192,7 @@ def test_a_robot_of_ones_own(capfd: pytest.CaptureFixture[str], tmp_path: Path) 
 
 def test_softest_servos_are_found_where_the_given_ones_are_too_soft() -> None:
     robot = load_variant("v3-long-leg")
-    result = stance_report.study(robot, StandTask(), kp=4.0, kd=0.1, softest=True)
+    result = study(robot, StandTask(), kp=4.0, kd=0.1, softest=True)
     assert result.settled is None
     assert result.minimum_stiffness is not None
     assert 4.0 < result.minimum_stiffness < 6.0
@@ -204,7 +205,7 @@ def test_softest_servos_are_found_where_the_given_ones_are_too_soft() -> None:
 def test_motors_too_weak_are_said_so() -> None:
     """Reached and in balance, but held by no motor of 3 N m."""
     robot = load_variant(VariantSpec(base="v3", torso_mass_scale=12.0))
-    result = stance_report.study(robot, StandTask(), seconds=2.0)
+    result = study(robot, StandTask(), seconds=2.0)
     assert not result.passed
     assert set(result.overloaded) == {name for name in robot.joint_names if name.endswith("_3")}
     assert result.tracking is not None
@@ -213,7 +214,7 @@ def test_motors_too_weak_are_said_so() -> None:
     with out.capture() as capture:
         stance_report.print_stance(out, result)
     assert "OVERLOADED" in capture.get()
-    assert not stance_report.study(load_variant("v3"), StandTask()).overloaded
+    assert not study(load_variant("v3"), StandTask()).overloaded
 
 
 BAD = {
