@@ -11,18 +11,21 @@ export PYTHONNOUSERSITE := 1
 unexport PYTHONPATH PYTHONHOME
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test coverage benchmark lint types docs wheel clean
+.PHONY: help setup analyze test test-slow coverage benchmark lint types docs wheel clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-9s  %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-9s  %s\n", $$1, $$2}' Makefile
 
 setup: $(VENV)/.ready ## only set up the virtual environment
 
 analyze: $(VENV)/.ready ## analyse all variants; figures go to output/
 	$(BIN)/python scripts/analyze_variant.py
 
-test: $(VENV)/.ready ## run the tests
-	$(BIN)/python -m pytest
+test: $(VENV)/.ready ## run the tests, without the long proofs
+	$(BIN)/python -m pytest -m "not slow"
+
+test-slow: $(VENV)/.ready ## run the long proofs
+	$(BIN)/python -m pytest -m slow
 
 coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave out
 	$(BIN)/python -m pytest --cov --cov-report=term-missing:skip-covered

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -104,3 +105,50 @@ def test_a_failed_verification_and_a_failed_check_are_told() -> None:
 def test_a_stance_out_of_reach_is_no_analysis() -> None:
     with pytest.raises(pa.StanceUnreachableError):
         pa.analyze_variant(pa.load_variant("v3"), pa.StandTask(height=0.4))
+
+
+LEGS = {"FR": (0.1, -0.08), "FL": (0.1, 0.08), "RR": (-0.1, -0.08), "RL": (-0.1, 0.08)}
+
+
+def telescope(folder: Path) -> pa.Robot:
+    """A box on four legs of one joint each, which slides."""
+    inertia = '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/>'
+    links = [f'<link name="base"><inertial><mass value="2"/>{inertia}</inertial></link>']
+    bodies, motors = [], []
+    for leg, (x, y) in LEGS.items():
+        links.append(
+            f'<joint name="{leg}_slide" type="prismatic"><origin xyz="{x} {y} 0"/>'
+            f'<axis xyz="0 0 1"/><parent link="base"/><child link="{leg}_leg"/>'
+            '<limit lower="-0.05" upper="0.05" effort="40" velocity="2"/>'
+            '<dynamics damping="0" friction="0"/></joint>'
+            f'<link name="{leg}_leg"><inertial><mass value="0.1"/>{inertia}</inertial></link>'
+            f'<joint name="{leg}_toe" type="fixed"><origin xyz="0 0 -0.15"/>'
+            f'<parent link="{leg}_leg"/><child link="{leg}_foot"/></joint><link name="{leg}_foot"/>'
+        )
+        bodies.append(
+            f'<body pos="{x} {y} 0"><joint name="{leg}_slide" type="slide" axis="0 0 1" '
+            'range="-0.05 0.05"/><inertial pos="0 0 0" mass="0.1" diaginertia="1e-3 1e-3 1e-3"/>'
+            f'<geom type="sphere" size="0.02" pos="0 0 -0.15"/>'
+            f'<site name="{leg}_foot" pos="0 0 -0.15"/></body>'
+        )
+        motors.append(f'<position joint="{leg}_slide" kp="2000" kv="40" forcerange="-40 40"/>')
+    urdf, mjcf = folder / "telescope.urdf", folder / "telescope.xml"
+    urdf.write_text(f'<robot name="telescope">{"".join(links)}</robot>')
+    mjcf.write_text(
+        '<mujoco model="telescope"><worldbody><geom type="plane" size="1 1 1"/>'
+        '<body name="base" pos="0 0 0.17"><freejoint/>'
+        '<inertial pos="0 0 0" mass="2" diaginertia="1e-3 1e-3 1e-3"/>'
+        f"{''.join(bodies)}</body></worldbody><actuator>{''.join(motors)}</actuator></mujoco>"
+    )
+    return pa.load_robot(urdf=urdf, mjcf=mjcf, feet={leg: f"{leg}_foot" for leg in LEGS})
+
+
+def test_legs_of_one_joint_have_no_thigh(tmp_path: Path) -> None:
+    robot = telescope(tmp_path)
+    assert leg_lengths(robot) == (None, pytest.approx(0.0))  # along the slide
+    assert thigh_shape_length(robot) is None
+    analysis = pa.analyze_variant(robot, pa.StandTask(height=0.16))
+    assert analysis.verified, analysis.failures
+    assert (analysis.thigh_length, analysis.thigh_shape_length) == (None, None)
+    weight = analysis.total_mass * 9.81
+    np.testing.assert_allclose(analysis.statics.joint_torques, -(weight / 4 - 0.981), rtol=1e-6)

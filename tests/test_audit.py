@@ -11,13 +11,17 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity, audit_model
+from pupper_analysis.checks.audit.from_urdf import urdf_view
 from pupper_analysis.checks.audit.pairs import mirror_name, mirror_pairs
 from pupper_analysis.checks.audit.registry import rules_table
 from pupper_analysis.checks.audit.rules.joints import expected_axis
+from pupper_analysis.models.loading import read_urdf
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN = {
@@ -737,3 +741,26 @@ def test_what_refers_to_nothing_is_found(tmp_path: Path) -> None:
     assert "body 'nix' not found" in finding.message
     assert "<exclude" in path.read_text().splitlines()[int(finding.line or 0) - 1]
     assert any("of a repaired copy" in note for note in result.notes)
+
+
+def test_inertias_of_a_urdf_are_turned_as_their_origin_says(tmp_path: Path) -> None:
+    """A frame that is turned by R holds I: in the link's axes that is R I R^T, as Pinocchio has it.
+
+    The turn is of no symmetry, and no two moments are alike, so that R^T I R is another matrix.
+    """
+    path = tmp_path / "one.urdf"
+    path.write_text(
+        '<robot name="one"><link name="base"><inertial>'
+        '<origin xyz="0.1 0.2 0.3" rpy="0.4 -0.7 1.1"/>'
+        '<mass value="2"/><inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0.001" ixz="0.002" '
+        'iyz="-0.003"/></inertial></link></robot>'
+    )
+    inertial = urdf_view(read_urdf(path)).bodies["base"].inertial
+    assert inertial is not None
+    theirs = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer()).inertias[1]
+    np.testing.assert_allclose(inertial.inertia, theirs.inertia, atol=1e-15)
+    np.testing.assert_allclose(inertial.com, theirs.lever, atol=1e-15)
+    turn = Rotation.from_euler("xyz", (0.4, -0.7, 1.1)).as_matrix()
+    stated = np.array([[0.01, 0.001, 0.002], [0.001, 0.02, -0.003], [0.002, -0.003, 0.025]])
+    np.testing.assert_allclose(inertial.inertia, turn @ stated @ turn.T, atol=1e-15)
+    assert np.abs(turn.T @ stated @ turn - inertial.inertia).max() > 1e-3

@@ -54,6 +54,7 @@ def test_branches_reach_by_mujocos_kinematics_and_are_as_many_as_others_find(
 ) -> None:
     robot, qpos, targets = goals(name, seed)
     found = branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
+    others = 0
     for limb, ways in found.items():
         (foot,) = limb.feet
         reached = [way for way in ways if way.miss < 1e-5]
@@ -74,7 +75,9 @@ def test_branches_reach_by_mujocos_kinematics_and_are_as_many_as_others_find(
 
             other = optimize.least_squares(off, random.uniform(low, high), bounds=(low, high))
             if np.abs(other.fun).max() < 1e-8:
+                others += 1
                 assert min(np.abs(way.positions - other.x).max() for way in reached) < 0.05
+    assert others, "no start led to a way to bend a leg"
 
 
 def test_combinations_begin_with_what_is_in_reach_and_near() -> None:

@@ -122,6 +122,19 @@ def test_deviation_of_a_mass_is_measured_in_full() -> None:
     assert masses.relative == pytest.approx(0.003 / 1.509, rel=1e-9)
 
 
+def test_an_inertia_is_judged_on_its_own_scale() -> None:
+    """And not on that of the base's, which is a hundred times greater."""
+    robot = _with_urdf(pa.load_variant("v3"), 'ixx="7.4e-05"', 'ixx="7.5e-05"')
+    check = cross_check(robot)
+    found = next(quantity for quantity in check.quantities if quantity.name == "body inertias")
+    joint = robot.pin_model.getJointId("leg_front_r_1")
+    scale = np.abs(robot.pin_model.inertias[joint].inertia).max()
+    assert scale < 1e-2 * np.abs(robot.pin_model.inertias[1].inertia).max()
+    assert found.scale == pytest.approx(scale, rel=0.2)  # in the MJCF's axes, and 1e-6 less
+    assert found.relative == pytest.approx(found.deviation / found.scale, rel=1e-12)
+    assert found.relative > 0.3e-6 / scale
+
+
 def test_is_deterministic_and_depends_on_the_seed() -> None:
     robot = pa.load_variant("v3")
     one, same, other = (cross_check(robot, seed=seed, configurations=3) for seed in (1, 1, 2))

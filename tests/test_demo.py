@@ -16,6 +16,7 @@ from pupper_analysis.pupper import demo
 from pupper_analysis.simulation.tracking import track_path
 
 
+@pytest.mark.slow
 def test_what_they_do() -> None:
     robot = load("v3")
     squat, sway, lift = (demo.demo_path(robot, name) for name in demo.DEMOS)
@@ -46,6 +47,7 @@ def test_mujoco_follows(name: str, capfd: pytest.CaptureFixture[str], tmp_path: 
     assert f"{len(rows)} samples" in out
 
 
+@pytest.mark.slow
 def test_the_window_shows_what_is_tracked(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[np.ndarray] = []
 

@@ -55,7 +55,11 @@ def check_picture(path: Path) -> None:
     pixels = imread(path)
     assert pixels.shape[1] == pytest.approx(178 / 25.4 * DPI, abs=1)
     assert pixels.shape[0] > 300
-    assert pixels[..., :3].std() > 0.05
+    # Drawn on everywhere: white between, and something in each ninth of it.
+    drawn_on = (pixels[..., :3] < 1.0).any(axis=-1)
+    assert 0.01 < drawn_on.mean() < 0.7
+    for rows in np.array_split(drawn_on, 3, axis=0):
+        assert all(ninth.any() for ninth in np.array_split(rows, 3, axis=1))
     # Nothing is cut off: the outermost pixels are white.
     edges = (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1])
     assert all((edge[:, :3] == 1.0).all() for edge in edges)
@@ -231,6 +235,8 @@ def test_a_name_is_not_taken_for_a_formula(tmp_path: Path) -> None:
     analysis = other(analysis_of("v3"), name="a$b_c$ \\frac")
     pose_figure(load("v3"), analysis.stand, analysis.statics, tmp_path / "pose.png")
     torque_figure([analysis], tmp_path / "torques.png")
+    check_picture(tmp_path / "pose.png")
+    check_picture(tmp_path / "torques.png")
 
 
 # ------------------------------------------------------------------------------------- files

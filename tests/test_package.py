@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 from conftest import ROOT
@@ -11,10 +12,18 @@ from conftest import ROOT
 import pupper_analysis as pa
 
 
-@pytest.mark.parametrize("name", pa.__all__)
-def test_every_public_name_is_there(name: str) -> None:
-    assert getattr(pa, name) is not None
-    assert name in dir(pa)
+def test_every_public_name_is_that_of_what_it_names() -> None:
+    """Two names that are swapped, or one that leads to another module, would be seen."""
+    others = {}
+    for name in pa.__all__:
+        value = getattr(pa, name)
+        assert name in dir(pa)
+        if callable(value):
+            assert value.__name__ == name
+            assert value.__module__.startswith(f"pupper_analysis.{pa._HOME[name]}")
+        else:
+            others[name] = type(value)
+    assert others == {"VARIANTS": MappingProxyType}
 
 
 def test_public_names_are_sorted_and_single() -> None:

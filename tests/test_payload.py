@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import NAMES, load, stand_of
+from conftest import NAMES, load, mujoco_at, random_state, stand_of
+from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.robot.payload import with_payload
@@ -58,6 +59,28 @@ def test_a_point_on_a_tilted_base_is_where_the_base_has_it(pitch: float) -> None
     edge = max(at[0] for at in stand.contact_points.values())
     mass = robot.total_mass * (edge - com) / (place - edge)
     assert contact_limit(robot, stand, point).mass == pytest.approx(mass, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_a_payload_is_where_the_base_has_it_in_both_models(name: str) -> None:
+    """Off all axes, on a base that is turned about all of them."""
+    robot, mass, point = load(name), 0.7, np.array([0.11, -0.06, 0.09])
+    loaded = with_payload(robot, mass, tuple(point))
+    qpos, qvel = random_state(robot, 3)
+    config = pa.Configuration(robot, qpos)
+    place = qpos[:3] + Rotation.from_quat(qpos[3:7], scalar_first=True).apply(point)
+    total = robot.total_mass + mass
+    com = (robot.total_mass * config.center_of_mass() + mass * place) / total
+    np.testing.assert_allclose(pa.Configuration(loaded, qpos).center_of_mass(), com, atol=1e-12)
+    data = mujoco_at(loaded, qpos, qvel)
+    np.testing.assert_allclose(data.subtree_com[1], com, atol=1e-12)
+    assert loaded.total_mass == pytest.approx(total, rel=1e-12)
+    assert loaded.mj_model.body_mass.sum() == pytest.approx(total, rel=1e-12)
+    # Its weight's moment about the base, in the base's axes, is what gravity gains.
+    arm = np.cross(point, config.base_rotation().T @ robot.gravity * mass)
+    gained = pa.Configuration(loaded, qpos).gravity() - config.gravity()
+    np.testing.assert_allclose(gained[:6], [*(-mass * robot.gravity), *-arm], atol=1e-10)
+    np.testing.assert_allclose(gained[6:], 0.0, atol=1e-10)
 
 
 def test_forces_act_where_the_statics_have_them() -> None:

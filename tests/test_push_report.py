@@ -5,9 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
-from conftest import check_refusal, run_command
+from conftest import check_refusal, load, run_command
 from matplotlib.image import imread
+from pupper_analysis.report.push_figure import push_figure
+
+import pupper_analysis as pa
 
 COARSE = ("--directions", "4", "--resolution", "0.3")
 
@@ -25,7 +29,17 @@ def test_two_robots(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         assert result["weakest_impulse"] == min(result["impulses"])
     for degrees in (0, 90, 180, 270):
         assert f"\n{degrees} deg " in out
-    assert imread(figure).std() > 0.05
+    # Pushed is the stand with its feet sunk in, as `stand --push` does it.
+    results, deepest = {}, 0.0
+    for name, result in content.items():
+        robot = load(name)
+        stand = pa.sunk_stand(robot)
+        results[name] = pa.push_recovery(robot, stand, directions=4, resolution=0.3)
+        assert result == json.loads(results[name].to_json())
+        deepest = max(deepest, *stand.depths.values())
+    assert f"soft ground (at most {1e3 * deepest:.2f} mm)" in out
+    push_figure(results, tmp_path / "alike.png")
+    np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
 
 
 def test_a_stand_that_does_not_last_is_exit_status_1(

@@ -9,9 +9,11 @@ from itertools import product
 import mujoco
 import numpy as np
 import pytest
-from conftest import NAMES, SKELETON_NAMES, load
+from conftest import NAMES, SKELETON_NAMES, load, mujoco_at
 
 import pupper_analysis as pa
+from pupper_analysis.robot.build import build_robot, floor_of
+from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.support_polygon import com_margin
@@ -49,7 +51,7 @@ def mujoco_feet(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-@pytest.mark.parametrize(("name", "kind"), product(NAMES, TASKS))
+@pytest.mark.parametrize(("name", "kind"), list(product(NAMES, TASKS)))
 def test_a_stance_is_what_was_asked(name: str, kind: str) -> None:
     robot, task = load(name), TASKS[kind]
     stand = pa.solve_stand(robot, task)
@@ -279,3 +281,99 @@ def test_a_stance_at_the_end_of_reach_is_found() -> None:
     assert stand.foot_error < 1e-9
     com = pa.Configuration(load("heavy"), stand.qpos).center_of_mass()
     assert com_margin(com, stand.contact_points) > -1e-9
+
+
+def test_the_nearest_stance_keeps_what_is_left_of_the_com_margin() -> None:
+    """On three legs with a foot lifted high, reach pulls the com to the edge: the margin binds."""
+    robot = load("original")
+    task = pa.StandTask(swing={"RL": 0.04}, com="inside", com_margin=0.036)
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, task)
+    limits, nearest = caught.value.limits, caught.value.nearest
+    assert set(limits) == {"swing", "com_margin"}
+    assert nearest is not None
+    assert 0.03 < nearest.task.com_margin < 0.036
+    for stand in (
+        nearest,
+        pa.solve_stand(robot, replace(task, com_margin=limits["com_margin"]["com_margin"])),
+    ):
+        margin = stand_statics(robot, stand).com_margin
+        assert margin == pytest.approx(stand.task.com_margin, abs=1e-4)
+        assert margin >= stand.task.com_margin - 1e-9
+    beyond = 1.01 * limits["com_margin"]["com_margin"]
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, replace(task, com_margin=beyond), explain=False)
+
+
+# ------------------------------------------------------------------------------------- slopes
+
+
+def test_feet_on_a_slope_sink_by_what_presses_on_them() -> None:
+    """The forces are vertical; their parts along the normals are W cos(slope) in all."""
+    robot, slope = load("v3"), 0.3
+    stand = pa.sunk_stand(robot, pa.StandTask(ground=pa.Ground(slope, 0.4), pitch=-0.25))
+    pressing = sum(GroundLaw.of(robot, foot).force(depth) for foot, depth in stand.depths.items())
+    weight = robot.total_mass * np.linalg.norm(robot.gravity)
+    assert pressing == pytest.approx(weight * math.cos(slope), rel=1e-6)
+
+
+def test_the_loads_of_a_path_on_a_slope_are_vertical() -> None:
+    robot, slope = load("v3"), 0.3
+    task = pa.StandTask(ground=pa.Ground(slope, 0.4), pitch=-0.25)
+    path = pa.stance_path(robot, [task, replace(task, height=0.125)], 4.0)
+    weight = robot.total_mass * np.linalg.norm(robot.gravity)
+    assert path.loads[0].sum() == pytest.approx(weight, rel=1e-6)  # at rest
+    normal = task.ground.normal()
+    assert (path.forces[0] @ normal).sum() == pytest.approx(weight * math.cos(slope), rel=1e-6)
+
+
+@pytest.mark.parametrize("priority", [-1, 0, 3])  # the feet's is 0
+def test_a_step_has_the_floors_contact(priority: int) -> None:
+    """Friction, softness and who decides: of a floor that is like no default."""
+    plain = load("v3")
+    spec = plain.description.mjcf.copy()
+    floor = floor_of(spec)
+    assert floor is not None
+    floor.friction, floor.condim = (1.31, 0.0171, 0.00031), 4
+    floor.solref, floor.solimp = (0.013, 0.9), (0.31, 0.83, 0.0021, 0.4, 3.0)
+    floor.solmix, floor.priority = 2.5, priority
+    robot = build_robot(replace(plain.description, mjcf=spec))
+    heights = {"RR": 0.02, "FL": 0.01}
+    stand = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(heights=heights)))
+    there = on_ground(robot, stand.task.ground, stand.foot_targets)
+    qpos = stand.qpos.copy()
+    qpos[2] -= 5e-4
+    data, touched = mujoco_at(there, qpos), set()
+    for contact in data.contact:
+        foot = next(there.foot_geoms[geom] for geom in contact.geom if geom in there.foot_geoms)
+        other = next(geom for geom in contact.geom if geom not in there.foot_geoms)
+        touched.add((foot, there.mj_model.geom(other).name.startswith("step")))
+        meant = robot.contacts[foot]
+        assert contact.dim == meant.condim
+        np.testing.assert_allclose(contact.friction, meant.friction, rtol=1e-12)
+        np.testing.assert_allclose(contact.solref, meant.solref, rtol=1e-12)
+        np.testing.assert_allclose(contact.solimp, meant.solimp, rtol=1e-12)
+    assert touched == {(foot, foot in heights) for foot in robot.feet}
+    assert (robot.contacts["FR"].friction[0] == 1.31) is (priority >= 0)
+
+
+# ------------------------------------------------------------------------------------- sag
+
+
+@pytest.mark.parametrize("offset", [(-0.04, 0.02), (0.045, -0.02)])
+def test_sag_is_read_at_the_base(offset: tuple[float, float]) -> None:
+    """Off the centre the feet sink unequally, and the base by what they sink below it.
+
+    With full feed-forward servos give nothing: all that is lost at the base is the ground's.
+    """
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(offset=offset))
+    pose = pa.steady_state(robot, stand, feedforward=True, kp=200.0)
+    run = pa.verify_stand(robot, stand, kp=200.0, kd=2.0, duration=3.0)
+    forces = pose.contact_forces.items()
+    depths = [GroundLaw.of(robot, foot).depth(force[2]) for foot, force in forces]
+    assert np.ptp(depths) > 1e-3  # read at the feet's centre it would be elsewhere
+    assert abs(pose.servo_sag) < 2e-5
+    assert abs(run.servo_sag) < 2e-5
+    assert pose.contact_sag == pytest.approx(run.contact_sag, abs=2e-5)
+    assert abs(pose.contact_sag - np.mean(depths)) > 1e-4

@@ -89,11 +89,13 @@ class Analysis(Result):
         total_mass: kg.
         link_masses: {base or joint: mass of the body it moves (kg)}, fixed links included.
         center_of_mass: (3,) at zero angles in the base frame (m).
-        thigh_length: Distance from the knee's parent joint to the knee, first leg (m).
+        thigh_length: Distance from the knee's parent joint to the knee, first leg (m); None for a
+            leg of one joint.
         thigh_shape_length: Length of the shape that spans the first leg's thigh in the MJCF: of its
             capsule between the hemispheres' centres, or else of its mesh along the thigh (m); None
             where there is neither.
-        calf_length: Distance from the knee to the foot in the plane of the leg, first leg (m).
+        calf_length: Distance from the knee to the foot in the plane of the leg, first leg (m); None
+            for a leg without joints.
         joints: Per joint, in actuator order.
         notes: What was assumed on loading.
         stand: The solved stand.
@@ -116,9 +118,9 @@ class Analysis(Result):
     total_mass: float
     link_masses: dict[str, float]
     center_of_mass: Array
-    thigh_length: float
+    thigh_length: float | None
     thigh_shape_length: float | None
-    calf_length: float
+    calf_length: float | None
     joints: tuple[JointSummary, ...]
     notes: tuple[str, ...]
     stand: Stand
@@ -233,29 +235,39 @@ def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
     return tuple(name for name in support if name in robot.joint_names)
 
 
-def leg_lengths(robot: Robot) -> tuple[float, float]:
-    """Returns the lengths of the first leg's thigh and calf (m).
+def leg_lengths(robot: Robot) -> tuple[float | None, float | None]:
+    """Returns the lengths of the first leg's thigh and calf (m); None for one that it lacks.
 
     The thigh reaches from the last joint but one to the knee; the calf from the knee to the foot,
-    in the plane of the leg (without the foot's sideways offset along the knee's axis).
+    in the plane of the leg (without the foot's sideways offset along the knee's axis). The knee is
+    the leg's last joint; a leg of one joint has no thigh.
     """
     foot = robot.feet[0]
     rest = Configuration(robot, robot.neutral())
-    hip, knee = leg_joints(robot, foot)[-2:]
+    joints = leg_joints(robot, foot)
+    if not joints:
+        return None, None
+    knee = joints[-1]
     calf = rest.foot_positions()[foot] - rest.joint_position(knee)
     axis = rest.joint_axis(knee)
-    thigh = rest.joint_position(knee) - rest.joint_position(hip)
-    return float(np.linalg.norm(thigh)), float(np.linalg.norm(calf - (calf @ axis) * axis))
+    calf_length = float(np.linalg.norm(calf - (calf @ axis) * axis))
+    if len(joints) == 1:
+        return None, calf_length
+    thigh = rest.joint_position(knee) - rest.joint_position(joints[-2])
+    return float(np.linalg.norm(thigh)), calf_length
 
 
 def thigh_shape_length(robot: Robot) -> float | None:
     """Returns the length of the shape that spans the first leg's thigh, in the MJCF (m).
 
     It is that of its capsule between the hemispheres' centres, or else that of its mesh along the
-    thigh; None where there is neither.
+    thigh; None where there is neither, or no thigh.
     """
     model = robot.mj_model
-    hip, knee = leg_joints(robot, robot.feet[0])[-2:]
+    joints = leg_joints(robot, robot.feet[0])
+    if len(joints) < 2:
+        return None
+    hip, knee = joints[-2:]
     thigh = int(model.jnt_bodyid[model.joint(hip).id])
     along = model.body_pos[int(model.jnt_bodyid[model.joint(knee).id])]
     along = along / np.linalg.norm(along)

@@ -228,7 +228,8 @@ def push(
 
     Each NAME is a variant; without any, all six are pushed (about ten seconds each). A push lasts
     20 ms, at the com of the base; a robot that survives it is upright and at rest after 6 s, and
-    nothing but its feet ever touched the ground.
+    nothing but its feet ever touched the ground. It stands as in `stand --push`, with its legs
+    longer by what the feet sink into MuJoCo's soft ground.
 
     \b
     Examples:
@@ -243,17 +244,20 @@ def push(
     from pupper_analysis.report import push as push_report
     from pupper_analysis.report.console import console
     from pupper_analysis.simulation.push import push_recovery
-    from pupper_analysis.stance.stand import solve_stand
+    from pupper_analysis.stance.sunk import sunk_stand
     from pupper_analysis.stance.task import StandTask
 
     check_outputs(figure, json_path)
     robots = [load_variant(name) for name in dict.fromkeys(names or VARIANTS)]
-    stands = [solve_stand(robot, StandTask(height=height)) for robot in robots]
+    stands = [sunk_stand(robot, StandTask(height=height)) for robot in robots]
     results = {
         robot.name: push_recovery(robot, stand, directions=directions, resolution=resolution)
         for robot, stand in zip(robots, stands, strict=True)
     }
-    push_report.print_pushes(console(), results)
+    out = console()
+    push_report.print_pushes(out, results)
+    depths = [depth for stand in stands for depth in stand.depths.values()]
+    out.print(push_report.sunk_note(depths), soft_wrap=True)
     if figure is not None:
         from pupper_analysis.report.figures.push import push_figure
 

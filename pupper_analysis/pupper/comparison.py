@@ -50,7 +50,7 @@ class ComparisonRow(Result):
         base: Its base model.
         total_mass: kg.
         mass_ratio: Of the total masses.
-        thigh_ratio: Of the hip-to-knee distances.
+        thigh_ratio: Of the hip-to-knee distances; None for legs of one joint.
         thigh_shape_ratio: Of the lengths of the shapes that span the thighs; None without any.
         height: Of the base, in the task (m).
         peak_torque: The greatest torque (N m).
@@ -70,7 +70,7 @@ class ComparisonRow(Result):
     base: str
     total_mass: float
     mass_ratio: float
-    thigh_ratio: float
+    thigh_ratio: float | None
     thigh_shape_ratio: float | None
     height: float
     peak_torque: float
@@ -92,12 +92,12 @@ class Reference:
 
     Attributes:
         total_mass: kg.
-        thigh_length: m.
+        thigh_length: m, or None.
         thigh_shape_length: m, or None.
     """
 
     total_mass: float
-    thigh_length: float
+    thigh_length: float | None
     thigh_shape_length: float | None
 
 
@@ -110,16 +110,13 @@ def compare(analysis: Analysis, base: str, reference: Reference) -> ComparisonRo
         reference: The base model's values.
     """
     assert analysis.stand.task.height is not None
-    shape = None
-    if analysis.thigh_shape_length and reference.thigh_shape_length:
-        shape = analysis.thigh_shape_length / reference.thigh_shape_length
     return ComparisonRow(
         name=analysis.name,
         base=base,
         total_mass=analysis.total_mass,
         mass_ratio=analysis.total_mass / reference.total_mass,
-        thigh_ratio=analysis.thigh_length / reference.thigh_length,
-        thigh_shape_ratio=shape,
+        thigh_ratio=_ratio(analysis.thigh_length, reference.thigh_length),
+        thigh_shape_ratio=_ratio(analysis.thigh_shape_length, reference.thigh_shape_length),
         height=analysis.stand.task.height,
         peak_torque=float(np.abs(analysis.statics.joint_torques).max()),
         peak_utilisation=float(analysis.statics.motor_utilisation.max()),
@@ -135,6 +132,10 @@ def compare(analysis: Analysis, base: str, reference: Reference) -> ComparisonRo
     )
 
 
+def _ratio(length: float | None, reference: float | None) -> float | None:
+    return length / reference if length is not None and reference else None
+
+
 def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
     """Prints the table that compares robots."""
     table = titled_table(
@@ -146,14 +147,8 @@ def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
     lines: list[tuple[str, list[str]]] = [
         ("mass (kg)", [f"{row.total_mass:.3f}" for row in rows]),
         ("mass ratio", [f"{row.mass_ratio:.3f}" for row in rows]),
-        ("thigh ratio, hip to knee", [f"{row.thigh_ratio:.3f}" for row in rows]),
-        (
-            "thigh ratio, drawn shape",
-            [
-                "-" if row.thigh_shape_ratio is None else f"{row.thigh_shape_ratio:.3f}"
-                for row in rows
-            ],
-        ),
+        ("thigh ratio, hip to knee", [_or_dash(row.thigh_ratio) for row in rows]),
+        ("thigh ratio, drawn shape", [_or_dash(row.thigh_shape_ratio) for row in rows]),
         ("stand height (m)", [f"{row.height:.4f}" for row in rows]),
         ("peak torque (N m)", [f"{row.peak_torque:.3f}" for row in rows]),
         ("peak utilisation", [f"{row.peak_utilisation:.1%}" for row in rows]),
@@ -178,3 +173,7 @@ def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
     for name, values in lines:
         table.add_row(name, *values)
     out.print(table)
+
+
+def _or_dash(ratio: float | None) -> str:
+    return "-" if ratio is None else f"{ratio:.3f}"

@@ -49,7 +49,7 @@ def _print_structure(out: Console, analysis: Analysis) -> None:
         f"({_vector(analysis.center_of_mass)}) m"
     )
     out.print(
-        f"thigh {1e3 * analysis.thigh_length:.1f} mm, calf {1e3 * analysis.calf_length:.1f} mm; "
+        f"thigh {_millimetres(analysis.thigh_length)}, calf {_millimetres(analysis.calf_length)}; "
         f"bodies: {_masses(analysis.link_masses)}"
     )
     table = titled_table(
@@ -81,6 +81,10 @@ def _print_structure(out: Console, analysis: Analysis) -> None:
     out.print(table)
     for note in analysis.notes:
         out.print(f"note: {note}", style="yellow")
+
+
+def _millimetres(length: float | None) -> str:
+    return "-" if length is None else f"{1e3 * length:.1f} mm"
 
 
 def _masses(masses: Mapping[str, float]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from rich.console import Console
@@ -36,6 +36,14 @@ def print_pushes(out: Console, results: Mapping[str, PushRecovery]) -> None:
             f"{escape(result.weakest_failure)} (a rigid robot tips at {tipping:.2f} N s)",
             soft_wrap=True,
         )
+
+
+def sunk_note(depths: Iterable[float]) -> str:
+    """Says that a robot was simulated as its feet sink in, by ``depths`` (m)."""
+    return (
+        "simulated with its legs longer by what the feet sink into MuJoCo's soft ground "
+        f"(at most {1e3 * max(depths):.2f} mm)"
+    )
 
 
 def _direction(angle: float) -> str:

@@ -117,7 +117,8 @@ def _write_label(canvas: Axes, tile: Tile) -> None:
     # Letters that fit the tile, in points.
     size = 0.03 * tile.width * 72 / _DPI
     x, y = tile.left + tile.width / 2, tile.top + tile.height - (LABEL + 0.02) * tile.width
-    numbers = f"legs {1e3 * sum(leg_lengths(robot)):.0f} mm, mass {robot.total_mass:.2f} kg"
+    legs = sum(length or 0.0 for length in leg_lengths(robot))
+    numbers = f"legs {1e3 * legs:.0f} mm, mass {robot.total_mass:.2f} kg"
     below = y + 2.0 * size * _DPI / 72
     common: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}
     canvas.text(x, y, robot.name, size=1.35 * size, weight="bold", color="#1F2937", **common)

@@ -12,7 +12,7 @@ from rich.markup import escape
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.report.analysis import print_loads
 from pupper_analysis.report.console import titled_table
-from pupper_analysis.report.push import print_pushes
+from pupper_analysis.report.push import print_pushes, sunk_note
 from pupper_analysis.simulation.tracking import PathTracking
 from pupper_analysis.stance.optimize.best import BestStance
 from pupper_analysis.stance.optimize.search import Objective
@@ -68,12 +68,7 @@ def print_stance(out: Console, stance: Stance) -> None:
             soft_wrap=True,
         )
     else:
-        deepest = 1e3 * max(stance.sunk.depths.values())
-        out.print(
-            f"simulated with its legs longer by what the feet sink into MuJoCo's soft ground "
-            f"(at most {deepest:.2f} mm)",
-            soft_wrap=True,
-        )
+        out.print(sunk_note(stance.sunk.depths.values()), soft_wrap=True)
     if verification.mujoco_residual > DISAGREEMENT:
         out.print(
             "[yellow]note:[/] the two models disagree: by the MJCF "

@@ -139,7 +139,8 @@ class StancePath(Result):
         arrays = {key: np.array(getattr(self, key)) for key in (*names, "clearance", "com_margin")}
         arrays["joints"] = self.joint_positions()
         with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
+            # NumPy 2.0 and 2.1 have no allow_pickle; all are numbers and texts, so none is pickled.
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
 def stance_path(
