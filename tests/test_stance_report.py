@@ -24,6 +24,7 @@ from pupper_analysis import (
 )
 from pupper_analysis.analysis.stance import study, way_to
 from pupper_analysis.report import stance as stance_report
+from pupper_analysis.report.figures.pose import pose_figure
 from pupper_analysis.report.figures.workspace import workspace_figure
 
 
