@@ -21,7 +21,7 @@ from pupper_analysis.checks.audit.from_urdf import urdf_view
 from pupper_analysis.checks.audit.pairs import mirror_name, mirror_pairs
 from pupper_analysis.checks.audit.registry import rules_table
 from pupper_analysis.checks.audit.rules.joints import expected_axis
-from pupper_analysis.models.loading import read_urdf
+from pupper_analysis.models.urdf_file import read_urdf
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN = {

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from conftest import check_refusal, load, run_command
 from matplotlib.image import imread
-from pupper_analysis.report.push_figure import push_figure
 
 import pupper_analysis as pa
+from pupper_analysis.report.figures.push import push_figure
 
 COARSE = ("--directions", "4", "--resolution", "0.3")
 

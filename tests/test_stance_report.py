@@ -131,7 +131,8 @@ def test_way_there(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert "TRACKED" in out
     assert "path of 3 s" in out
     rows = csv.read_text().splitlines()
-    arrays = np.load(npz)
+    with np.load(npz) as file:
+        arrays = dict(file)
     assert len(rows) > 100
     robot = load_variant("original")
     goal = solve_stand(robot, StandTask(swing={"RR": 0.01}, com="inside", com_margin=0.01))

@@ -205,9 +205,7 @@ class Solver:
             place: (2,) where the com, or the base, begins (m); by default where it shall be.
         """
         wrapper, convention = self.shapes.wrapper, self.shapes.robot.pin_convention
-        qpos = upright(self.shapes.robot, self.goal, np.clip(joints, *self._range()), place)
-        wrapper.state.q = convention.q(qpos)
-        wrapper.update_kinematics()
+        self._begin(joints, self.goal.place if place is None else place)
         # A trust region: where a step makes things worse it is undone, and the next one is shorter.
         radius, iterations = _TRUST_RADIUS, 0
         q, error = np.array(wrapper.state.q), math.inf
@@ -216,9 +214,8 @@ class Solver:
             self._solver.dt = radius
             try:
                 step = self._solver.solve(True)
-            except (
-                RuntimeError
-            ):  # an infeasible programme: within a shorter step it may be feasible
+            except RuntimeError:
+                # An infeasible programme: within a shorter step it may be feasible.
                 radius /= 4
                 wrapper.state.q = q
                 wrapper.update_kinematics()
@@ -238,21 +235,18 @@ class Solver:
         miss = max(foot.error_norm() for foot in self._feet)
         return Point(convention.qpos(np.array(wrapper.state.q)), float(miss), iterations)
 
-    def _range(self) -> tuple[Array, Array]:
-        return self.goal.lower, self.goal.upper
-
-
-def upright(robot: Robot, goal: Goal, joints: Array, place: Array | None = None) -> Array:
-    """Returns the qpos (nq,) with a goal's base, and its com or base over a place (2,) (m)."""
-    place = goal.place if place is None else place
-    qpos = robot.neutral()
-    qpos[:3] = (*place, goal.height)
-    x, y, z, w = pin.Quaternion(goal.task.rotation()).coeffs()
-    qpos[3:7] = w, x, y, z
-    qpos[7:] = joints
-    if not goal.by_base:
-        qpos[:2] += place - Configuration(robot, qpos).center_of_mass()[:2]
-    return qpos
+    def _begin(self, joints: Array, place: Array) -> None:
+        """Puts PlaCo's robot upright, its com or base over a place (2,) (m)."""
+        robot, wrapper, goal = self.shapes.robot, self.shapes.wrapper, self.goal
+        qpos = robot.neutral()
+        qpos[:3] = (*place, goal.height)
+        x, y, z, w = pin.Quaternion(goal.task.rotation()).coeffs()
+        qpos[3:7] = w, x, y, z
+        qpos[7:] = np.clip(joints, goal.lower, goal.upper)
+        for _ in range(1 if goal.by_base else 2):
+            wrapper.state.q = robot.pin_convention.q(qpos)
+            wrapper.update_kinematics()
+            qpos[:2] += place - wrapper.com_world()[:2]
 
 
 def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:

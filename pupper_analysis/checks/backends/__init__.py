@@ -1,1 +1,1 @@
-"""One quantity, many backends: Pinocchio, MuJoCo, yourdfpy."""
+"""Backend evaluations: one quantity, many backends (Pinocchio, MuJoCo, yourdfpy)."""
