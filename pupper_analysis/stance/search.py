@@ -16,7 +16,7 @@ from pupper_analysis.stance.branches import Branch, Limb, branches, combinations
 from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.solver import TASK_TOLERANCE, TOUCHING, Point, Solver, Stand, measure
-from pupper_analysis.statics.support_polygon import support_polygon
+from pupper_analysis.statics.support_polygon import polygon_sides, support_polygon
 
 Array = NDArray[np.float64]
 
@@ -323,7 +323,7 @@ def _com_constraint(
         columns: The columns of Jacobians that belong to them.
     """
     if goal.task.com == "inside":
-        sides = _sides(goal.contacts)
+        sides = polygon_sides(goal.contacts)
         return {
             "type": "ineq",
             "fun": lambda values: (
@@ -342,14 +342,3 @@ def _com_constraint(
         "fun": lambda values: at(values).center_of_mass()[:2] - goal.place,
         "jac": lambda values: at(values).com_jacobian()[:2, columns],
     }
-
-
-def _sides(contacts: Array) -> Array:
-    """Returns the support polygon as (n, 3): a x + b y + c is the distance inside each edge (m)."""
-    corners = support_polygon(contacts)
-    rows = []
-    for one, two in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        along = (two - one) / np.linalg.norm(two - one)
-        inward = np.array([-along[1], along[0]])  # the corners run counter-clockwise
-        rows.append([*inward, -float(inward @ one)])
-    return np.array(rows)

@@ -61,3 +61,16 @@ def support_polygon(contacts: Array) -> Array:
     ring = shapely.geometry.polygon.orient(hull).exterior
     corners: Array = np.array(shapely.get_coordinates(ring))[:-1]
     return corners
+
+
+def polygon_sides(contacts: Array) -> Array:
+    """Returns the support polygon as (n, 3): a x + b y + c is the distance inside each side (m).
+
+    Args:
+        contacts: (k, 2) or (k, 3) contact points (m).
+    """
+    corners = support_polygon(contacts)
+    along = np.roll(corners, -1, axis=0) - corners
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    inward = np.column_stack([-along[:, 1], along[:, 0]])  # the corners run counter-clockwise
+    return np.column_stack([inward, -np.sum(inward * corners, axis=1)])

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from pupper_analysis.robot import contact
@@ -21,6 +20,7 @@ from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import Point, StandTask
 from pupper_analysis.stance.workspace import base_workspace
+from pupper_analysis.statics.support_polygon import polygon_sides
 
 Array = NDArray[np.float64]
 
@@ -233,10 +233,6 @@ def _distances_inside(place: Array, points: Array) -> Array:
 
     There are always n: the least is repeated where a point is inside the hull of the others.
     """
-    hull = shapely.geometry.polygon.orient(shapely.MultiPoint(points).convex_hull)
-    corners = shapely.get_coordinates(hull.exterior)
-    along = np.diff(corners, axis=0)
-    to = place - corners[:-1]
-    across = along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]
-    inside = across / np.linalg.norm(along, axis=1)
+    sides = polygon_sides(points)
+    inside = sides[:, :2] @ place + sides[:, 2]
     return np.concatenate([inside, np.full(len(points) - len(inside), inside.min())])
