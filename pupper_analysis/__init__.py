@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, VariantSpec
     from pupper_analysis.results import to_json
-    from pupper_analysis.robot.build import load_robot
+    from pupper_analysis.prepare.load import load_robot
     from pupper_analysis.robot.configuration import Configuration
     from pupper_analysis.robot.ground import Ground
     from pupper_analysis.robot.payload import with_payload
@@ -134,7 +134,7 @@ _HOME = {
     "VariantError": "errors",
     "to_json": "results",
     "Robot": "robot.robot",
-    "load_robot": "robot.build",
+    "load_robot": "prepare.load",
     "load_variant": "pupper.load",
     "GainSweep": "simulation.gain_sweep",
     "StandVerification": "simulation.verify",

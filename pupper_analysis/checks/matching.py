@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import tomllib
 from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass
@@ -89,6 +90,7 @@ def match(
     *,
     names: Mapping[str, str] | None = None,
     feet: Sequence[str] = (),
+    shapes: bool = False,
 ) -> Match:
     """Matches joints and frames by name, then by ``names``, and the rest by structure.
 
@@ -100,13 +102,14 @@ def match(
         mjcf: The MJCF.
         names: {name in the URDF: name in the MJCF} of joints or frames.
         feet: Frames, by their names in the MJCF, to be compared as feet.
+        shapes: Keep the URDF's visuals and collision shapes.
 
     Raises:
         ModelError: If the two have no joint in common, or one cannot be analysed.
         UnknownNameError: If ``names`` or ``feet`` name what is not there.
     """
     notes = [*urdf.notes, *mjcf.notes]
-    root = without_shapes(urdf.root)
+    root = copy.deepcopy(urdf.root) if shapes else without_shapes(urdf.root)
     spec = mjcf.spec.copy()
     name_all(spec, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it

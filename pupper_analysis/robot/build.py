@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -17,55 +16,12 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
 from pupper_analysis.models.conversion import gravity, joint_armature
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
-
-
-def load_robot(
-    *,
-    urdf: str | Path,
-    mjcf: str | Path,
-    feet: Sequence[str] | Mapping[str, str],
-    fixed_base: bool = False,
-    name: str | None = None,
-) -> Robot:
-    """Loads a robot from a URDF and an MJCF.
-
-    Joints are matched by name. The feet are frames that both files have: a link in the URDF, and a
-    site, body or geom in the MJCF, each at the centre of a sphere that touches the ground.
-
-    Args:
-        urdf: Path of the URDF.
-        mjcf: Path of the MJCF.
-        feet: The feet's frames, or a mapping from the feet's names to their frames.
-        fixed_base: Fix the base in the world, at the pose that the MJCF gives it.
-        name: The robot's name; by default the MJCF's.
-
-    Returns:
-        The robot.
-
-    Raises:
-        ModelError: If a file cannot be read, or the two do not describe the same joints.
-        UnknownNameError: If a foot is not in a file; the message lists what is.
-    """
-    frames = dict(feet) if isinstance(feet, Mapping) else {foot: foot for foot in feet}
-    urdf_file, mjcf_file = read_urdf(urdf), read_mjcf(mjcf)
-    description = Description(
-        name=name or mjcf_file.spec.modelname,
-        urdf=urdf_file.text,
-        urdf_source=urdf_file.path,
-        mjcf=mjcf_file.spec,
-        mjcf_source=mjcf_file.path,
-        feet={foot: (frame, frame) for foot, frame in frames.items()},
-    )
-    robot = build_robot(description, fixed_base=fixed_base)
-    return replace(robot, notes=(*urdf_file.notes, *mjcf_file.notes, *robot.notes))
 
 
 def build_robot(
@@ -104,11 +60,15 @@ def build_robot(
         for foot, (_, frame) in description.feet.items()
     }
     geoms = foot_geoms(description, mj_model, places)
-    radius = {foot: float(mj_model.geom_size[sole, 0]) for sole, foot in geoms.items()}
+    radius = {foot: size for foot, (_, size) in geoms.items()}
+    soles = {foot: (foot,) for foot in description.feet}
+    for sole, points in description.soles.items():
+        soles = {foot: own for foot, own in soles.items() if foot not in points} | {sole: points}
+    sole_of = {point: sole for sole, points in soles.items() for point in points}
     ground = contact.ground_geom(mj_model)
     contacts = {
-        foot: contact.combine(mj_model, sole, ground)
-        for sole, foot in geoms.items()
+        foot: contact.combine(mj_model, geom, ground)
+        for foot, (geom, _) in geoms.items()
         if ground is not None
     }
     # The keyframe may be that of the model with a free base.
@@ -125,10 +85,12 @@ def build_robot(
         feet=tuple(description.feet),
         foot_frames=MappingProxyType(foot_frames),
         foot_places=MappingProxyType(places),
-        foot_geoms=MappingProxyType(geoms),
+        foot_geoms=MappingProxyType({geom: sole_of[foot] for foot, (geom, _) in geoms.items()}),
         foot_radius=MappingProxyType(radius),
+        soles=MappingProxyType(soles),
         contacts=MappingProxyType(contacts),
         home=home,
+        nominal=np.array([description.nominal.get(name, 0.0) for name in joint_names]),
         stand_height=stand_height(mj_model, mj_base, places, radius, keyframe, foot_depth),
         imu=_imu(mj_model, pin_model),
         pin_convention=pin_convention,

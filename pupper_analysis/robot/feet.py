@@ -40,10 +40,18 @@ def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[in
 
 def foot_geoms(
     description: Description, model: mujoco.MjModel, places: Mapping[str, tuple[int, Array]]
-) -> dict[int, str]:
-    """Finds the feet's spheres."""
-    foot_geoms: dict[int, str] = {}
+) -> dict[str, tuple[int, float]]:
+    """Finds the geom that touches the ground at each contact point, and its radius there (m).
+
+    Raises:
+        ModelError: If there is none.
+    """
+    found: dict[str, tuple[int, float]] = {}
     for foot, (body, position) in places.items():
+        if foot in description.foot_geoms:
+            name, radius = description.foot_geoms[foot]
+            found[foot] = int(model.geom(name).id), radius
+            continue
         sphere = contact.foot_geom(model, body, position)
         if sphere is None:
             frame = description.feet[foot][1]
@@ -52,8 +60,8 @@ def foot_geoms(
                 f"foot {foot!r}: body {model.body(body).name!r} has no sphere for contact centred "
                 f"at {frame!r}; name a frame at the centre of the foot's sphere",
             )
-        foot_geoms[sphere] = foot
-    return foot_geoms
+        found[foot] = sphere, float(model.geom_size[sphere, 0])
+    return found
 
 
 def stand_height(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import mujoco
@@ -32,14 +32,18 @@ class Robot:
         base: The name of the base's link (URDF).
         mj_base: The name of the base's body (MJCF).
         joint_names: In actuator order.
-        feet: The names of the feet: the keys of every per-foot dictionary.
+        feet: The names of the feet's contact points: the keys of every per-foot dictionary. A foot
+            that is a sphere has one, of its own name.
+        soles: {foot: its contact points}; a flat foot has several, on one body.
         foot_frames: The name of each foot's frame in the URDF.
         foot_places: For each foot, the body that carries it in ``mj_model`` (its id) and the centre
             of its sphere in that body's frame, (3,) (m).
-        foot_geoms: Which foot's sphere a geom of ``mj_model`` is, {geom id: foot}.
-        foot_radius: The radius of each foot's sphere (m).
+        foot_geoms: Which foot a geom of ``mj_model`` belongs to, {geom id: key of ``soles``}.
+        foot_radius: The radius of each foot's sphere (m); 0 for the corner of a sole.
         contacts: The effective parameters of each foot's contact with the ground.
         home: (nq,) the MJCF's keyframe ``home`` (or its first, or its zero configuration).
+        nominal: (nu,) joint positions at which the feet are, seen from above, where they stand by
+            default (rad).
         stand_height: Height of the base above the ground in the nominal stand (m).
         imu: The frame that carries gyro and accelerometer, if there is one.
         fingerprint: The name, and a hash of all that a stand depends on: joints, limits, masses and
@@ -60,8 +64,10 @@ class Robot:
     foot_places: Mapping[str, tuple[int, Array]]
     foot_geoms: Mapping[int, str]
     foot_radius: Mapping[str, float]
+    soles: Mapping[str, tuple[str, ...]]
     contacts: Mapping[str, ContactParameters]
     home: Array
+    nominal: Array
     stand_height: float
     imu: str | None
     pin_convention: PinocchioConvention
@@ -128,6 +134,32 @@ class Robot:
         if foot not in self.foot_frames:
             raise UnknownNameError(self.name, "foot", foot, self.feet)
         return foot
+
+    def points_of(self, foot: str) -> tuple[str, ...]:
+        """Returns the contact points of a foot.
+
+        Raises:
+            UnknownNameError: If there is no such foot; the message lists the feet.
+        """
+        if foot not in self.soles:
+            raise UnknownNameError(self.name, "foot", foot, tuple(self.soles))
+        return self.soles[foot]
+
+    def foot_of(self, point: str) -> str:
+        """Returns the foot that a contact point belongs to."""
+        return next(foot for foot, points in self.soles.items() if point in points)
+
+    def feet_with(self, points: Iterable[str]) -> tuple[str, ...]:
+        """Returns the feet that have one of some contact points."""
+        wanted = set(points)
+        return tuple(foot for foot, own in self.soles.items() if not wanted.isdisjoint(own))
+
+    def per_foot(self, forces: Mapping[str, Array]) -> dict[str, Array]:
+        """Adds up forces on contact points, {point: (3,)}, to those on the feet that have them."""
+        return {
+            foot: np.sum([forces[point] for point in self.soles[foot] if point in forces], axis=0)
+            for foot in self.feet_with(forces)
+        }
 
     def neutral(self) -> Array:
         """Returns the qpos (nq,) with the base at the origin and every joint at zero."""

@@ -210,6 +210,7 @@ def _first_event(
     strong, names = strengths(robot), np.array(robot.joint_names)
     lower, upper = robot.lower_limits, robot.upper_limits
     places: dict[str, Array] = {}
+    carrying = set(robot.feet_with(stand.stance_feet))
     for state in states[:: max(1, round(_SAMPLE / timestep))]:
         mujoco.mj_setState(model, data, state, STATE)
         data.ctrl[:] = ctrl
@@ -227,12 +228,12 @@ def _first_event(
         }
         found = {
             Failure.MOTOR: names[torques > strong * (1 - 1e-9)].tolist(),
-            Failure.GROUND: sorted(others | (set(forces) - set(stand.stance_feet))),
+            Failure.GROUND: sorted(others | (set(forces) - carrying)),
             Failure.JOINT: names[(angles < lower) | (angles > upper)].tolist(),
             Failure.TIPPING: [
                 foot
                 for foot in stand.stance_feet
-                if foot not in forces and (feet[foot] - places[foot])[2] > LIFTED
+                if robot.foot_of(foot) not in forces and (feet[foot] - places[foot])[2] > LIFTED
             ],
             Failure.SLIDING: [foot for foot, way in moved.items() if way > SLIPPED],
             Failure.BUCKLING: names[np.abs(angles - qpos[7:]) > LEFT].tolist(),

@@ -22,6 +22,10 @@ FALLEN_TILT = 0.5
 """A base that is tilted by more than this against its task has fallen over (rad)."""
 
 
+_DEEP = 0.02
+"""No corner of a sole sinks deeper at rest (m): a robot of 100 kg sinks some millimetres."""
+
+
 STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
 """What rollouts return: time, qpos, qvel ..."""
 
@@ -54,7 +58,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         mujoco.mj_forward(model, data)
         return float(normal @ data.qacc[robot.mj_convention.qvel_index[:3]])
 
-    low, high = 0.0, min(robot.foot_radius.values())
+    radii = [radius for radius in robot.foot_radius.values() if radius > 0]
+    low, high = 0.0, min(radii, default=_DEEP)
     if acceleration(high) > 0:
         while high - low > 1e-12:
             middle = (low + high) / 2

@@ -216,11 +216,11 @@ def _watch(
         targets = Configuration(robot, goal).foot_positions()
         sample = min(len(path.time) - 1, round(float(data.time) / path.time[1]))
         for column, foot in enumerate(path.feet):
-            load = path.loads[sample, column] / weight
+            load, own = path.loads[sample, column] / weight, robot.foot_of(foot)
             # A load below zero is that of a foot which would have to be held to the ground.
-            if (load > LOADED or load < 0) and (foot not in forces or forces[foot][2] <= 0):
+            if (load > LOADED or load < 0) and (own not in forces or forces[own][2] <= 0):
                 seen.append(f"foot {foot} carries nothing")
-            if path.clearance[sample, column] > LIFT_CLEARANCE and foot in forces:
+            if path.clearance[sample, column] > LIFT_CLEARANCE and own in forces:
                 seen.append(f"foot {foot} is lifted, and touches the ground")
             if path.stance_feet[sample, column]:
                 body, place = robot.foot_places[foot]

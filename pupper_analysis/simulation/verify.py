@@ -176,12 +176,9 @@ def verify_stand(
         np.tile(ctrl, (1, max(2, round(duration / timestep)), 1)),
     )
     states = states[0]
-    light = LIGHT * sum(force[2] for force in prediction.contact_forces.values())
-    loaded = {
-        foot
-        for foot, force in prediction.contact_forces.items()
-        if force[2] >= FORCE_TOLERANCE * light
-    }
+    predicted = robot.per_foot(prediction.contact_forces)
+    light = LIGHT * sum(force[2] for force in predicted.values())
+    loaded = {foot for foot, force in predicted.items() if force[2] >= FORCE_TOLERANCE * light}
     watch = _watch(robot, drive.model, stand, states, ctrl, round(1.0 / timestep), loaded)
     found = _measured(robot, stand, drive, prediction, states, watch, light)
     found = replace(found, feedforward=feedforward)
@@ -237,9 +234,10 @@ def _measured(
     joint_error = float(np.abs(joints - stand.joint_positions(robot)).max())
     largest = np.abs(prediction.joint_torques).max()
     torque_error = float(np.abs(watch.torques - prediction.joint_torques).max() / largest)
+    predicted = robot.per_foot(prediction.contact_forces)
     force_error = max(
         abs(watch.forces[foot][2] - force[2]) / max(force[2], light)
-        for foot, force in prediction.contact_forces.items()
+        for foot, force in predicted.items()
     )
     tilt = turned_by(robot, stand.task.rotation(), states[-1])
     deviation = float(base_heights(robot, settled).std())
@@ -262,13 +260,16 @@ def _measured(
         servo_sag=height_loss - contact_sag,
         contact_sag=contact_sag,
         tilt=tilt,
-        foot_slip={foot: float(np.linalg.norm(drop[:2])) for foot, drop in drops.items()},
+        foot_slip={
+            foot: max(float(np.linalg.norm(drops[point][:2])) for point in robot.soles[foot])
+            for foot in robot.feet_with(drops)
+        },
         joint_error=joint_error,
         joint_torques=watch.torques,
         predicted_torques=prediction.joint_torques,
         torque_error=torque_error,
         foot_forces=watch.forces,
-        predicted_forces=prediction.contact_forces,
+        predicted_forces=predicted,
         force_error=float(force_error),
         mujoco_foot_error=foot_error,
         mujoco_residual=residual,
@@ -336,7 +337,8 @@ def _watch(
     touched: dict[str, float] = {}
     lost: dict[str, float] = {}
     torques = np.zeros(robot.nu)
-    total = {foot: np.zeros(3) for foot in robot.feet}
+    total = {foot: np.zeros(3) for foot in robot.soles}
+    carrying = robot.feet_with(stand.stance_feet)
     feet = {foot: np.zeros(3) for foot in robot.feet}
     count = 0
     for index in range(len(states) - 1, -1, -step):  # backwards: the first moment stays
@@ -345,14 +347,15 @@ def _watch(
         mujoco.mj_forward(model, data)
         forces, others = contact.ground_forces(model, data, robot.foot_geoms)
         touched |= dict.fromkeys(others, float(data.time))
-        touched |= {foot: float(data.time) for foot in forces if foot not in stand.stance_feet}
-        idle = [foot for foot in stand.stance_feet if foot not in forces or forces[foot][2] <= 0]
+        touched |= {foot: float(data.time) for foot in forces if foot not in carrying}
+        idle = [foot for foot in carrying if foot not in forces or forces[foot][2] <= 0]
         lost |= {foot: float(data.time) for foot in idle if foot in loaded}
         if index >= len(states) - last_second:
             count += 1
             torques += data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
-            for foot, (body, position) in robot.foot_places.items():
+            for foot in total:
                 total[foot] += forces.get(foot, np.zeros(3))
+            for foot, (body, position) in robot.foot_places.items():
                 feet[foot] += data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
     failures = [
         f"{body} touches the ground at {moment:.2f} s" for body, moment in sorted(touched.items())

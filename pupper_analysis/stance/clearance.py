@@ -130,7 +130,7 @@ class Shapes:
     ) -> Array:
         """Returns how high each shape (n,) is above slope and steps (m); infinite for the feet.
 
-        A shape that reaches into its own foot's sphere, as a calf's does, may be as deep in the
+        All shapes on the link of a flat foot are the foot. A shape that reaches into its own foot's sphere, as a calf's does, may be as deep in the
         ground as the foot.
 
         Args:
@@ -145,8 +145,12 @@ class Shapes:
         pin.updateGeometryPlacements(model, data, shapes, placed, robot.pin_convention.q(qpos))
         at = [coal.Transform3s(where.rotation, where.translation) for where in placed.oMg]
         feet: dict[int, tuple[str, coal.Sphere, coal.Transform3s]] = {}  # by their joint
+        flat: set[int] = set()
         for foot, frame in robot.foot_frames.items():
             number = model.getFrameId(frame)
+            if foot not in robot.soles:
+                flat.add(int(model.frames[number].parentJoint))
+                continue
             where = pin.updateFramePlacement(model, data, number)
             there = coal.Transform3s(where.rotation, where.translation)
             ball = coal.Sphere(robot.foot_radius[foot])
@@ -162,6 +166,8 @@ class Shapes:
         heights = np.full(len(self._objects), np.inf)
         for index, (shape, where) in enumerate(zip(self._objects, at, strict=True)):
             depth = 0.0
+            if int(shape.parentJoint) in flat:
+                continue
             if int(shape.parentJoint) in feet:
                 foot, ball, there = feet[int(shape.parentJoint)]
                 if _is_sole(shape.geometry, where, ball, there):

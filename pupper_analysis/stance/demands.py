@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.footholds import feet_places, nominal_feet
 from pupper_analysis.stance.task import StandTask
 
 DEMANDS = (
@@ -61,9 +61,9 @@ def _numbers(robot: Robot, task: StandTask, demand: str) -> Iterator[_Number]:
         for axis, one, other in zip("xy", value, centre, strict=True):
             yield _Number((demand, axis), one, float(other))
     elif demand in ("feet", "foot_offsets"):
-        places = Configuration(robot, robot.neutral()).foot_positions()
+        places = nominal_feet(robot)
         for foot, place in value.items():
-            nominal = places[foot][:2] if demand == "feet" else (0.0, 0.0)
+            nominal = places[foot] if demand == "feet" else (0.0, 0.0)
             for axis, one, other in zip("xy", place, nominal, strict=True):
                 yield _Number((demand, foot, axis), one, float(other))
     elif demand == "swing":
@@ -75,11 +75,11 @@ def _numbers(robot: Robot, task: StandTask, demand: str) -> Iterator[_Number]:
 
 def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
     """Returns the middle of the feet that carry, seen from above (m)."""
-    places = Configuration(robot, robot.neutral()).foot_positions()
     stance_feet = [
-        np.array(task.feet.get(foot, places[foot][:2])) + task.foot_offsets.get(foot, 0.0)
-        for foot in robot.feet
+        place
+        for foot, place in feet_places(robot, task).items()
         if foot not in task.swing
+        for _ in robot.soles[foot]
     ]
     x, y = np.mean(stance_feet, axis=0)
     return float(x), float(y)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.footholds import footholds, sunk_into
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
 
@@ -64,26 +64,29 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
         raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
     if not robot.feet:
         raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
-    for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights, *depths):
+    for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights):
+        robot.points_of(foot)
+    for foot in depths:
         robot.check_foot(foot)
     for foot, depth in depths.items():
         if not 0 <= depth < math.inf:
             raise ConfigurationError("depths", f"{foot}: {depth} m is not finite and >= 0")
-    stance_feet = tuple(foot for foot in robot.feet if foot not in task.swing)
+    swinging = {point for foot in task.swing for point in robot.soles[foot]}
+    stance_feet = tuple(foot for foot in robot.feet if foot not in swinging)
     if len(stance_feet) < 3:
-        raise ConfigurationError("swing", f"only {len(stance_feet)} feet carry; at least 3 must")
+        raise ConfigurationError(
+            "swing",
+            f"only {len(stance_feet)} feet carry; at least 3 must, or a flat one: the support "
+            "polygon needs an area",
+        )
     if task.ik_seed is not None and len(task.ik_seed) != robot.nu:
         raise ConfigurationError("ik_seed", f"it must have {robot.nu} values")
-    ground, normal = task.ground, task.ground.normal()
-    nominal = Configuration(robot, robot.neutral()).foot_positions()
-    targets = {}
-    for foot in robot.feet:
-        place = np.array(task.feet.get(foot, nominal[foot][:2])) + task.foot_offsets.get(foot, 0.0)
-        targets[foot] = ground.centre(foot, place, robot.foot_radius[foot])
-        targets[foot][2] += task.swing.get(foot, 0.0)
+    normal = task.ground.normal()
+    targets = footholds(robot, task)
     contacts = np.array([targets[foot] - robot.foot_radius[foot] * normal for foot in stance_feet])
-    for foot in stance_feet:
-        targets[foot] = targets[foot] - depths.get(foot, 0.0) * normal
+    targets = sunk_into(
+        robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
+    )
     centre = contacts.mean(axis=0)
     lower, upper = robot.lower_limits + task.joint_margin, robot.upper_limits - task.joint_margin
     if (lower > upper).any():

@@ -15,6 +15,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Clearance, Shapes
+from pupper_analysis.stance.footholds import fixing
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import support_polygon
@@ -167,9 +168,16 @@ class Solver:
         wrapper.set_velocity_limits(1.0)
         solver.enable_velocity_limits(True)
         self._feet = []
-        for foot, target in goal.targets.items():
-            self._feet.append(solver.add_position_task(robot.foot_frames[foot], target))
-            self._feet[-1].configure(foot, "soft", 1.0)
+        for points in robot.soles.values():
+            pins = fixing([goal.targets[point] for point in points])
+            for count, (number, axes) in zip((3, 2, 1), pins, strict=False):
+                point = points[number]
+                task = solver.add_position_task(robot.foot_frames[point], goal.targets[point])
+                if count < 3:
+                    task.mask.set_axises("xyz"[:count], "custom")
+                    task.mask.R_custom_world = axes
+                task.configure(point, "soft", 1.0)
+                self._feet.append(task)
         orientation = solver.add_orientation_task(robot.base, goal.task.rotation())
         orientation.configure("orientation", "hard")
         height = solver.add_position_task(robot.base, goal.height * UP)

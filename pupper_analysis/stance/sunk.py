@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -94,9 +95,27 @@ def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = T
             foot: law.depth(max(0.0, float(forces[foot] @ stand.normals[foot])))
             for foot, law in laws.items()
         }
+        depths |= _as_soles(robot, stand, depths)
         change = max(abs(depths[foot] - stand.depths[foot]) for foot in depths)
         if change < DEPTH_TOLERANCE:
             return replace(stand, task=asked)
         ik_seed = tuple(stand.joint_positions(robot).tolist())
         stand = solve_stand(robot, replace(task, ik_seed=ik_seed), depths=depths, explain=explain)
     raise NotSettlingError(change, f"the feet's depths do not settle, by {1e3 * change:.3g} mm")
+
+
+def _as_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
+    """Returns the depths of flat feet's contact points (m), which are on one body: a plane's."""
+    found: dict[str, float] = {}
+    for foot in robot.feet_with(depths):
+        points = robot.soles[foot]
+        if len(points) > 1:
+            places = np.array([stand.contact_points[point] for point in points])
+            normal = stand.normals[points[0]]
+            across = places - places.mean(axis=0)
+            across -= np.outer(across @ normal, normal)
+            table = np.column_stack([np.ones(len(points)), across])
+            given = np.array([depths[point] for point in points])
+            plane = np.linalg.lstsq(table, given)[0]
+            found |= dict(zip(points, (table @ plane).clip(min=0.0).tolist(), strict=True))
+    return found

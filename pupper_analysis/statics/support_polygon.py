@@ -4,22 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """Where a sequence of programmes has ended."""
-
-    qpos: Array
-    miss: float
-    iterations: int
 
 
 def drop_at(place: Array, feet: Array, drops: Array) -> float:

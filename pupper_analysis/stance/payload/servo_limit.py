@@ -337,4 +337,4 @@ def others_on_ground(robot: Robot, stand: Stand, qpos: Array) -> tuple[str, ...]
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_forward(robot.mj_model, data)
     forces, others = contact.ground_forces(robot.mj_model, data, robot.foot_geoms)
-    return tuple(sorted(others | (set(forces) - set(stand.stance_feet))))
+    return tuple(sorted(others | (set(forces) - set(robot.feet_with(stand.stance_feet)))))

@@ -32,6 +32,9 @@ _STEP = 1e-6  # rad, m: of the numeric derivatives
 _WEAK = 1e-3  # N/m: holds a sliding robot in its place as creep does, with 1e-5 N
 _HEIGHT_TOLERANCE = 1e-8  # m: by less than this the base is at the end of friction's range
 _RHO = 1e3  # N/m: weighs slip against force in telling which way a foot slips; any would do
+_PLIANT = 1e-8
+"""How far the contact points of one sole, pinned, give per tangential force (m/N). They move as one
+body: if none gave, the equations would say the same several times. 100 N move one by 1 um."""
 _MAX_ROUNDS = 40  # of friction and pose, each by the other; 4 to 8 do
 
 
@@ -77,6 +80,11 @@ class Equilibrium:
         self.anchors = {
             foot: Anchor(stand.foot_targets[foot], config.frame_rotation(robot.foot_frames[foot]))
             for foot in stand.stance_feet
+        }
+        self._pliancy = {
+            point: _PLIANT if len(points) > 1 else 0.0
+            for points in robot.soles.values()
+            for point in points
         }
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
         self.yielding: dict[str, float] = {}  # m/N: creep in this step per force
@@ -137,8 +145,29 @@ class Equilibrium:
             for row, mu, tried in self._slipping(forces, places):
                 along = tried / np.linalg.norm(tried)
                 places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
+        sole = self._in_sole()
+        pressed = self._pressed(places[:, 2])
         places[:, 2] -= self.sunk(forces)
+        places[sole, 2] = ((pressed[:, 0] - forces[:, 2]) / self._scales())[sole]
         return np.concatenate([balance, places.ravel()])
+
+    def _in_sole(self) -> NDArray[np.bool_]:
+        """Tells which of the points that touch (n,) belong to a flat foot."""
+        return np.array([self._pliancy[point] > 0 for point in self.anchors], dtype=bool)
+
+    def _pressed(self, depths: Array) -> Array:
+        """Returns normal force (N) and stiffness (N/m), (n, 2), at depths (n,): no pull."""
+        laws = [self.laws[point] for point in self.anchors]
+        return np.array(
+            [
+                (law.force(depth), law.rate(depth)) if depth > 0 else (0.0, 0.0)
+                for law, depth in zip(laws, depths, strict=True)
+            ]
+        ).reshape(-1, 2)
+
+    def _scales(self) -> Array:
+        """Returns the stiffness (n,) by which a force's equation becomes one of depth (N/m)."""
+        return np.array([self.laws[point].rate(0.0) for point in self.anchors])
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
         """Returns the residual's derivative: by qpos numeric, by forces in closed form."""
@@ -153,6 +182,9 @@ class Equilibrium:
         if self.feet == "sliding":
             by_qpos[n:].reshape(-1, 3, n)[:, :2] *= _WEAK
         _, places, jacobian = self.terms(qpos, forces)
+        sole = self._in_sole()
+        rates = self._pressed(places[:, 2])[:, 1] / self._scales()
+        by_qpos[n:].reshape(-1, 3, n)[sole, 2] *= rates[sole, None]
         diagonal = np.zeros((len(forces), 3))
         diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._yields()[:, None]
         laws = self.laws
@@ -160,6 +192,7 @@ class Equilibrium:
             -1 / laws[foot].rate(depth)
             for foot, depth in zip(self.anchors, self.sunk(forces), strict=True)
         ]
+        diagonal[sole, 2] = -1 / self._scales()[sole]
         by_force = np.diag(diagonal.ravel())
         if self.feet == "pinned":
             places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
@@ -174,7 +207,9 @@ class Equilibrium:
         return np.hstack([by_qpos, np.vstack([-jacobian.T, by_force])])
 
     def _yields(self) -> Array:
-        return np.array([self.yielding.get(foot, 0.0) for foot in self.anchors])
+        return np.array(
+            [self.yielding.get(foot, 0.0) + self._pliancy[foot] for foot in self.anchors]
+        )
 
     def _begun(self) -> Array:
         """Returns the slips (n, 2) from which the feet that touch stick, or slip on (m)."""
@@ -275,7 +310,8 @@ class Equilibrium:
     def wrong(self, foot: str, solution: Solution, depths: dict[str, float] | None = None) -> float:
         """Returns with how much a touching foot pulls (N), or how deep another one is (m)."""
         if foot in self.anchors:
-            return -float(solution.forces[foot][2])
+            # A flat foot's points let go of the ground in their own equations.
+            return 0.0 if self._pliancy[foot] else -float(solution.forces[foot][2])
         if depths is None:
             depths = self.depths(Configuration(self.robot, solution.qpos))
         return depths[foot] - TOUCHING
@@ -338,14 +374,17 @@ class Equilibrium:
         rates = np.array(
             [self.laws[f].rate(d) for f, d in zip(self.anchors, places[:, 2], strict=True)]
         )
+        idle = {f for f, d in zip(self.anchors, places[:, 2], strict=True) if self._pliancy[f] and d <= 0}
+        rates[[row for row, foot in enumerate(self.anchors) if foot in idle]] = 0.0
         pushed = normal.copy()  # where a foot's normal force acts, with the friction it brings
         slipping = self.slipping(solution)
         for row, foot in enumerate(self.anchors):
-            if foot in slipping:
+            if foot in slipping and foot not in idle:
                 force = solution.forces[foot]
                 pushed[row] += force[:2] / force[2] @ jacobian[3 * row : 3 * row + 2]
         hessian = derivative[:n, :n] + pushed.T @ (rates[:, None] * normal)
-        sticks = [row for row, foot in enumerate(self.anchors) if foot not in slipping]
+        loose = {*slipping, *idle}
+        sticks = [row for row, foot in enumerate(self.anchors) if foot not in loose]
         held = jacobian.reshape(-1, 3, n)[sticks, :2].reshape(-1, n)
         if self.feet == "sliding":  # as a whole it may be anywhere, turned anyhow about z
             held = np.eye(3, n)

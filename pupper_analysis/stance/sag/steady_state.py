@@ -287,9 +287,12 @@ def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tupl
     for foot, force in solution.forces.items():
         if foot not in stand.stance_feet:
             failures.append(f"foot {foot}, lifted, touches the ground, with {force[2]:.2f} N")
-        elif foot in slipping:
+    touching = {foot for foot, force in solution.forces.items() if force[2] > 0}
+    for foot in robot.feet_with(stand.stance_feet):
+        points = [point for point in robot.soles[foot] if point in touching]
+        if points and all(point in slipping for point in points):
             failures.append(f"foot {foot} slides")
-    idle = [foot for foot in stand.stance_feet if foot not in solution.forces]
+    idle = [f for f in robot.feet_with(stand.stance_feet) if touching.isdisjoint(robot.soles[f])]
     failures += [f"foot {foot} carries nothing" for foot in idle]
     qpos = solution.qpos
     beyond = (qpos[7:] < robot.lower_limits) | (qpos[7:] > robot.upper_limits)

@@ -175,7 +175,7 @@ class Way:
 
     def _switch(self, foot: str, found: Solution) -> None:
         self._events += 1
-        if self._events > _MAX_EVENTS:
+        if self._events > max(_MAX_EVENTS, 4 * len(self.system.robot.feet)):
             raise NoEquilibriumError(
                 self.share, f"foot {foot} neither carries nor clears the ground"
             )

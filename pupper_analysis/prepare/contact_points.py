@@ -1,0 +1,227 @@
+"""Where a foot of any shape touches the ground: MuJoCo's own contacts of a sole that lies flat."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from pupper_analysis.robot.contact import ground_geom
+
+Array = NDArray[np.float64]
+
+_STEEPEST = math.radians(25.0)
+"""A sole that is tilted by more in the start pose is none: the foot touches with an edge."""
+
+_LEAST_LENGTH = 0.015
+"""A flat part that is shorter is no sole (m): facets of a round foot's mesh are some millimetres."""
+
+_PRESSED = 1e-4
+"""How deep the sole is pressed into the ground to see what touches (m)."""
+
+_ROUND = 24  # points on the rim of a cylinder, and on each circle of an ellipsoid
+
+_APEX = 1.0  # m above a sole's points: so that even coplanar ones have a hull in space
+
+_END = 5e-3
+"""A sphere that is no further above a foot's lowest point is the foot (m)."""
+
+_FLAT = 1e-3  # m: facets of a mesh, and spheres, that are no further from a plane make up one sole
+
+
+@dataclass(frozen=True, eq=False)
+class ContactPoint:
+    """A place where a foot touches the ground.
+
+    Attributes:
+        geom: The id of the geom that touches there.
+        center: (3,) in the body's frame (m): of a sphere, or of a capsule's end; of other shapes
+            the point itself.
+        radius: Of that sphere, or of the capsule (m); otherwise 0.
+    """
+
+    geom: int
+    center: Array
+    radius: float
+
+
+def contact_points(
+    model: mujoco.MjModel, data: mujoco.MjData, body: int, geoms: Sequence[int]
+) -> tuple[ContactPoint, ...]:
+    """Finds the contact points of a foot with level ground.
+
+    The sole is the flat part of its geoms' hull that is lowest, and nearly level, in the pose that
+    ``data`` has; without one the foot touches where it is lowest. The foot is laid flat, and what
+    MuJoCo then finds in contact are the contact points.
+
+    Args:
+        model: The model, with a floor.
+        data: After ``mj_kinematics``, in the start pose.
+        body: The id of the body in whose frame the points are wanted.
+        geoms: The ids of the foot's geoms.
+    """
+    geoms = _round_ones(model, data, geoms) or geoms
+    rotation, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
+    support = [
+        (rotation.T @ (point - origin), radius)
+        for geom in geoms
+        for point, radius in _outline(model, data, geom)
+    ]
+    points = np.array([point for point, _ in support])
+    radii = np.array([radius for _, radius in support])
+    out = _sole(points, radii, -rotation[2])
+    return _touching(model, body, geoms, out)
+
+
+def _outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Iterator[tuple[Array, float]]:
+    """Yields spheres, (3,) in the world and a radius, whose hull is that of a geom (m)."""
+    kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
+    turn, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+    kinds = mujoco.mjtGeom
+    radius = 0.0
+    circle = np.linspace(0, 2 * math.pi, _ROUND, endpoint=False)
+    if kind == kinds.mjGEOM_SPHERE:
+        local, radius = np.zeros((1, 3)), float(size[0])
+    elif kind == kinds.mjGEOM_CAPSULE:
+        local, radius = np.array([[0, 0, -size[1]], [0, 0, size[1]]]), float(size[0])
+    elif kind == kinds.mjGEOM_BOX:
+        local = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
+    elif kind == kinds.mjGEOM_CYLINDER:
+        rim = size[0] * np.column_stack([np.cos(circle), np.sin(circle)])
+        local = np.vstack([np.column_stack([rim, np.full(_ROUND, z)]) for z in (-size[1], size[1])])
+    elif kind == kinds.mjGEOM_ELLIPSOID:
+        ups = np.linspace(-math.pi / 2, math.pi / 2, _ROUND // 2)
+        unit = [(math.cos(u) * math.cos(c), math.cos(u) * math.sin(c), math.sin(u))
+                for u in ups for c in circle]
+        local = np.array(unit) * size
+    elif kind == kinds.mjGEOM_MESH:
+        mesh = int(model.geom_dataid[geom])
+        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        local = np.array(model.mesh_vert[first : first + count], dtype=float)
+    else:
+        return
+    for point in local:
+        yield place + turn @ point, radius
+
+
+def lowest(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> float:
+    """Returns the height of the lowest point of some geoms (m); infinite if there is none."""
+    return min(
+        (
+            float(point[2]) - radius
+            for geom in geoms
+            for point, radius in _outline(model, data, geom)
+        ),
+        default=math.inf,
+    )
+
+
+def _round_ones(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> list[int]:
+    """Returns the spheres at the lower end of a foot: other shapes there are the leg's."""
+    sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
+    end = lowest(model, data, geoms) + _END
+    spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
+    return [geom for geom in spheres if lowest(model, data, [geom]) < end]
+
+
+def _sole(points: Array, radii: Array, down: Array) -> Array:
+    """Returns the direction (3,) out of the sole, in the body's frame; ``down`` without one."""
+    surface = points + radii[:, None] * down
+    end = float((surface @ down).max())
+    candidates = list(_facets(surface, down))
+    best, area = down, 0.0
+    for normal in candidates:
+        height = points @ normal + radii
+        on = points[height > height.max() - _FLAT] + np.outer(
+            radii[height > height.max() - _FLAT], normal
+        )
+        # The sole has the foot's lowest point, or one that is as good as it.
+        if (on @ down).max() < end - _FLAT:
+            continue
+        sizes = np.linalg.svd(on - on.mean(axis=0), compute_uv=False)[:2] if len(on) > 1 else [0, 0]
+        spread = float(np.ptp(on - on.mean(axis=0), axis=0).max())
+        size = float(sizes[0] * (sizes[1] + 1e-6))
+        if spread > _LEAST_LENGTH and size > area:
+            best, area = normal, size
+    return best
+
+
+def _facets(surface: Array, down: Array) -> Iterator[Array]:
+    """Yields the outward normals (3,) of a hull's facets that are nearly level, and of its edges."""
+    middle = surface.mean(axis=0)
+    spread = surface - middle
+    _, sizes, axes = np.linalg.svd(spread, full_matrices=True)
+    rank = int((sizes > 1e-6).sum())
+    if rank == 1:  # points on a line: as level as the line can lie
+        normal = down - (down @ axes[0]) * axes[0]
+        length = float(np.linalg.norm(normal))
+        if length > math.cos(_STEEPEST):
+            yield normal / length
+        return
+    if rank == 0:
+        return
+    try:
+        hull = ConvexHull(np.vstack([surface, middle - _APEX * down]))
+    except QhullError:
+        return
+    seen: list[Array] = []
+    for *normal, _ in hull.equations:
+        out = np.array(normal)
+        if out @ down < math.cos(_STEEPEST) or any(out @ other > 1 - 1e-9 for other in seen):
+            continue
+        seen.append(out)
+        yield out
+
+
+def _touching(
+    model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
+) -> tuple[ContactPoint, ...]:
+    """Presses a foot into the floor, ``out`` (3,) of its frame downwards, and sees what touches."""
+    data = mujoco.MjData(model)
+    floor = ground_geom(model)
+    mujoco.mj_kinematics(model, data)
+    turned = _turning(data.xmat[body].reshape(3, 3) @ out, np.array([0.0, 0.0, -1.0]))
+    free = int(np.argmax(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value))
+    at = int(model.jnt_qposadr[free])
+    quat = np.zeros(4)
+    mujoco.mju_mulQuat(quat, turned, data.qpos[at + 3 : at + 7].copy())
+    data.qpos[at + 3 : at + 7] = quat
+    mujoco.mj_kinematics(model, data)
+    data.qpos[at + 2] -= lowest(model, data, geoms) + _PRESSED
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    rotation, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
+    found: list[ContactPoint] = []
+    for number in range(data.ncon):
+        touch = data.contact[number]
+        pair = [int(geom) for geom in touch.geom]
+        if floor not in pair or not set(pair) & set(geoms):
+            continue
+        geom = pair[0] if pair[1] == floor else pair[1]
+        kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+        radius = 0.0
+        place = touch.pos + np.array([0.0, 0.0, touch.dist / 2])  # on the foot's surface
+        if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE):
+            radius = float(model.geom_size[geom, 0])
+            place = min(
+                (point for point, _ in _outline(model, data, geom)),
+                key=lambda point: float(np.linalg.norm(point - place)),
+            )
+        found.append(ContactPoint(geom, rotation.T @ (place - origin), radius))
+    return tuple(found)
+
+
+def _turning(one: Array, two: Array) -> Array:
+    """Returns the quaternion (w, x, y, z) that turns a unit vector (3,) into another."""
+    axis, cosine = np.cross(one, two), float(one @ two)
+    if np.linalg.norm(axis) < 1e-12:
+        return np.array([1.0, 0, 0, 0]) if cosine > 0 else np.array([0.0, 1.0, 0, 0])
+    quat = np.concatenate([[1 + cosine], axis])
+    unit: Array = quat / np.linalg.norm(quat)
+    return unit

@@ -1,0 +1,143 @@
+"""Position servos for a robot whose MJCF has torque motors, or none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.verify import SETTLED_DRIFT, verify_stand
+from pupper_analysis.stance.stand import Stand, stand_statics
+
+Array = NDArray[np.float64]
+
+_SAGS = (0.02, 0.05, 0.1, 0.2, 0.4)
+"""What the suggested stiffness lets the joint that holds most give way in the nominal stand (rad),
+the first with which it comes to rest. Stiffer servos hold the shape better, and shake on contacts
+that are not as stiff; softer ones let a biped's ankles tip over."""
+
+_STILL = 2e-4
+"""Height of the base that is at rest deviates by no more than this in the last second (m)."""
+
+_STAYED = 2e-3
+"""Feet of a robot that does not shake have moved by no more than this in the end (m)."""
+
+_TRIAL = 4.0  # s of simulation
+
+_FASTEST = 0.45
+"""Greatest frequency of a joint by itself on its servo, per time step (rad). MuJoCo's semi-implicit
+steps diverge at 2; in contact, G1's light ankles shake at 1 and are at rest at 0.45."""
+
+_DAMPING_TIME = 0.05
+"""kd / kp of the suggested servos (s): within the 0.02 to 0.1 s of robots' own controllers."""
+
+
+def are_servos(model: mujoco.MjModel) -> bool:
+    """Tells whether every joint but a free one has a position servo."""
+    driven = set()
+    for actuator in range(model.nu):
+        affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value
+        gain = model.actuator_gainprm[actuator, 0]
+        if (
+            affine
+            and gain > 0
+            and math.isclose(gain, -model.actuator_biasprm[actuator, 1], rel_tol=1e-6)
+            and model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
+        ):
+            driven.add(int(model.actuator_trnid[actuator, 0]))
+    joints = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE.value)
+    return driven >= {int(joint) for joint in joints}
+
+
+def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array]:
+    """Gives a robot position servos, with which it comes to rest in a stand, if that can be.
+
+    Returns:
+        The robot; its servos' stiffness (nu,) (N m/rad) and damping (nu,) (N m s/rad).
+    """
+    torques = stand_statics(robot, stand).joint_torques
+
+    def built(kp: Array, kd: Array) -> Robot:
+        spec = with_servos(robot.description.mjcf, robot, kp, kd)
+        new = build_robot(replace(robot.description, mjcf=spec))
+        return replace(new, stand_height=robot.stand_height, notes=robot.notes)
+
+    first = _gains(robot, stand.qpos, torques, _SAGS[0])
+    trial = built(*first)
+    for sag in _SAGS:
+        kp, kd = _gains(robot, stand.qpos, torques, sag)
+        seen = verify_stand(trial, stand, kp=kp, kd=kd, duration=_TRIAL)
+        steady = seen.height_deviation < _STILL and abs(seen.height_drift) < SETTLED_DRIFT
+        if steady and max(seen.foot_slip.values()) < _STAYED:
+            return trial if sag == _SAGS[0] else built(kp, kd), kp, kd
+    return trial, *first
+
+
+def _gains(robot: Robot, qpos: Array, torques: Array, sag: float) -> tuple[Array, Array]:
+    """Returns stiffness (N m/rad) and damping (N m s/rad), (nu,) each, for a sag (rad)."""
+    inverse = np.linalg.inv(Configuration(robot, qpos).mass_matrix())
+    inertia = 1 / np.diag(inverse)[robot.nv - robot.nu :]  # with everything else free
+    timestep = float(robot.mj_model.opt.timestep)
+    most = inertia * (_FASTEST / timestep) ** 2
+    wanted = np.full(robot.nu, float(np.abs(torques).max()) / sag)
+    kp = np.array([_two_digits(value) for value in np.minimum(wanted, most)])
+    return kp, np.array([_two_digits(value) for value in _DAMPING_TIME * kp])
+
+
+def _two_digits(value: float) -> float:
+    """Rounds a positive number down to two digits, to be typed."""
+    digits = 1 - math.floor(math.log10(value))
+    return math.floor(value * 10.0**digits + 1e-9) / 10.0**digits
+
+
+def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujoco.MjSpec:
+    """Returns a spec in which every joint has a position servo, whose limit is the motor's.
+
+    An actuator's limit stays; where there is none it is the URDF's effort limit. The integrator is
+    ``implicitfast``, with which a servo's damping does not shake light joints.
+    """
+    spec = spec.copy()
+    by_joint = {
+        actuator.target: actuator
+        for actuator in spec.actuators
+        if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
+    }
+    for name, stiffness, damping, effort in zip(
+        robot.joint_names, kp, kd, robot.effort_limits, strict=True
+    ):
+        actuator = by_joint.get(name)
+        limit = float(effort) if 0 < effort < math.inf else math.inf
+        if actuator is None:
+            actuator = spec.add_actuator(
+                name=f"{name} (servo)", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
+        else:
+            limit = min(limit, _limit_of(actuator))
+        gear = float(actuator.gear[0]) or 1.0
+        actuator.set_to_position(
+            kp=float(stiffness) / gear**2, kv=float(damping) / gear**2, inheritrange=0.0
+        )
+        actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        if math.isfinite(limit):
+            actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+            actuator.forcerange = (-limit / abs(gear), limit / abs(gear))
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    return spec
+
+
+def _limit_of(actuator: mujoco.MjsActuator) -> float:
+    """Returns the torque at the joint that an actuator is limited to (N m)."""
+    gear, limits = abs(float(actuator.gear[0])) or 1.0, []
+    if actuator.forcerange[0] < actuator.forcerange[1]:
+        limits.append(float(np.abs(actuator.forcerange).max()) * gear)
+    motor = actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+    if motor and actuator.ctrlrange[0] < actuator.ctrlrange[1]:
+        gain = abs(float(actuator.gainprm[0]))
+        limits.append(float(np.abs(actuator.ctrlrange).max()) * gain * gear)
+    return min(limits, default=math.inf)

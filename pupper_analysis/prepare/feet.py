@@ -1,0 +1,282 @@
+"""Which feet a robot has, and where they are in both of its files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.models.description import Description
+from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.contact import ground_geom
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+_AS_LOW = 0.15
+"""Limbs that end no higher than this above the lowest, in parts of the base's height above it, are
+legs: hands and heads are higher, and feet in a start pose rarely at more than a few percent."""
+
+_NEAR = 0.02
+"""A sphere whose centre is no further from a URDF's link is the foot that the link means (m)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Foot:
+    """A foot, as it was found.
+
+    Attributes:
+        name: Its name.
+        body: The id of the moving body that carries it.
+        points: Where it touches the ground, in that body's frame.
+    """
+
+    name: str
+    body: int
+    points: tuple[ContactPoint, ...]
+
+
+def posed(robot: Robot, joints: Array) -> mujoco.MjData:
+    """Returns MuJoCo's data with the base upright at the origin, at joint positions (nu,)."""
+    data = mujoco.MjData(robot.mj_model)
+    qpos = robot.neutral()
+    qpos[robot.nq - robot.nu :] = joints
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    return data
+
+
+def limb_ends(model: mujoco.MjModel) -> list[int]:
+    """Returns the ids of the bodies with joints that carry no others with joints."""
+    moving = [b for b in range(1, model.nbody) if int(model.body_weldid[b]) == b]
+    carrying = {int(model.body_weldid[model.body_parentid[body]]) for body in moving}
+    return [body for body in moving if body not in carrying and model.body_jntnum[body]]
+
+
+def geoms_of(model: mujoco.MjModel, body: int, *, welded: bool = True) -> list[int]:
+    """Returns the geoms of a body, and of those welded to it, that can touch the floor."""
+    floor = ground_geom(model)
+    bits = (model.geom_contype[floor], model.geom_conaffinity[floor])
+    return [
+        geom
+        for geom in range(model.ngeom)
+        if (model.body_weldid[model.geom_bodyid[geom]] if welded else model.geom_bodyid[geom])
+        == body
+        and (model.geom_contype[geom] & bits[1] or model.geom_conaffinity[geom] & bits[0])
+    ]
+
+
+def find_feet(robot: Robot, joints: Array) -> tuple[Foot, ...]:
+    """Finds the feet: the collision geoms at the ends of the limbs that are lowest in a pose.
+
+    Args:
+        robot: The robot, without feet; its MJCF has a floor.
+        joints: (nu,) the pose.
+
+    Raises:
+        ModelError: If no limb has anything that touches.
+    """
+    model, data = robot.mj_model, posed(robot, joints)
+    ends = {body: geoms_of(model, body) for body in limb_ends(model)}
+    heights = {body: lowest(model, data, geoms) for body, geoms in ends.items() if geoms}
+    base = float(data.xpos[model.body(robot.mj_base).id][2])
+    if not heights or min(heights.values()) >= base:
+        bare = ", ".join(model.body(body).name for body in ends)
+        raise ModelError(
+            robot.description.mjcf_source,
+            "no feet were found: no limb has a collision geom below the base in the start pose "
+            f"(the limbs end at {bare}); give the feet's collision geoms, or name the feet",
+        )
+    bottom = min(heights.values())
+    legs = [b for b, height in heights.items() if height < bottom + _AS_LOW * (base - bottom)]
+    found = [(body, contact_points(model, data, body, ends[body])) for body in legs]
+    names = _names(model, found)
+    return tuple(
+        Foot(name, body, points)
+        for name, (body, points) in zip(names, found, strict=True)
+        if points
+    )
+
+
+def _names(
+    model: mujoco.MjModel, feet: Sequence[tuple[int, tuple[ContactPoint, ...]]]
+) -> list[str]:
+    """Names feet by their geom, if all that touches is one with a name; else by their body."""
+    names = []
+    for body, points in feet:
+        geoms = {point.geom for point in points}
+        geom = min(geoms, default=-1)
+        own = int(model.geom_bodyid[geom]) if geoms else body
+        name = model.geom(geom).name if len(geoms) == 1 else ""
+        names.append(str(name or model.body(own).name))
+    if len(set(names)) < len(names):
+        names = [str(model.body(body).name) for body, _ in feet]
+    return names
+
+
+def named_foot(robot: Robot, name: str, frames: tuple[str | None, str | None], joints: Array) -> Foot:
+    """Finds a foot that is named, in one file or in both.
+
+    Args:
+        robot: The robot, without feet; its MJCF has a floor.
+        name: What the foot is called.
+        frames: Its link in the URDF, and its geom, site or body in the MJCF.
+        joints: (nu,) the start pose.
+
+    Raises:
+        UnknownNameError: If neither file has it.
+        ModelError: If nothing there touches the ground.
+    """
+    model, data = robot.mj_model, posed(robot, joints)
+    link, frame = frames
+    places = [
+        (kind, mujoco.mj_name2id(model, kind, frame or ""))
+        for kind in (mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_BODY)
+    ]
+    found = next(((kind, index) for kind, index in places if frame and index >= 0), None)
+    if found is None:
+        body, place = _by_link(robot, name, link, frame, data, joints)
+        geoms = _around(model, data, geoms_of(model, body), place)
+    elif found[0] == mujoco.mjtObj.mjOBJ_GEOM:
+        geoms = [found[1]]
+        body = int(model.body_weldid[model.geom_bodyid[found[1]]])
+    elif found[0] == mujoco.mjtObj.mjOBJ_SITE:
+        body = int(model.body_weldid[model.site_bodyid[found[1]]])
+        geoms = _around(model, data, geoms_of(model, body), data.site_xpos[found[1]])
+    else:
+        body = int(model.body_weldid[found[1]])
+        geoms = geoms_of(model, found[1], welded=False) or _around(
+            model, data, geoms_of(model, body), data.xpos[found[1]]
+        )
+    points = contact_points(model, data, body, geoms) if geoms else ()
+    if not points:
+        raise ModelError(
+            robot.description.mjcf_source,
+            f"foot {name!r}: nothing of body {model.body(body).name!r} can touch the ground; give "
+            "it a collision geom",
+        )
+    return Foot(name, body, points)
+
+
+def _around(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], place: Array
+) -> list[int]:
+    """Returns the sphere that is centred at a place, if there is one; else all."""
+    sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
+    spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
+    away = {geom: float(np.linalg.norm(data.geom_xpos[geom] - place)) for geom in spheres}
+    nearest = min(away, key=away.__getitem__, default=None)
+    return [nearest] if nearest is not None and away[nearest] < _NEAR else list(geoms)
+
+
+def _by_link(
+    robot: Robot,
+    name: str,
+    link: str | None,
+    frame: str | None,
+    data: mujoco.MjData,
+    joints: Array,
+) -> tuple[int, Array]:
+    """Returns the moving body (its id) that carries a link of the URDF, and the link's place."""
+    model = robot.pin_model
+    number = next(
+        (i for i, known in enumerate(model.frames) if link and known.name == link), None
+    )
+    if number is None:
+        sites = [robot.mj_model.site(i).name for i in range(robot.mj_model.nsite)]
+        bodies = [robot.mj_model.body(i).name for i in range(1, robot.mj_model.nbody)]
+        links = [known.name for known in model.frames]
+        raise UnknownNameError(
+            f"{robot.description.urdf_source}, {robot.description.mjcf_source}",
+            f"link, geom, site or body (for foot {name!r})",
+            str(frame or link),
+            list(dict.fromkeys([*links, *sites, *bodies])),
+        )
+    joint = model.names[model.frames[number].parentJoint]
+    if joint in robot.joint_names:
+        body = int(robot.mj_model.jnt_bodyid[robot.mj_model.joint(joint).id])
+    else:
+        body = int(robot.mj_model.body(robot.mj_base).id)
+    qpos = robot.neutral()
+    qpos[robot.nq - robot.nu :] = joints
+    return int(robot.mj_model.body_weldid[body]), Configuration(robot, qpos).frame_position(str(link))
+
+
+def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
+    """Returns the robot's description with a frame at every contact point, in both files.
+
+    A place in the URDF is where the MJCF has it against the base at zero angles.
+    """
+    model, spec = robot.mj_model, robot.description.mjcf.copy()
+    data = posed(robot, np.zeros(robot.nu))
+    still = Configuration(robot, robot.neutral())
+    root = parse_text(robot.description.urdf)
+    bodies = {body.name: body for body in spec.bodies}
+    _name_geoms(spec)
+    compiled = spec.compile()
+    names: dict[str, tuple[str, str]] = {}
+    soles: dict[str, tuple[str, ...]] = {}
+    geoms: dict[str, tuple[str, float]] = {}
+    for foot in feet:
+        link = _link_of(robot, foot.body)
+        placed = still.frame_position(link), still.frame_rotation(link)
+        points = []
+        for number, point in enumerate(foot.points, start=1):
+            name = foot.name if len(foot.points) == 1 else f"{foot.name}/{number}"
+            frame = f"{name} (contact)"
+            bodies[model.body(foot.body).name].add_site(name=frame, pos=point.center)
+            world = data.xpos[foot.body] + data.xmat[foot.body].reshape(3, 3) @ point.center
+            _add_link(root, frame, link, placed[1].T @ (world - placed[0]))
+            names[name] = (frame, frame)
+            geoms[name] = (compiled.geom(point.geom).name, point.radius)
+            points.append(name)
+        if len(points) > 1:
+            soles[foot.name] = tuple(points)
+    return replace(
+        robot.description, urdf=to_text(root), mjcf=spec, feet=names, soles=soles, foot_geoms=geoms
+    )
+
+
+def _name_geoms(spec: mujoco.MjSpec) -> None:
+    """Names the geoms that have no name, so that they are found again."""
+    known = {geom.name for geom in spec.geoms}
+    for number, geom in enumerate(spec.geoms):
+        if not geom.name:
+            name = f"geom_{number}"
+            while name in known:
+                name += "_"
+            known.add(name)
+            geom.name = name
+
+
+def _link_of(robot: Robot, body: int) -> str:
+    """Returns the URDF's link that the last joint of a body moves."""
+    joint = robot.mj_model.joint(
+        int(robot.mj_model.body_jntadr[body] + robot.mj_model.body_jntnum[body] - 1)
+    ).name
+    links = moved_links(robot.description.urdf)
+    return links.get(joint, robot.base)
+
+
+def moved_links(urdf: str) -> Mapping[str, str]:
+    """Returns {joint: the link that it moves}."""
+    return {
+        str(joint.get("name")): str(joint.find("child").get("link"))
+        for joint in parse_text(urdf).findall("joint")
+    }
+
+
+def _add_link(root: etree._Element, name: str, parent: str, place: Array) -> None:
+    etree.SubElement(root, "link", name=name)
+    joint = etree.SubElement(root, "joint", name=f"to {name}", type="fixed")
+    etree.SubElement(joint, "parent", link=parent)
+    etree.SubElement(joint, "child", link=name)
+    etree.SubElement(joint, "origin", xyz=" ".join(repr(float(value)) for value in place))
+

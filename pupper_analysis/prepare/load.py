@@ -1,0 +1,289 @@
+"""Loads a robot from its two files, as they are, or made ready in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.checks.matching import Match, match
+from pupper_analysis.checks.matching_mjcf import name_all
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.description import Description
+from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.prepare import drives, start
+from pupper_analysis.prepare.feet import Foot, find_feet, limb_ends, named_foot, with_feet
+from pupper_analysis.robot.build import add_floor, build_robot, floor_of
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
+
+
+def load_robot(
+    *,
+    urdf: str | Path,
+    mjcf: str | Path,
+    feet: Feet | None = None,
+    fixed_base: bool = False,
+    name: str | None = None,
+    joints: Mapping[str, str] | None = None,
+    keyframe: str | None = None,
+) -> Robot:
+    """Loads a robot from a URDF and an MJCF, as they were published.
+
+    What the files lack is made up for in memory, and each such thing is said in ``notes``: joints
+    whose names differ are matched, those that only one file has are held at zero, a floor, a free
+    base and position servos are added, and where the MJCF has no keyframe in which the robot
+    stands, a stand is looked for.
+
+    Args:
+        urdf: Path of the URDF.
+        mjcf: Path of the MJCF.
+        feet: The feet's frames, or {foot: its frame}; a frame is a link of the URDF, or a geom,
+            site or body of the MJCF, or a pair of both. By default the feet are the collision geoms
+            at the ends of the limbs that are lowest in the start pose; an empty list: no feet.
+        fixed_base: Fix the base in the world, at the pose that the MJCF gives it.
+        name: The robot's name; by default the MJCF's.
+        joints: {joint in the URDF: joint in the MJCF}, of those that are not matched by name.
+        keyframe: The MJCF's keyframe to start from; by default ``home``, or another in which the
+            robot stands.
+
+    Returns:
+        The robot.
+
+    Raises:
+        ModelError: If a file cannot be read, the two have no joints in common, or no feet are
+            found.
+        UnknownNameError: If a foot, joint or keyframe is not there; the message lists what is.
+    """
+    files = read_urdf(urdf), read_mjcf(mjcf)
+    frames = None if feet is None else _frames(feet)
+    if frames is not None and not joints and keyframe is None:
+        robot = _as_it_is(*files, frames, fixed_base=fixed_base, name=name)
+        if robot is not None:
+            return robot
+    return _prepared(
+        *files, frames, fixed_base=fixed_base, name=name, joints=joints, keyframe=keyframe
+    )
+
+
+def _frames(feet: Feet) -> dict[str, tuple[str, str]]:
+    """Returns {foot: its frames in URDF and MJCF}."""
+    named = dict(feet) if isinstance(feet, Mapping) else {foot: foot for foot in feet}
+    return {
+        foot: (frame, frame) if isinstance(frame, str) else (str(frame[0]), str(frame[1]))
+        for foot, frame in named.items()
+    }
+
+
+def _as_it_is(
+    urdf: UrdfFile,
+    mjcf: MjcfFile,
+    feet: Mapping[str, tuple[str, str]],
+    *,
+    fixed_base: bool,
+    name: str | None,
+) -> Robot | None:
+    """Builds the robot if both files are ready: the same joints, and the feet's frames in both."""
+    moving = {
+        str(joint.get("name"))
+        for joint in urdf.root.findall("joint")
+        if joint.get("type") not in ("fixed", "floating")
+    }
+    spec = mjcf.spec
+    links = {str(link.get("name")) for link in urdf.root.findall("link")}
+    places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
+    hinges = {j.name for j in spec.joints if j.type != mujoco.mjtJoint.mjJNT_FREE}
+    known = all(one in links and other in places for one, other in feet.values())
+    if moving != hinges or not known:
+        return None
+    description = Description(
+        name=name or spec.modelname,
+        urdf=urdf.text,
+        urdf_source=urdf.path,
+        mjcf=spec,
+        mjcf_source=mjcf.path,
+        feet=feet,
+    )
+    robot = build_robot(description, fixed_base=fixed_base)
+    return replace(robot, notes=(*urdf.notes, *mjcf.notes, *robot.notes))
+
+
+def _prepared(
+    urdf: UrdfFile,
+    mjcf: MjcfFile,
+    frames: Mapping[str, tuple[str, str]] | None,
+    *,
+    fixed_base: bool,
+    name: str | None,
+    joints: Mapping[str, str] | None,
+    keyframe: str | None,
+) -> Robot:
+    """Builds the robot from files that may not be ready."""
+    notes: list[str] = []
+    spec = mjcf.spec.copy()
+    name_all(spec, set(), [])
+    known = start.chosen(mjcf, start.keyframes(mjcf, spec), keyframe)
+    if not fixed_base:
+        _free(spec, notes)
+    matched = match(urdf, replace(mjcf, spec=spec), names=joints, shapes=True)
+    notes += [*matched.notes, *_said(matched)]
+    description = replace(matched.robot.description, name=name or spec.modelname)
+    if fixed_base or not matched.robot.floating:
+        if frames:
+            raise ModelError(mjcf.path, "a robot with a fixed base has no feet to stand on")
+        robot = build_robot(description, fixed_base=fixed_base)
+        return replace(robot, notes=(*notes, *robot.notes))
+    ready = description.mjcf.copy()
+    if not floor_of(ready):
+        add_floor(ready)
+        notes.append("the MJCF has no ground: a plane with MuJoCo's default contact was added")
+    bare = build_robot(replace(description, mjcf=ready))
+    pose = _with_keyframe(bare, known)
+    feet = _feet(bare, frames, start.inside(bare, pose))
+    if not feet:
+        return replace(bare, notes=(*notes, *bare.notes))
+    notes.append(_named(bare, feet, given=frames is not None))
+    robot = build_robot(with_feet(bare, feet))
+    robot = _started(robot, known, notes)
+    if not drives.are_servos(robot.mj_model):
+        robot = _driven(robot, notes)
+    return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
+
+
+def _free(spec: mujoco.MjSpec, notes: list[str]) -> None:
+    """Frees the base of a robot with two limbs or more that the MJCF holds in the world."""
+    if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints):
+        return
+    bodies = list(spec.worldbody.bodies)
+    size = {body.name: len(body.find_all(mujoco.mjtObj.mjOBJ_JOINT)) for body in bodies}
+    base = max(bodies, key=lambda body: size[body.name], default=None)
+    if base is None or list(base.joints):
+        return
+    limbs = [body for body in base.bodies if body.find_all(mujoco.mjtObj.mjOBJ_JOINT) or body.joints]
+    if len(limbs) >= 2:
+        base.add_freejoint()
+        notes.append(f"the MJCF holds {base.name!r} in the world: a free joint was added")
+
+
+def _said(matched: Match) -> Iterator[str]:
+    """Says what became of joints whose names differ, or which only one file has."""
+    renamed = {o: n for n, o in matched.urdf_joint.items() if o != n}
+    if renamed:
+        pairs = ", ".join(f"{old} = {new}" for old, new in renamed.items())
+        yield f"joints that have another name in the URDF: {pairs}"
+    for names, where in ((matched.only_urdf, "URDF"), (matched.only_mjcf, "MJCF")):
+        if names:
+            yield f"joints that only the {where} has, held at zero: {', '.join(names)}"
+
+
+def _with_keyframe(
+    robot: Robot, known: Mapping[str, Mapping[str, float]]
+) -> Mapping[str, float] | None:
+    """Returns the first keyframe whose joint positions are within their limits."""
+    for joints in known.values():
+        values = np.array([joints.get(name, 0.0) for name in robot.joint_names])
+        if np.abs(values - start.inside(robot, joints)).max() < 1e-3:
+            return joints
+    return None
+
+
+def _feet(
+    robot: Robot, frames: Mapping[str, tuple[str, str]] | None, pose: Array
+) -> tuple[Foot, ...]:
+    if frames is None:
+        return find_feet(robot, pose) if limb_ends(robot.mj_model) else ()
+    return tuple(named_foot(robot, foot, places, pose) for foot, places in frames.items())
+
+
+def _named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> str:
+    """Says which feet there are, and with how many contact points."""
+    texts = []
+    for foot in feet:
+        count = len(foot.points)
+        body = robot.mj_model.body(foot.body).name
+        texts.append(f"{foot.name} on {body}" + (f", {count} contact points" if count > 1 else ""))
+    how = "feet" if given else "no feet were named; taken were the lowest limbs' ends"
+    return f"{how}: {'; '.join(texts)}"
+
+
+def _started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list[str]) -> Robot:
+    """Gives a robot a start pose: a keyframe's in which it stands, or one that is found."""
+    standing = {name: pose for name, pose in known.items() if start.stands_at(robot, pose)}
+    for name, pose in standing.items():
+        home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
+        at_home = _at(robot, home)
+        for nominal in (np.zeros(robot.nu), home):
+            tried = replace(at_home, nominal=nominal)
+            if start.first_stand(tried) is not None:
+                notes.append(f"start pose: keyframe {name!r} of the MJCF")
+                if nominal is home:
+                    notes.append("the feet's places are those of the start pose")
+                return _kept(tried)
+    poses = [*(start.inside(robot, pose) for pose in known.values()), start.inside(robot)]
+    middle = np.where(
+        np.isfinite(robot.lower_limits + robot.upper_limits),
+        (robot.lower_limits + robot.upper_limits) / 2,
+        0.0,
+    )
+    found = start.found_start(robot, [*poses, middle])
+    if found is None:
+        notes.append("no start pose was found in which the robot stands")
+        return robot
+    why = "no keyframe in which it stands" if known else "no keyframe"
+    notes.append(
+        f"the MJCF has {why}: a stand was found, {found.stand_height:.3f} m high, in the middle of "
+        "what the legs reach"
+    )
+    return _kept(found)
+
+
+def _at(robot: Robot, joints: Array) -> Robot:
+    """Returns the robot with a start pose whose lowest foot touches the ground."""
+    qpos = robot.neutral()
+    qpos[robot.nq - robot.nu :] = joints
+    places = start.Configuration(robot, qpos).foot_positions()
+    height = max(robot.foot_radius[foot] - float(place[2]) for foot, place in places.items())
+    return replace(robot, home=qpos, stand_height=height)
+
+
+def _kept(robot: Robot) -> Robot:
+    """Returns the robot with its start pose in its description, so that it lasts."""
+    spec = robot.description.mjcf.copy()
+    for key in list(spec.keys):
+        spec.delete(key)
+    model = robot.mj_model
+    data = mujoco.MjData(model)
+    qpos = robot.home.copy()
+    qpos[:7] = (0.0, 0.0, robot.stand_height, 1.0, 0.0, 0.0, 0.0)
+    robot.mj_convention.set_state(data, qpos)
+    spec.add_key(name="home", qpos=data.qpos)
+    nominal = dict(zip(robot.joint_names, robot.nominal.tolist(), strict=True))
+    built = build_robot(replace(robot.description, mjcf=spec, nominal=nominal))
+    return replace(built, stand_height=robot.stand_height)
+
+
+def _driven(robot: Robot, notes: list[str]) -> Robot:
+    """Gives a robot position servos with suggested gains, if it stands."""
+    stand = start.first_stand(robot)
+    if stand is None:
+        return robot
+    built, kp, kd = drives.driven(robot, stand)
+    notes.append(
+        "the MJCF has no position servos: some were added, with kp "
+        f"{_range(kp)} N m/rad and kd {_range(kd)} N m s/rad, integrator implicitfast"
+    )
+    return built
+
+
+def _range(values: Array) -> str:
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+

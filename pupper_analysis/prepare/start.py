@@ -1,0 +1,179 @@
+"""A pose to start from: the MJCF's keyframe, or one that is found."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import PupperAnalysisError, UnknownNameError
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.branches import limbs
+from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.task import StandTask
+
+Array = NDArray[np.float64]
+
+_SLACK = 1e-3  # rad: keyframes are rounded, and may be that much outside of a limit
+
+_UNEVEN = 0.1
+"""Feet of a start pose that stands differ in height by no more than this part of the base's height
+above the lowest."""
+
+_HEIGHTS = 16  # tried between a leg that is folded and one that is stretched
+
+_CALMING = 3
+"""How often arms and waist are put back where the pose has them, and the stand solved again."""
+
+_MARGINS = (0.2, 0.05, 0.0)
+"""How far a start pose has its joints off their limits (rad); the first with which there is one."""
+
+_LOWEST, _HIGHEST = 0.25, 0.98  # parts of a leg's length
+
+
+def keyframes(mjcf: MjcfFile, spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
+    """Returns an MJCF's keyframes, {name: {joint: position}}; those without a name are numbered.
+
+    Args:
+        mjcf: The file.
+        spec: A copy of its spec in which every joint has a name.
+    """
+    with quiet():
+        model = spec.copy().compile()
+    found = {}
+    for number in range(model.nkey):
+        name = model.key(number).name or f"keyframe {number + 1}"
+        found[name] = {
+            str(model.joint(joint).name): float(model.key_qpos[number, model.jnt_qposadr[joint]])
+            for joint in range(model.njnt)
+            if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE.value
+        }
+    return found
+
+
+def chosen(
+    mjcf: MjcfFile, known: Mapping[str, Mapping[str, float]], wanted: str | None
+) -> dict[str, Mapping[str, float]]:
+    """Returns the keyframes to begin with: the one that is wanted, or ``home`` and then the others.
+
+    Raises:
+        UnknownNameError: If the MJCF has no such keyframe.
+    """
+    if wanted is not None:
+        if wanted not in known:
+            raise UnknownNameError(mjcf.path, "keyframe", wanted, tuple(known))
+        return {wanted: known[wanted]}
+    return dict(sorted(known.items(), key=lambda item: item[0] != "home"))
+
+
+def inside(robot: Robot, joints: Mapping[str, float] | None = None) -> Array:
+    """Returns joint positions (nu,), zero where not given, cut to the limits."""
+    values = np.array([(joints or {}).get(name, 0.0) for name in robot.joint_names])
+    return np.clip(values, robot.lower_limits, robot.upper_limits)
+
+
+def stands_at(robot: Robot, joints: Mapping[str, float]) -> bool:
+    """Tells whether a robot stands in a pose: within its limits, its feet at about one height."""
+    values = np.array([joints.get(name, 0.0) for name in robot.joint_names])
+    if np.abs(values - inside(robot, joints)).max() > _SLACK:
+        return False
+    qpos = robot.neutral()
+    qpos[robot.nq - robot.nu :] = values
+    centres = Configuration(robot, qpos).foot_positions()
+    heights = [
+        min(float(centres[point][2]) - robot.foot_radius[point] for point in points)
+        for points in robot.soles.values()
+    ]
+    return max(heights) < 0 and float(np.ptp(heights)) < _UNEVEN * -min(heights)
+
+
+def first_stand(robot: Robot) -> Stand | None:
+    """Returns the robot's nominal stand, or None if it is out of reach."""
+    try:
+        return solve_stand(robot, explain=False)
+    except PupperAnalysisError:
+        return None
+
+
+def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
+    """Finds a stand in the middle of the heights that the legs can reach.
+
+    The feet are where one of some poses has them, seen from above.
+
+    Args:
+        robot: The robot with feet.
+        poses: Joint positions (nu,).
+
+    Returns:
+        The robot with that as its nominal stand; None if it stands nowhere.
+    """
+    for pose, margin in itertools.product(poses, _MARGINS):
+        placed = replace(robot, nominal=pose, home=np.concatenate([robot.home[:7], pose]))
+        stands = _longest_run(placed, pose, margin)
+        if stands:
+            stand = stands[len(stands) // 2]
+            joints = stand.joint_positions(robot)
+            height = round(float(stand.task.height or 0.0), 3)
+            return replace(
+                placed, home=np.concatenate([robot.home[:7], joints]), stand_height=height
+            )
+    return None
+
+
+def _longest_run(robot: Robot, pose: Array, margin: float) -> list[Stand]:
+    """Returns stands at heights, from high to low, without one between them out of reach."""
+    qpos = robot.neutral()
+    qpos[robot.nq - robot.nu :] = pose
+    length = leg_length(robot, qpos)
+    runs: list[list[Stand]] = [[]]
+    for height in length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS):
+        if height <= 0:
+            break
+        seed = runs[-1][-1].joint_positions(robot).tolist() if runs[-1] else None
+        task = StandTask(height=float(height), ik_seed=seed, joint_margin=margin)
+        stand = _calm(robot, task, pose)
+        if stand is not None:
+            runs[-1].append(stand)
+        elif runs[-1]:
+            runs.append([])
+    return max(runs, key=len)
+
+
+def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
+    """Solves a stand with all but the legs as in a pose, as far as the com allows."""
+    legs = np.concatenate([limb.joints for limb in limbs(robot)])
+    found = None
+    for _ in range(_CALMING):
+        try:
+            found = solve_stand(robot, task, explain=False)
+        except PupperAnalysisError:
+            return found
+        joints = pose.copy()
+        joints[legs] = found.joint_positions(robot)[legs]
+        task = replace(task, ik_seed=tuple(joints.tolist()))
+    return found
+
+
+def leg_length(robot: Robot, qpos: Array) -> float:
+    """Returns how far the base can be above the ground with the longest leg straight down (m).
+
+    The lengths from joint to joint do not depend on how they are bent.
+    """
+    config, model = Configuration(robot, qpos), robot.pin_model
+    lengths = []
+    for point, frame in robot.foot_frames.items():
+        joint = model.frames[model.getFrameId(frame)].parentJoint
+        places = [config.foot_positions()[point]]
+        for index in reversed(list(model.supports[joint])):
+            if model.names[index] in robot.joint_names:
+                places.append(config.joint_position(model.names[index]))
+        links = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
+        lengths.append(float(links) - float(places[-1][2] - qpos[2]) + robot.foot_radius[point])
+    return max(lengths)

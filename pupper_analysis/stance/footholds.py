@@ -1,0 +1,163 @@
+"""Where the feet shall stand: contact points in their places, and soles laid flat on the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.task import StandTask
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 4  # of fitting a plane to spheres of unequal size: each depends on the other
+
+_SAME = 1e-9  # m: contact points that are nearer to each other, or to a line, are on it
+
+
+def nominal_places(robot: Robot) -> dict[str, Array]:
+    """Returns the contact points' centres, {point: (3,)}, where they are by default (m).
+
+    Seen from above they stand there; the base is at the origin, upright.
+    """
+    qpos = robot.neutral()
+    qpos[robot.nq - robot.nu :] = robot.nominal
+    return Configuration(robot, qpos).foot_positions()
+
+
+def nominal_feet(robot: Robot) -> dict[str, Array]:
+    """Returns each foot's place, {foot: (2,)}: the middle of its contact points (m)."""
+    places = nominal_places(robot)
+    return {
+        foot: np.mean([places[point][:2] for point in points], axis=0)
+        for foot, points in robot.soles.items()
+    }
+
+
+def feet_places(robot: Robot, task: StandTask) -> dict[str, Array]:
+    """Returns where a task has each foot, seen from above, {foot: (2,)} (m)."""
+    nominal = nominal_feet(robot)
+    return {
+        foot: np.array(task.feet.get(foot, place)) + task.foot_offsets.get(foot, 0.0)
+        for foot, place in nominal.items()
+    }
+
+
+def footholds(robot: Robot, task: StandTask) -> dict[str, Array]:
+    """Returns where the contact points' centres shall be, {point: (3,)}, on rigid ground (m).
+
+    A sole lies flat on the slope, turned out of its default orientation by the shortest way; a foot
+    that swings is higher, and otherwise likewise.
+
+    Raises:
+        ConfigurationError: If a step is under a flat foot.
+    """
+    nominal, ground = nominal_places(robot), task.ground
+    targets: dict[str, Array] = {}
+    for foot, place in feet_places(robot, task).items():
+        points = robot.soles[foot]
+        if len(points) == 1:
+            targets[points[0]] = ground.centre(foot, place, robot.foot_radius[points[0]])
+        elif foot in ground.heights:
+            raise ConfigurationError(
+                "ground", f"a step under {foot}: steps are for feet with one contact point"
+            )
+        else:
+            sole = np.array([nominal[point] for point in points])
+            radii = np.array([robot.foot_radius[point] for point in points])
+            laid = _laid(sole, radii, ground.normal())
+            aside = place - laid[:, :2].mean(axis=0)
+            shift = np.array([*aside, ground.height(aside)])  # along the plane
+            targets |= dict(zip(points, laid + shift, strict=True))
+        for point in points:
+            targets[point][2] += task.swing.get(foot, 0.0)
+    return {point: targets[point] for point in robot.feet}
+
+
+def _laid(sole: Array, radii: Array, normal: Array) -> Array:
+    """Turns a sole's centres (n, 3) so that it rests on the plane through the origin."""
+    out = UP
+    for _ in range(_ROUNDS):
+        out = _upwards(sole - radii[:, None] * out)
+    turn = pin.Quaternion.FromTwoVectors(out, normal).matrix()
+    middle = sole.mean(axis=0)
+    turned: Array = (sole - middle) @ turn.T
+    return turned - ((turned @ normal - radii).mean() * normal)
+
+
+def _upwards(points: Array) -> Array:
+    """Returns the upward normal (3,) of the plane, or of the line, on which points (n, 3) are."""
+    _, sizes, axes = np.linalg.svd(points - points.mean(axis=0))
+    if sizes[1] < _SAME:  # a line: as upright as its direction lets it be
+        normal = UP - (UP @ axes[0]) * axes[0]
+    else:
+        normal = axes[2] * np.sign(axes[2][2] or 1.0)
+    result: Array = normal / np.linalg.norm(normal)
+    return result
+
+
+def sunk_into(
+    robot: Robot, targets: Mapping[str, Array], depths: Mapping[str, float], normal: Array
+) -> dict[str, Array]:
+    """Returns the targets (3,) of contact points that are in the ground by some depths (m).
+
+    A sole sinks as a whole and tilts: by the depths' best fit.
+    """
+    sunk = {point: targets[point] - depths.get(point, 0.0) * normal for point in targets}
+    for points in robot.soles.values():
+        if len(points) > 1 and any(depths.get(point) for point in points):
+            before = np.array([targets[point] for point in points])
+            after = rigidly(before, np.array([sunk[point] for point in points]))
+            sunk |= dict(zip(points, after, strict=True))
+    return sunk
+
+
+def rigidly(before: Array, after: Array) -> Array:
+    """Moves points (n, 3) as one body, as near to others (n, 3) as that goes.
+
+    Source: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
+    """
+    one, two = before.mean(axis=0), after.mean(axis=0)
+    left, _, right = np.linalg.svd((before - one).T @ (after - two))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    moved: Array = (before - one) @ left @ flip @ right + two
+    return moved
+
+
+def fixing(places: Sequence[Array]) -> list[tuple[int, Array]]:
+    """Chooses which coordinates of a body's points pin the body down, without saying it twice.
+
+    Args:
+        places: Where its points shall be, (3,) each (m).
+
+    Returns:
+        Number of a point, and a rotation (3, 3) of which the first 3, 2 or 1 rows are the directions
+        that count: those of the first point, two of the one that is farthest from it, one of the
+        point that is farthest from the line through both.
+    """
+    points = np.array(places)
+    chosen = [(0, np.eye(3))]
+    away = points - points[0]
+    second = int(np.argmax(np.linalg.norm(away, axis=1)))
+    length = float(np.linalg.norm(away[second]))
+    if length < _SAME:
+        return chosen
+    along = away[second] / length
+    across = away - np.outer(away @ along, along)
+    third = int(np.argmax(np.linalg.norm(across, axis=1)))
+    if np.linalg.norm(across[third]) < _SAME:
+        least = np.eye(3)[np.argmin(np.abs(along))]
+        side = np.cross(along, least) / np.linalg.norm(np.cross(along, least))
+        return [*chosen, (second, np.array([side, np.cross(along, side), along]))]
+    side = across[third] / np.linalg.norm(across[third])
+    out = np.cross(along, side)
+    return [
+        *chosen,
+        (second, np.array([side, out, along])),
+        (third, np.array([out, along, side])),
+    ]
