@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
@@ -26,6 +27,10 @@ legs: hands and heads are higher, and feet in a start pose rarely at more than a
 
 _NEAR = 0.02
 """A sphere whose centre is no further from a URDF's link is the foot that the link means (m)."""
+
+
+_SAME_PLACE = 2e-3
+"""A link of the URDF that is no further away is at a foot's place (m)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,16 +78,23 @@ def geoms_of(model: mujoco.MjModel, body: int, *, welded: bool = True) -> list[i
     ]
 
 
-def find_feet(robot: Robot, joints: Array) -> tuple[Foot, ...]:
+def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
     """Finds the feet: the collision geoms at the ends of the limbs that are lowest in a pose.
+
+    Of several poses the one counts in which the most limbs are as low as the lowest: a robot that
+    lies, or whose legs are folded, shows fewer.
 
     Args:
         robot: The robot, without feet; its MJCF has a floor.
-        joints: (nu,) the pose.
+        poses: Joint positions (nu,).
 
     Raises:
         ModelError: If no limb has anything that touches.
     """
+    return max((_lowest_limbs(robot, pose) for pose in poses), key=len)
+
+
+def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
     model, data = robot.mj_model, posed(robot, joints)
     ends = {body: geoms_of(model, body) for body in limb_ends(model)}
     heights = {body: lowest(model, data, geoms) for body, geoms in ends.items() if geoms}
@@ -210,10 +222,7 @@ def _by_link(
 
 
 def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
-    """Returns the robot's description with a frame at every contact point, in both files.
-
-    A place in the URDF is where the MJCF has it against the base at zero angles.
-    """
+    """Returns the robot's description with a frame at every contact point, in both files."""
     model, spec = robot.mj_model, robot.description.mjcf.copy()
     data = posed(robot, np.zeros(robot.nu))
     still = Configuration(robot, robot.neutral())
@@ -233,6 +242,7 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
             frame = f"{name} (contact)"
             bodies[model.body(foot.body).name].add_site(name=frame, pos=point.center)
             world = data.xpos[foot.body] + data.xmat[foot.body].reshape(3, 3) @ point.center
+            world = _in_urdf(robot, still, data, foot.body, world)
             _add_link(root, frame, link, placed[1].T @ (world - placed[0]))
             names[name] = (frame, frame)
             geoms[name] = (compiled.geom(point.geom).name, point.radius)
@@ -242,6 +252,45 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
     return replace(
         robot.description, urdf=to_text(root), mjcf=spec, feet=names, soles=soles, foot_geoms=geoms
     )
+
+
+def _in_urdf(
+    robot: Robot, still: Configuration, data: mujoco.MjData, body: int, world: Array
+) -> Array:
+    """Returns where the URDF has a place (3,) of the MJCF, both at zero angles (m).
+
+    Where the last joint's axis is one line in both files, it is the same place against the base:
+    how far along its axis a joint's frame is says nothing. Where it is not, and the URDF has a
+    link in the place against the joint, it is there.
+    """
+    joint = _last_joint(robot, body)
+    if joint is None:
+        return world
+    apart = still.joint_position(joint) - data.xanchor[robot.mj_model.joint(joint).id]
+    axis = still.joint_axis(joint)
+    aside = apart - (apart @ axis) * axis
+    model = robot.pin_model
+    own = [
+        still.frame_position(frame.name)
+        for frame in model.frames
+        if frame.type == pin.FrameType.BODY and model.names[frame.parentJoint] == joint
+    ]
+    for place in (world, world + apart):
+        if any(np.linalg.norm(place - there) < _SAME_PLACE for there in own):
+            return place
+    return np.asarray(world + aside)
+
+
+def apart_at(robot: Robot, foot: Foot) -> float:
+    """Returns how far the last joints of a foot are from each other in the two files (m)."""
+    joint = _last_joint(robot, foot.body)
+    if joint is None:
+        return 0.0
+    data = posed(robot, np.zeros(robot.nu))
+    still = Configuration(robot, robot.neutral())
+    apart = still.joint_position(joint) - data.xanchor[robot.mj_model.joint(joint).id]
+    axis = still.joint_axis(joint)
+    return float(np.linalg.norm(apart - (apart @ axis) * axis))
 
 
 def _name_geoms(spec: mujoco.MjSpec) -> None:
@@ -258,11 +307,15 @@ def _name_geoms(spec: mujoco.MjSpec) -> None:
 
 def _link_of(robot: Robot, body: int) -> str:
     """Returns the URDF's link that the last joint of a body moves."""
-    joint = robot.mj_model.joint(
-        int(robot.mj_model.body_jntadr[body] + robot.mj_model.body_jntnum[body] - 1)
-    ).name
-    links = moved_links(robot.description.urdf)
-    return links.get(joint, robot.base)
+    joint = _last_joint(robot, body)
+    return robot.base if joint is None else moved_links(robot.description.urdf)[joint]
+
+
+def _last_joint(robot: Robot, body: int) -> str | None:
+    """Returns the last joint that moves a body against the base."""
+    model = robot.mj_model
+    joint = str(model.joint(int(model.body_jntadr[body] + model.body_jntnum[body] - 1)).name)
+    return joint if joint in robot.joint_names else None
 
 
 def moved_links(urdf: str) -> Mapping[str, str]:

@@ -12,16 +12,23 @@ from numpy.typing import NDArray
 
 from pupper_analysis.checks.matching import Match, match
 from pupper_analysis.checks.matching_mjcf import name_all
-from pupper_analysis.errors import ModelError
+from pupper_analysis.errors import ModelError, PupperAnalysisError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare import drives, start
-from pupper_analysis.prepare.feet import Foot, find_feet, limb_ends, named_foot, with_feet
+from pupper_analysis.prepare.feet import Foot, apart_at, find_feet, limb_ends, named_foot, with_feet
 from pupper_analysis.robot.build import add_floor, build_robot, floor_of
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.sunk import sunk_stand
 
 Array = NDArray[np.float64]
+
+_APART = 2e-3
+"""Joints whose axes are further apart are not rounded, but different (m)."""
+
+_BESIDE = 5e-3
+"""Shapes that are no further above the ground than this beside a sunk foot may touch it (m)."""
 
 Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
 
@@ -146,13 +153,21 @@ def _prepared(
         add_floor(ready)
         notes.append("the MJCF has no ground: a plane with MuJoCo's default contact was added")
     bare = build_robot(replace(description, mjcf=ready))
-    pose = _with_keyframe(bare, known)
-    feet = _feet(bare, frames, start.inside(bare, pose))
+    poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
+    feet = _feet(bare, frames, poses)
     if not feet:
         return replace(bare, notes=(*notes, *bare.notes))
     notes.append(_named(bare, feet, given=frames is not None))
+    apart = {foot.name: apart_at(bare, foot) for foot in feet}
+    worst = max(apart, key=apart.__getitem__)
+    if apart[worst] > _APART:
+        notes.append(
+            f"at zero angles the last joint of foot {worst} is {1e3 * apart[worst]:.0f} mm off in "
+            "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
+        )
     robot = build_robot(with_feet(bare, feet))
     robot = _started(robot, known, notes)
+    robot = _on_feet_alone(robot, notes)
     if not drives.are_servos(robot.mj_model):
         robot = _driven(robot, notes)
     return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
@@ -184,23 +199,12 @@ def _said(matched: Match) -> Iterator[str]:
             yield f"joints that only the {where} has, held at zero: {', '.join(names)}"
 
 
-def _with_keyframe(
-    robot: Robot, known: Mapping[str, Mapping[str, float]]
-) -> Mapping[str, float] | None:
-    """Returns the first keyframe whose joint positions are within their limits."""
-    for joints in known.values():
-        values = np.array([joints.get(name, 0.0) for name in robot.joint_names])
-        if np.abs(values - start.inside(robot, joints)).max() < 1e-3:
-            return joints
-    return None
-
-
 def _feet(
-    robot: Robot, frames: Mapping[str, tuple[str, str]] | None, pose: Array
+    robot: Robot, frames: Mapping[str, tuple[str, str]] | None, poses: Sequence[Array]
 ) -> tuple[Foot, ...]:
     if frames is None:
-        return find_feet(robot, pose) if limb_ends(robot.mj_model) else ()
-    return tuple(named_foot(robot, foot, places, pose) for foot, places in frames.items())
+        return find_feet(robot, poses) if limb_ends(robot.mj_model) else ()
+    return tuple(named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
 
 
 def _named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> str:
@@ -228,11 +232,9 @@ def _started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list
                     notes.append("the feet's places are those of the start pose")
                 return _kept(tried)
     poses = [*(start.inside(robot, pose) for pose in known.values()), start.inside(robot)]
-    middle = np.where(
-        np.isfinite(robot.lower_limits + robot.upper_limits),
-        (robot.lower_limits + robot.upper_limits) / 2,
-        0.0,
-    )
+    bounded = np.isfinite(robot.lower_limits) & np.isfinite(robot.upper_limits)
+    low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
+    middle = (low + high) / 2
     found = start.found_start(robot, [*poses, middle])
     if found is None:
         notes.append("no start pose was found in which the robot stands")
@@ -281,6 +283,34 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
         f"{_range(kp)} N m/rad and kd {_range(kd)} N m s/rad, integrator implicitfast"
     )
     return built
+
+
+def _on_feet_alone(robot: Robot, notes: list[str]) -> Robot:
+    """Keeps shapes beside a foot, of its own body, off the ground into which the foot sinks."""
+    try:
+        stand = sunk_stand(robot, explain=False)
+    except PupperAnalysisError:
+        return robot
+    model, own = robot.mj_model, start.feet_bodies(robot)
+    beside = {
+        geom
+        for geom in start.touching(robot, stand, _BESIDE)
+        if int(model.body_weldid[model.geom_bodyid[geom]]) in own
+    }
+    if not beside:
+        return robot
+    spec = robot.description.mjcf.copy()
+    spec.compile()
+    for geom in spec.geoms:
+        if geom.id in beside:
+            geom.contype = geom.conaffinity = 0
+    bodies = sorted({model.body(int(model.geom_bodyid[geom])).name for geom in beside})
+    notes.append(
+        f"shapes of {', '.join(bodies)} reach down beside the feet, which sink into the ground by "
+        f"{1e3 * max(stand.depths.values()):.1f} mm: they were kept from touching"
+    )
+    built = build_robot(replace(robot.description, mjcf=spec))
+    return replace(built, stand_height=robot.stand_height, notes=robot.notes)
 
 
 def _range(values: Array) -> str:

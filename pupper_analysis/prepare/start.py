@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -27,7 +26,10 @@ _UNEVEN = 0.1
 """Feet of a start pose that stands differ in height by no more than this part of the base's height
 above the lowest."""
 
-_HEIGHTS = 16  # tried between a leg that is folded and one that is stretched
+_HEIGHTS = 12  # tried between a leg that is folded and one that is stretched
+
+_CLEAR = 0.01
+"""Everything but the feet is as high above the ground in a start pose (m): feet sink in."""
 
 _CALMING = 3
 """How often arms and waist are put back where the pose has them, and the stand solved again."""
@@ -114,9 +116,14 @@ def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
     Returns:
         The robot with that as its nominal stand; None if it stands nowhere.
     """
-    for pose, margin in itertools.product(poses, _MARGINS):
-        placed = replace(robot, nominal=pose, home=np.concatenate([robot.home[:7], pose]))
-        stands = _longest_run(placed, pose, margin)
+    poses = list(poses)
+    for margin in _MARGINS:
+        best: tuple[list[Stand], Robot] = [], robot
+        for pose in poses:
+            placed = replace(robot, nominal=pose, home=np.concatenate([robot.home[:7], pose]))
+            stands = _longest_run(placed, pose, margin)
+            best = max(best, (stands, placed), key=lambda found: len(found[0]))
+        stands, placed = best
         if stands:
             stand = stands[len(stands) // 2]
             joints = stand.joint_positions(robot)
@@ -139,11 +146,51 @@ def _longest_run(robot: Robot, pose: Array, margin: float) -> list[Stand]:
         seed = runs[-1][-1].joint_positions(robot).tolist() if runs[-1] else None
         task = StandTask(height=float(height), ik_seed=seed, joint_margin=margin)
         stand = _calm(robot, task, pose)
-        if stand is not None:
+        if stand is not None and clear_of_ground(robot, stand):
             runs[-1].append(stand)
         elif runs[-1]:
             runs.append([])
     return max(runs, key=len)
+
+
+def touching(robot: Robot, stand: Stand, deeper: float) -> set[int]:
+    """Returns the geoms, but for those of the feet, that touch the ground in a stand that sank.
+
+    Args:
+        robot: The robot.
+        stand: The stand.
+        deeper: By how much (m).
+    """
+    qpos = stand.qpos.copy()
+    qpos[2] -= deeper
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    pairs = [pair for pair in data.contact.geom if 0 in model.geom_bodyid[pair]]
+    return {
+        int(geom)
+        for pair in pairs
+        for geom in pair
+        if model.geom_bodyid[geom] != 0 and geom not in robot.foot_geoms
+    }
+
+
+def feet_bodies(robot: Robot) -> set[int]:
+    """Returns the ids of the moving bodies that carry the feet."""
+    weld = robot.mj_model.body_weldid
+    return {int(weld[body]) for body, _ in robot.foot_places.values()}
+
+
+def clear_of_ground(robot: Robot, stand: Stand) -> bool:
+    """Tells whether only the feet, and the links that carry them, are near the ground."""
+    model = robot.mj_model
+    own = feet_bodies(robot)
+    return all(
+        int(model.body_weldid[model.geom_bodyid[geom]]) in own
+        for geom in touching(robot, stand, _CLEAR)
+    )
 
 
 def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:

@@ -60,6 +60,10 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
 
     radii = [radius for radius in robot.foot_radius.values() if radius > 0]
     low, high = 0.0, min(radii, default=_DEEP)
+    if acceleration(high) <= 0:  # so deep that the legs fold: it is nearer to the surface
+        high = 1e-5
+        while acceleration(high) <= 0 and high < max(radii, default=_DEEP):
+            high *= 2
     if acceleration(high) > 0:
         while high - low > 1e-12:
             middle = (low + high) / 2

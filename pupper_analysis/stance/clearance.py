@@ -194,10 +194,10 @@ def _apart(
 def _is_sole(
     shape: coal.CollisionGeometry, at: coal.Transform3s, ball: coal.Sphere, there: coal.Transform3s
 ) -> bool:
+    """Tells whether a shape is the foot: a sphere around its centre, as the URDF has it."""
     return (
         isinstance(shape, coal.Sphere)
-        and abs(shape.radius - ball.radius) < _SAME
-        and float(np.linalg.norm(at.getTranslation() - there.getTranslation())) < _SAME
+        and float(np.linalg.norm(at.getTranslation() - there.getTranslation())) < ball.radius
     )
 
 
