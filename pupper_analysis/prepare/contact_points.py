@@ -40,8 +40,8 @@ class ContactPoint:
 
     Attributes:
         geom: The id of the geom that touches there.
-        center: (3,) in the body's frame (m): of a sphere, or of a capsule's end; of other shapes
-            the point itself.
+        center: (3,) in the frame of the geom's body (m): of a sphere, or of a capsule's end; of
+            other shapes the point itself.
         radius: Of that sphere, or of the capsule (m); otherwise 0.
     """
 
@@ -62,7 +62,7 @@ def contact_points(
     Args:
         model: The model, with a floor.
         data: After ``mj_kinematics``, in the start pose.
-        body: The id of the body in whose frame the points are wanted.
+        body: The id of the moving body that the geoms are on.
         geoms: The ids of the foot's geoms.
     """
     geoms = _round_ones(model, data, geoms) or geoms
@@ -196,7 +196,6 @@ def _touching(
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
-    rotation, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
     found: list[ContactPoint] = []
     for number in range(data.ncon):
         touch = data.contact[number]
@@ -213,7 +212,9 @@ def _touching(
                 (point for point, _ in _outline(model, data, geom)),
                 key=lambda point: float(np.linalg.norm(point - place)),
             )
-        found.append(ContactPoint(geom, rotation.T @ (place - origin), radius))
+        own = int(model.geom_bodyid[geom])
+        center = data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own])
+        found.append(ContactPoint(geom, center, radius))
     return tuple(found)
 
 

@@ -40,7 +40,7 @@ class Foot:
     Attributes:
         name: Its name.
         body: The id of the moving body that carries it.
-        points: Where it touches the ground, in that body's frame.
+        points: Where it touches the ground.
     """
 
     name: str
@@ -240,8 +240,9 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
         for number, point in enumerate(foot.points, start=1):
             name = foot.name if len(foot.points) == 1 else f"{foot.name}/{number}"
             frame = f"{name} (contact)"
-            bodies[model.body(foot.body).name].add_site(name=frame, pos=point.center)
-            world = data.xpos[foot.body] + data.xmat[foot.body].reshape(3, 3) @ point.center
+            own = int(model.geom_bodyid[point.geom])  # its weight is what MuJoCo's contact knows
+            bodies[model.body(own).name].add_site(name=frame, pos=point.center)
+            world = data.xpos[own] + data.xmat[own].reshape(3, 3) @ point.center
             world = _in_urdf(robot, still, data, foot.body, world)
             _add_link(root, frame, link, placed[1].T @ (world - placed[0]))
             names[name] = (frame, frame)

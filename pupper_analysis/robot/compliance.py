@@ -15,7 +15,7 @@ from pupper_analysis.robot.robot import Robot
 class GroundLaw:
     """The ground under one foot, as MuJoCo has it at rest.
 
-    With r the penetration, d(r) the impedance of ``solimp`` and A the ``diagApprox`` of the
+    With r the penetration, and the contact's margin, d(r) the impedance of ``solimp`` and A the ``diagApprox`` of the
     contact, R = (1 - d)/d A; a constraint at rest has the force aref / R, aref = k d r - b v. So
 
         normal force:      f = k d(r)^2 r / ((1 - d(r)) A)
@@ -31,6 +31,8 @@ class GroundLaw:
         solimp: dmin, dmax, width (m), midpoint, power; within MuJoCo's bounds.
         normal: A (1/kg).
         tangential: A_t (1/kg); infinite without friction.
+        margin: Height above the ground from which on the contact pushes (m). Depths are those of
+            the shapes: they begin at -margin.
     """
 
     stiffness: float
@@ -38,6 +40,7 @@ class GroundLaw:
     solimp: tuple[float, ...]
     normal: float
     tangential: float
+    margin: float = 0.0
 
     @staticmethod
     def of(robot: Robot, foot: str) -> GroundLaw:
@@ -63,6 +66,7 @@ class GroundLaw:
             solimp=(float(dmin), float(dmax), width, float(midpoint), max(power, 1.0)),
             normal=normal,
             tangential=tangential if mu > 0 else math.inf,
+            margin=parameters.margin,
         )
 
     def impedance(self, depth: float) -> float:
@@ -70,7 +74,7 @@ class GroundLaw:
         dmin, dmax, width, midpoint, power = self.solimp
         if dmin == dmax or width <= mujoco.mjMINVAL:
             return (dmin + dmax) / 2
-        x = min(abs(depth) / width, 1.0)
+        x = min(abs(depth + self.margin) / width, 1.0)
         if x <= midpoint:
             y = midpoint * (x / midpoint) ** power
         else:
@@ -80,21 +84,24 @@ class GroundLaw:
     def force(self, depth: float) -> float:
         """Returns the normal force (N) at a penetration (m) at rest."""
         d = self.impedance(depth)
-        return self.stiffness * d**2 * depth / ((1 - d) * self.normal)
+        return self.stiffness * d**2 * (depth + self.margin) / ((1 - d) * self.normal)
 
     def rate(self, depth: float) -> float:
         """Returns the normal stiffness (N/m) at a penetration (m)."""
-        low, high = max(depth - 1e-8, 0.0), max(depth, 0.0) + 1e-8
+        start = -self.margin
+        low, high = max(depth - 1e-8, start), max(depth, start) + 1e-8
         return (self.force(high) - self.force(low)) / (high - low)
 
     def depth(self, force: float) -> float:
         """Returns the penetration (m) under a normal force (N); linear where the foot pulls."""
         from scipy import optimize  # slow to import
 
-        linear = force / self.rate(0.0)
+        start = -self.margin
+        linear = force / self.rate(start)
         if force <= 0:
-            return linear
-        return float(optimize.brentq(lambda r: self.force(r) - force, 0.0, 2 * linear, xtol=1e-16))
+            return start + linear
+        end = start + 2 * linear
+        return float(optimize.brentq(lambda r: self.force(r) - force, start, end, xtol=1e-16))
 
     def viscosity(self, depth: float) -> float:
         """Returns c (N s/m), tangential force per creep velocity, at a penetration (m)."""

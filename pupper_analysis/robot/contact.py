@@ -21,12 +21,14 @@ class ContactParameters:
         friction: (5,) sliding (twice, -), torsional (m), rolling (twice, m).
         solref: (2,) time constant (s) and damping ratio.
         solimp: (5,) dmin, dmax, width (m), midpoint, power.
+        margin: Distance from which on they push each other apart (m).
     """
 
     condim: int
     friction: tuple[float, ...]
     solref: tuple[float, ...]
     solimp: tuple[float, ...]
+    margin: float = 0.0
 
     @property
     def sliding_friction(self) -> float:
@@ -39,7 +41,7 @@ def combine(model: mujoco.MjModel, first: int, second: int) -> ContactParameters
 
     The geom of higher priority wins. At equal priority: the greater condim, each greater friction
     coefficient, and the mean of solref and solimp weighted by solmix (the lesser of each solref
-    where one is negative, that is, given as stiffness and damping).
+    where one is negative, that is, given as stiffness and damping). Margins add up.
 
     Source: MuJoCo documentation, "Computation: Contact parameters".
 
@@ -69,6 +71,7 @@ def combine(model: mujoco.MjModel, first: int, second: int) -> ContactParameters
         friction=(slide, slide, spin, roll, roll),
         solref=tuple(float(value) for value in solref),
         solimp=tuple(float(value) for value in solimp),
+        margin=float(model.geom_margin[[first, second]].sum()),
     )
 
 

@@ -69,8 +69,11 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
     for foot in depths:
         robot.check_foot(foot)
     for foot, depth in depths.items():
-        if not 0 <= depth < math.inf:
-            raise ConfigurationError("depths", f"{foot}: {depth} m is not finite and >= 0")
+        margin = robot.contacts[foot].margin if foot in robot.contacts else 0.0
+        if not -margin <= depth < math.inf:
+            raise ConfigurationError(
+                "depths", f"{foot}: {depth} m is not finite and >= {-margin if margin else 0}"
+            )
     swinging = {point for foot in task.swing for point in robot.soles[foot]}
     stance_feet = tuple(foot for foot in robot.feet if foot not in swinging)
     if len(stance_feet) < 3:

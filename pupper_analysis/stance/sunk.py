@@ -117,5 +117,5 @@ def _as_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[s
             table = np.column_stack([np.ones(len(points)), across])
             given = np.array([depths[point] for point in points])
             plane = np.linalg.lstsq(table, given)[0]
-            found |= dict(zip(points, (table @ plane).clip(min=0.0).tolist(), strict=True))
+            found |= dict(zip(points, (table @ plane).tolist(), strict=True))
     return found

@@ -160,14 +160,14 @@ class Equilibrium:
         laws = [self.laws[point] for point in self.anchors]
         return np.array(
             [
-                (law.force(depth), law.rate(depth)) if depth > 0 else (0.0, 0.0)
+                (law.force(depth), law.rate(depth)) if depth > -law.margin else (0.0, 0.0)
                 for law, depth in zip(laws, depths, strict=True)
             ]
         ).reshape(-1, 2)
 
     def _scales(self) -> Array:
         """Returns the stiffness (n,) by which a force's equation becomes one of depth (N/m)."""
-        return np.array([self.laws[point].rate(0.0) for point in self.anchors])
+        return np.array([self.laws[point].rate(-self.laws[point].margin) for point in self.anchors])
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
         """Returns the residual's derivative: by qpos numeric, by forces in closed form."""
@@ -314,7 +314,7 @@ class Equilibrium:
             return 0.0 if self._pliancy[foot] else -float(solution.forces[foot][2])
         if depths is None:
             depths = self.depths(Configuration(self.robot, solution.qpos))
-        return depths[foot] - TOUCHING
+        return depths[foot] + self.laws[foot].margin - TOUCHING
 
     def switch(self, foot: str, solution: Solution) -> Solution:
         """Lets go of a foot that touches, or lets another one touch where it is.
@@ -329,7 +329,8 @@ class Equilibrium:
             config = Configuration(self.robot, solution.qpos)
             frame = self.robot.foot_frames[foot]
             self.anchors[foot] = Anchor(config.frame_position(frame), config.frame_rotation(frame))
-            pressed = self.laws[foot].force(max(0.0, self.depths(config)[foot]))
+            law = self.laws[foot]
+            pressed = law.force(max(-law.margin, self.depths(config)[foot]))
             forces[foot] = np.array([0.0, 0.0, pressed])
         for kept in (self.crept, self.yielding, self.moments):
             kept.pop(foot, None)
@@ -354,7 +355,8 @@ class Equilibrium:
 
     def viscosity(self, foot: str, depth: float) -> float:
         """Returns tangential force per velocity (N s/m); infinite where a foot pulls."""
-        return self.laws[foot].viscosity(depth) if depth > 0 else math.inf
+        law = self.laws[foot]
+        return law.viscosity(depth) if depth > -law.margin else math.inf
 
     def friction_left(self, forces: dict[str, Array]) -> float:
         """Returns the least of mu f_n - |f_t|, in parts of the weight."""
@@ -374,7 +376,11 @@ class Equilibrium:
         rates = np.array(
             [self.laws[f].rate(d) for f, d in zip(self.anchors, places[:, 2], strict=True)]
         )
-        idle = {f for f, d in zip(self.anchors, places[:, 2], strict=True) if self._pliancy[f] and d <= 0}
+        idle = {
+            foot
+            for foot, depth in zip(self.anchors, places[:, 2], strict=True)
+            if self._pliancy[foot] and depth <= -self.laws[foot].margin
+        }
         rates[[row for row, foot in enumerate(self.anchors) if foot in idle]] = 0.0
         pushed = normal.copy()  # where a foot's normal force acts, with the friction it brings
         slipping = self.slipping(solution)
