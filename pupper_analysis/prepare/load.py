@@ -280,7 +280,8 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
     built, kp, kd = drives.driven(robot, stand)
     notes.append(
         "the MJCF has no position servos: some were added, with kp "
-        f"{_range(kp)} N m/rad and kd {_range(kd)} N m s/rad, integrator implicitfast"
+        f"{_range(kp)} N m/rad and kd {_range(kd)} N m s/rad, integrator implicitfast, "
+        f"{1e3 * built.mj_model.opt.timestep:g} ms"
     )
     return built
 

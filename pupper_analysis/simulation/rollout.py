@@ -22,8 +22,7 @@ FALLEN_TILT = 0.5
 """A base that is tilted by more than this against its task has fallen over (rad)."""
 
 
-_DEEP = 0.02
-"""No corner of a sole sinks deeper at rest (m): a robot of 100 kg sinks some millimetres."""
+_SHALLOW, _DEEP = 1e-6, 0.05  # m: within what the feet are looked for that carry the weight
 
 
 STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
@@ -34,8 +33,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     """Returns MuJoCo's state at a stand, let down until the contacts carry the weight.
 
     The ground is soft: feet that just touch it carry nothing. The base is lowered into it, with the
-    joints as they are, to where MuJoCo finds no acceleration of the base in the direction of the
-    ground's normal; so the simulation starts at rest instead of with a fall of some millimetres.
+    joints as they are, to where the contacts push against the ground's normal with the weight; so
+    the simulation starts at rest instead of with a fall of some millimetres.
 
     Args:
         robot: The robot.
@@ -51,24 +50,23 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     data.ctrl[:] = drive.command(robot, stand.joint_positions(robot), torques)
     normal = stand.task.ground.normal()
 
-    def acceleration(drop: float) -> float:
+    weight = float(model.body_subtreemass[0]) * float(-normal @ model.opt.gravity)
+
+    def surplus(drop: float) -> float:
+        """Returns by how much the contacts carry more than the weight (N)."""
         qpos = stand.qpos.copy()
         qpos[:3] -= drop * normal
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_forward(model, data)
-        return float(normal @ data.qacc[robot.mj_convention.qvel_index[:3]])
+        return float(normal @ data.qfrc_constraint[robot.mj_convention.qvel_index[:3]]) - weight
 
-    radii = [radius for radius in robot.foot_radius.values() if radius > 0]
-    low, high = 0.0, min(radii, default=_DEEP)
-    if acceleration(high) <= 0:  # so deep that the legs fold: it is nearer to the surface
-        high = 1e-5
-        while acceleration(high) <= 0 and high < max(radii, default=_DEEP):
-            high *= 2
-    if acceleration(high) > 0:
-        while high - low > 1e-12:
-            middle = (low + high) / 2
-            low, high = (middle, high) if acceleration(middle) < 0 else (low, middle)
-    acceleration(high)
+    low, high = 0.0, _SHALLOW
+    while surplus(high) <= 0 and high < _DEEP:
+        low, high = high, 2 * high
+    while high - low > 1e-12:
+        middle = (low + high) / 2
+        low, high = (middle, high) if surplus(middle) < 0 else (low, middle)
+    surplus(high)
     state = np.empty(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return state

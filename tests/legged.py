@@ -1,0 +1,178 @@
+"""Small legged robots as others publish them: no frames for feet, motors, another prefix, no floor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+
+class Pair(NamedTuple):
+    urdf: Path
+    mjcf: Path
+
+
+SPHERE = '<geom {name} type="sphere" size="0.02" pos="0 0 -0.2"/>'
+BOX = '<geom {name} type="box" size="0.08 0.04 0.01" pos="0.02 0 -0.03"/>'
+
+
+def quadruped(
+    folder: Path,
+    *,
+    foot: str = '<geom type="sphere" size="0.02" pos="0 0 -0.2"/>',
+    prefix: str = "",
+    floor: bool = False,
+    free: bool = True,
+    actuators: str = "motor",
+    keyframe: str = "0 0.6 -1.2",
+    head: bool = False,
+) -> Pair:
+    """Four legs of three hinges: roll, pitch, pitch; 0.2 m each. No frame has the feet's names."""
+    urdf = ['<robot name="quad">', _link("trunk", 4.0, (0.02, 0.05, 0.06))]
+    bodies, motors = [], []
+    for leg in ("FL", "FR", "RL", "RR"):
+        x, y = (0.2 if leg[0] == "F" else -0.2), (0.1 if leg[1] == "L" else -0.1)
+        out = 0.05 if y > 0 else -0.05
+        urdf += [
+            _link(f"{leg}_hip", 0.4, (4e-4, 4e-4, 4e-4)),
+            _link(f"{leg}_thigh", 0.5, (2e-3, 2e-3, 3e-4), (0, 0, -0.1)),
+            _link(f"{leg}_calf", 0.2, (8e-4, 8e-4, 5e-5), (0, 0, -0.1)),
+            _joint(f"{leg}_roll", "trunk", f"{leg}_hip", (x, y, 0), "1 0 0", (-0.8, 0.8)),
+            _joint(f"{leg}_pitch", f"{leg}_hip", f"{leg}_thigh", (0, out, 0), "0 1 0", (-1.5, 2.5)),
+            _joint(
+                f"{leg}_knee", f"{leg}_thigh", f"{leg}_calf", (0, 0, -0.2), "0 1 0", (-2.6, -0.4)
+            ),
+        ]
+        p = f"{prefix}{leg}"
+        bodies.append(f"""
+          <body name="{p}_hip" pos="{x} {y} 0">
+            <inertial pos="0 0 0" mass="0.4" diaginertia="4e-4 4e-4 4e-4"/>
+            <joint name="{p}_roll" axis="1 0 0" range="-0.8 0.8"/>
+            <body name="{p}_thigh" pos="0 {out} 0">
+              <inertial pos="0 0 -0.1" mass="0.5" diaginertia="2e-3 2e-3 3e-4"/>
+              <joint name="{p}_pitch" axis="0 1 0" range="-1.5 2.5"/>
+              <body name="{p}_calf" pos="0 0 -0.2">
+                <inertial pos="0 0 -0.1" mass="0.2" diaginertia="8e-4 8e-4 5e-5"/>
+                <joint name="{p}_knee" axis="0 1 0" range="-2.6 -0.4"/>
+                {foot}
+              </body>
+            </body>
+          </body>""")
+        motors += [
+            f'<{actuators} joint="{p}_{joint}" '
+            + ('kp="150" kv="5"/>' if actuators == "position" else 'ctrlrange="-30 30"/>')
+            for joint in ("roll", "pitch", "knee")
+        ]
+    if head:
+        bodies.append(f"""
+          <body name="{prefix}head" pos="0.3 0 0.1">
+            <inertial pos="0 0 0" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/>
+            <joint name="{prefix}nod" axis="0 1 0" range="-1 1"/>
+            <geom type="sphere" size="0.05"/>
+          </body>""")
+        motors.append(f'<{actuators} joint="{prefix}nod"/>')
+    key = f'<keyframe><key name="home" qpos="0 0 0.35 1 0 0 0 {" ".join([keyframe] * 4)}'
+    key += ' 0"/></keyframe>' if head else '"/></keyframe>'
+    mjcf = f"""<mujoco model="quad"><compiler angle="radian" autolimits="true"/>
+      <worldbody>{'<geom type="plane" size="0 0 1"/>' if floor else ""}
+        <body name="{prefix}trunk" pos="0 0 0.35">{"<freejoint/>" if free else ""}
+          <inertial pos="0 0 0" mass="4" diaginertia="0.02 0.05 0.06"/>
+          <geom type="box" size="0.2 0.1 0.04"/>
+          {"".join(bodies)}
+        </body></worldbody>
+      <actuator>{"".join(motors)}</actuator>
+      {key if keyframe and free else ""}</mujoco>"""
+    return _written(folder, "\n".join([*urdf, "</robot>"]), mjcf)
+
+
+BIPED_FEET = {
+    "box": '<geom type="box" size="0.09 0.04 0.01" pos="0.03 0 -0.05"/>',
+    "four spheres": "".join(
+        f'<geom type="sphere" size="0.008" pos="{x} {y} -0.05"/>'
+        for x in (-0.06, 0.12)
+        for y in (-0.035, 0.035)
+    ),
+    "two capsules": "".join(
+        f'<geom type="capsule" size="0.01" fromto="-0.06 {y} -0.05 0.12 {y} -0.05"/>'
+        for y in (-0.035, 0.035)
+    ),
+    "cylinder": '<geom type="cylinder" size="0.09 0.01" pos="0.03 0 -0.05"/>',
+}
+
+
+def biped(folder: Path, foot: str = BIPED_FEET["box"], *, damping: float = 0.5) -> Pair:
+    """Two legs of six hinges, on flat feet; its MJCF has motors and no keyframe."""
+    chain = [
+        ("yaw", "0 0 1", (0.0, 0.0, 0.0), 0.3, (-0.7, 0.7)),
+        ("roll", "1 0 0", (0.0, 0.0, -0.02), 0.3, (-0.6, 0.6)),
+        ("pitch", "0 1 0", (0.0, 0.0, -0.02), 1.5, (-1.5, 1.0)),
+        ("knee", "0 1 0", (0.0, 0.0, -0.3), 1.0, (0.0, 2.4)),
+        ("ankle", "0 1 0", (0.0, 0.0, -0.3), 0.3, (-1.2, 0.9)),
+        ("tilt", "1 0 0", (0.0, 0.0, -0.02), 0.6, (-0.5, 0.5)),
+    ]
+    urdf = ['<robot name="walker">', _link("pelvis", 8.0, (0.1, 0.08, 0.08), (0, 0, 0.1))]
+    bodies, motors = [], []
+    for side, y in (("left", 0.1), ("right", -0.1)):
+        parent, opened = "pelvis", []
+        for name, axis, place, mass, limits in chain:
+            x, _, z = place
+            at = (x, y if name == "yaw" else 0.0, z)
+            inertia = (4e-3 * mass, 4e-3 * mass, 1e-3 * mass)
+            com = (0.02, 0.0, -0.03) if name == "tilt" else (0.0, 0.0, -0.1 if mass >= 1 else 0.0)
+            link = f"{side}_{name}_link"
+            urdf += [
+                _link(link, mass, inertia, com),
+                _joint(f"{side}_{name}", parent, link, at, axis, limits),
+            ]
+            opened.append(f"""<body name="{link}" pos="{_numbers(at)}">
+              <inertial pos="{_numbers(com)}" mass="{mass}" diaginertia="{_numbers(inertia)}"/>
+              <joint name="{side}_{name}" axis="{axis}" range="{_numbers(limits)}"
+                     armature="0.01" damping="{damping}"/>""")
+            motors.append(f'<motor joint="{side}_{name}" ctrlrange="-80 80"/>')
+            parent = link
+        bodies.append("".join(opened) + foot + "</body>" * len(chain))
+    mjcf = f"""<mujoco model="walker"><compiler angle="radian" autolimits="true"/>
+      <worldbody><body name="pelvis" pos="0 0 0.8"><freejoint/>
+        <inertial pos="0 0 0.1" mass="8" diaginertia="0.1 0.08 0.08"/>
+        <geom type="box" size="0.08 0.12 0.1" pos="0 0 0.1"/>
+        {"".join(bodies)}</body></worldbody>
+      <actuator>{"".join(motors)}</actuator></mujoco>"""
+    return _written(folder, "\n".join([*urdf, "</robot>"]), mjcf)
+
+
+def _numbers(values: tuple[float, ...]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _link(
+    name: str,
+    mass: float,
+    inertia: tuple[float, float, float],
+    com: tuple[float, float, float] = (0, 0, 0),
+) -> str:
+    xx, yy, zz = inertia
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{_numbers(com)}"/><mass value="{mass}"/>'
+        f'<inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+
+
+def _joint(
+    name: str,
+    parent: str,
+    child: str,
+    place: tuple[float, float, float],
+    axis: str,
+    limits: tuple[float, float],
+) -> str:
+    return (
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{_numbers(place)}"/><axis xyz="{axis}"/>'
+        f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="80" velocity="20"/></joint>'
+    )
+
+
+def _written(folder: Path, urdf: str, mjcf: str) -> Pair:
+    pair = Pair(folder / "robot.urdf", folder / "robot.xml")
+    pair.urdf.write_text(urdf)
+    pair.mjcf.write_text(mjcf)
+    return pair
