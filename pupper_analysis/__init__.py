@@ -36,11 +36,11 @@ if TYPE_CHECKING:
         UnknownNameError,
         VariantError,
     )
+    from pupper_analysis.prepare.load import load_robot
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, VariantSpec
     from pupper_analysis.results import to_json
-    from pupper_analysis.prepare.load import load_robot
     from pupper_analysis.robot.configuration import Configuration
     from pupper_analysis.robot.ground import Ground
     from pupper_analysis.robot.payload import with_payload

@@ -193,8 +193,8 @@ def _place(option: str, text: str) -> tuple[float, float]:
 
 def _robot(name: str | None, urdf: Path | None, mjcf: Path | None, feet: tuple[str, ...]) -> Robot:
     """Returns the variant of that name, or the robot of the two files."""
-    from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.prepare.load import load_robot
+    from pupper_analysis.pupper.load import load_variant
 
     if urdf is None and mjcf is None and not feet:
         return load_variant(name or "v3")

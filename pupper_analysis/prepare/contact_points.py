@@ -78,7 +78,9 @@ def contact_points(
     return _touching(model, body, geoms, out)
 
 
-def _outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Iterator[tuple[Array, float]]:
+def _outline(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int
+) -> Iterator[tuple[Array, float]]:
     """Yields spheres, (3,) in the world and a radius, whose hull is that of a geom (m)."""
     kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
     turn, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
@@ -96,8 +98,11 @@ def _outline(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Iterator[
         local = np.vstack([np.column_stack([rim, np.full(_ROUND, z)]) for z in (-size[1], size[1])])
     elif kind == kinds.mjGEOM_ELLIPSOID:
         ups = np.linspace(-math.pi / 2, math.pi / 2, _ROUND // 2)
-        unit = [(math.cos(u) * math.cos(c), math.cos(u) * math.sin(c), math.sin(u))
-                for u in ups for c in circle]
+        unit = [
+            (math.cos(u) * math.cos(c), math.cos(u) * math.sin(c), math.sin(u))
+            for u in ups
+            for c in circle
+        ]
         local = np.array(unit) * size
     elif kind == kinds.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])

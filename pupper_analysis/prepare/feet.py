@@ -133,7 +133,9 @@ def _names(
     return names
 
 
-def named_foot(robot: Robot, name: str, frames: tuple[str | None, str | None], joints: Array) -> Foot:
+def named_foot(
+    robot: Robot, name: str, frames: tuple[str | None, str | None], joints: Array
+) -> Foot:
     """Finds a foot that is named, in one file or in both.
 
     Args:
@@ -198,9 +200,7 @@ def _by_link(
 ) -> tuple[int, Array]:
     """Returns the moving body (its id) that carries a link of the URDF, and the link's place."""
     model = robot.pin_model
-    number = next(
-        (i for i, known in enumerate(model.frames) if link and known.name == link), None
-    )
+    number = next((i for i, known in enumerate(model.frames) if link and known.name == link), None)
     if number is None:
         sites = [robot.mj_model.site(i).name for i in range(robot.mj_model.nsite)]
         bodies = [robot.mj_model.body(i).name for i in range(1, robot.mj_model.nbody)]
@@ -218,7 +218,9 @@ def _by_link(
         body = int(robot.mj_model.body(robot.mj_base).id)
     qpos = robot.neutral()
     qpos[robot.nq - robot.nu :] = joints
-    return int(robot.mj_model.body_weldid[body]), Configuration(robot, qpos).frame_position(str(link))
+    return int(robot.mj_model.body_weldid[body]), Configuration(robot, qpos).frame_position(
+        str(link)
+    )
 
 
 def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
@@ -333,4 +335,3 @@ def _add_link(root: etree._Element, name: str, parent: str, place: Array) -> Non
     etree.SubElement(joint, "parent", link=parent)
     etree.SubElement(joint, "child", link=name)
     etree.SubElement(joint, "origin", xyz=" ".join(repr(float(value)) for value in place))
-

@@ -182,7 +182,9 @@ def _free(spec: mujoco.MjSpec, notes: list[str]) -> None:
     base = max(bodies, key=lambda body: size[body.name], default=None)
     if base is None or list(base.joints):
         return
-    limbs = [body for body in base.bodies if body.find_all(mujoco.mjtObj.mjOBJ_JOINT) or body.joints]
+    limbs = [
+        body for body in base.bodies if body.find_all(mujoco.mjtObj.mjOBJ_JOINT) or body.joints
+    ]
     if len(limbs) >= 2:
         base.add_freejoint()
         notes.append(f"the MJCF holds {base.name!r} in the world: a free joint was added")
@@ -317,4 +319,3 @@ def _on_feet_alone(robot: Robot, notes: list[str]) -> Robot:
 def _range(values: Array) -> str:
     low, high = float(values.min()), float(values.max())
     return f"{low:g}" if low == high else f"{low:g} to {high:g}"
-

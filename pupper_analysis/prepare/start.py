@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import PupperAnalysisError, UnknownNameError
-from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import limbs

@@ -1,0 +1,273 @@
+"""Robots as they are published stand without preparation by hand: MuJoCo is the proof."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from legged import BIPED_FEET, Pair, biped, quadruped
+
+import pupper_analysis as pa
+from pupper_analysis.robot.robot import Robot
+
+
+def load(pair: Pair, **values: object) -> Robot:
+    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, **values)  # type: ignore[arg-type]
+
+
+def said(robot: Robot, text: str) -> str:
+    found = [note for note in robot.notes if text in note]
+    assert found, robot.notes
+    return found[0]
+
+
+def stands(robot: Robot) -> pa.StandVerification:
+    found = pa.verify_stand(robot, pa.sunk_stand(robot))
+    assert found.passed, found.failures
+    assert found.torque_error < 1e-5
+    assert found.force_error < 1e-5
+    return found
+
+
+def test_nothing_is_named_and_it_stands(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path))
+    assert set(robot.soles) == {"FL_calf", "FR_calf", "RL_calf", "RR_calf"}
+    assert "FL_calf on FL_calf" in said(robot, "no feet were named")
+    assert "'home'" in said(robot, "start pose")
+    said(robot, "a plane with MuJoCo's default contact was added")
+    said(robot, "no position servos")
+    assert stands(robot).torque_error < 1e-6
+
+
+def test_the_start_pose_is_the_keyframes(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, keyframe="0 0.7 -1.4"))
+    np.testing.assert_allclose(robot.home[7:], [0, 0.7, -1.4] * 4)
+    # Two links of 0.2 m, bent to both sides of the vertical, on a sphere of 0.02 m.
+    assert robot.stand_height == pytest.approx(0.4 * np.cos(0.7) + 0.02)
+
+
+def test_servos_of_the_model_are_kept(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, actuators="position", floor=True))
+    assert not [note for note in robot.notes if "servos" in note or "plane" in note]
+    assert robot.mj_model.actuator_gainprm[0, 0] == 150
+    stands(robot)
+
+
+@pytest.mark.parametrize("keyframe", ["", "0 2.4 -2.6", "0 0.1 0.4"])
+def test_a_start_pose_is_found(keyframe: str, tmp_path: Path) -> None:
+    """There is none, or it is one in which the robot lies, or one beyond the limits."""
+    robot = load(quadruped(tmp_path, keyframe=keyframe))
+    assert "a stand was found" in said(robot, "keyframe")
+    assert (robot.home[7:] > robot.lower_limits).all()
+    assert (robot.home[7:] < robot.upper_limits).all()
+    stands(robot)
+
+
+def test_a_base_that_the_mjcf_holds_is_freed(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, free=False))
+    assert robot.floating
+    said(robot, "a free joint was added")
+    stands(robot)
+
+
+def test_but_not_if_it_shall_be_fixed(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, free=False), fixed_base=True)
+    assert not robot.floating
+    assert not robot.soles
+
+
+def test_names_that_differ_by_a_prefix(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, prefix="rob_"))
+    assert "FL_roll = rob_FL_roll" in said(robot, "another name")
+    stands(robot)
+
+
+def test_a_joint_that_only_one_file_has_is_held_and_named(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, head=True))
+    assert "nod" in said(robot, "only the MJCF has, held at zero")
+    found = pa.verify_stand(robot, pa.sunk_stand(robot))
+    # Its head of 0.3 kg is in the MJCF alone, and that is said.
+    assert "8.700 kg" in found.failures[-1]
+    assert "8.400 kg" in found.failures[-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "frame"),
+    [("own", "own"), ("a geom", "toe"), ("a link and a body", ("FL_calf", "FL_calf"))],
+)
+def test_feet_that_are_named_in_one_file_only(name: str, frame: object, tmp_path: Path) -> None:
+    foot = '<geom name="{}" type="sphere" size="0.02" pos="0 0 -0.2"/>'
+    pair = quadruped(tmp_path, foot="@")
+    text = pair.mjcf.read_text()
+    for leg in ("FL", "FR", "RL", "RR"):
+        text = text.replace("@", foot.format(f"{leg}_toe"), 1)
+    pair.mjcf.write_text(text)
+    feet: dict[str, object] = {leg: f"{leg}_toe" for leg in ("FL", "FR", "RL", "RR")}
+    if isinstance(frame, tuple):
+        feet["FL"] = frame
+    robot = load(pair, feet=feet)
+    assert set(robot.soles) == {"FL", "FR", "RL", "RR"}
+    place = pa.Configuration(robot, robot.neutral()).foot_positions()["FL"]
+    np.testing.assert_allclose(place, [0.2, 0.15, -0.4], atol=1e-12)
+    assert robot.foot_radius["FL"] == 0.02
+
+
+def test_a_foot_that_neither_file_has(tmp_path: Path) -> None:
+    with pytest.raises(pa.UnknownNameError, match="paw") as caught:
+        load(quadruped(tmp_path), feet=["paw"])
+    assert "FL_calf" in str(caught.value)
+
+
+def test_a_keyframe_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(pa.UnknownNameError, match=r"crouch.*home"):
+        load(quadruped(tmp_path), keyframe="crouch")
+
+
+def test_a_robot_whose_limbs_touch_nothing(tmp_path: Path) -> None:
+    with pytest.raises(pa.ModelError, match=r"no feet were found.*FL_calf"):
+        load(quadruped(tmp_path, foot=""))
+
+
+COUNTS = {"box": 4, "four spheres": 4, "two capsules": 4, "cylinder": 3}
+
+
+@pytest.mark.parametrize("shape", BIPED_FEET)
+def test_a_biped_stands_on_two_flat_feet(shape: str, tmp_path: Path) -> None:
+    robot = load(biped(tmp_path, BIPED_FEET[shape]))
+    assert {foot: len(points) for foot, points in robot.soles.items()} == {
+        "left_tilt_link": COUNTS[shape],
+        "right_tilt_link": COUNTS[shape],
+    }
+    found = stands(robot)
+    assert set(found.foot_forces) == set(robot.soles)
+    weight = robot.total_mass * 9.81
+    for force in found.foot_forces.values():
+        assert force[2] == pytest.approx(weight / 2, rel=1e-3)
+
+
+def test_the_contact_points_are_mujocos(tmp_path: Path) -> None:
+    """Where MuJoCo has the contacts of the robot in its stand."""
+    robot = load(biped(tmp_path))
+    stand = pa.sunk_stand(robot)
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(robot.mj_model, data)
+    theirs = sorted(tuple(np.round(touch.pos[:2], 6)) for touch in data.contact)
+    ours = sorted(tuple(np.round(p[:2], 6)) for p in stand.contact_points.values())
+    np.testing.assert_allclose(theirs, ours, atol=1e-5)
+    depths = sorted(-touch.dist for touch in data.contact)
+    np.testing.assert_allclose(sorted(stand.depths.values()), depths, atol=1e-8)
+
+
+def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> None:
+    """By hand: force times lever, less the weight of the foot below the joint."""
+    robot = load(biped(tmp_path))
+    task = pa.StandTask(com=(0.05, 0.0), com_margin=0.01)
+    stand = pa.solve_stand(robot, task)
+    held = pa.stand_statics(robot, stand)
+    ankle = robot.joint_names.index("left_ankle")
+    joint = pa.Configuration(robot, stand.qpos).joint_position("left_ankle")
+    points = robot.soles["left_tilt_link"]
+    about = sum(
+        np.cross(held.contact_points[point] - joint, held.contact_forces[point]) for point in points
+    )
+    # The foot, 0.6 kg, has its com 0.02 m ahead of the joint; its weight turns the other way.
+    foot = np.cross([0.02, 0, -0.05], [0, 0, -0.6 * 9.81])
+    assert held.joint_torques[ankle] == pytest.approx(-(about + foot)[1], rel=1e-9)
+
+
+def test_sag_on_flat_feet_is_what_mujoco_settles_at(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    stand = pa.sunk_stand(robot)
+    sag = pa.steady_state(robot, stand)
+    assert not sag.failures
+    seen = pa.verify_stand(robot, stand, feedforward=False, duration=8.0)
+    assert sag.height_loss == pytest.approx(seen.height_loss, rel=1e-4)
+    assert sag.height_loss > 1e-3
+
+
+@pytest.mark.parametrize(("ahead", "held"), [(0.088, True), (0.092, False)])
+def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_path: Path) -> None:
+    """The soles, 0.18 m long, reach 0.09 m to either side of their middle."""
+    robot = load(biped(tmp_path))
+    points = pa.solve_stand(robot).contact_points
+    middle = float(np.mean([place[0] for place in points.values()]))
+    task = pa.StandTask(com=(middle + ahead, 0.0), height=0.5)
+    if held:
+        statics = pa.stand_statics(robot, pa.solve_stand(robot, task))
+        assert statics.com_margin == pytest.approx(0.09 - ahead, abs=1e-9)
+    else:
+        with pytest.raises(pa.ConfigurationError, match="com_margin"):
+            pa.solve_stand(robot, task)
+
+
+def test_a_flat_foot_lies_flat_on_a_slope(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    ground = pa.Ground(slope=0.1, uphill=0.4)
+    stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
+    centres = pa.Configuration(robot, stand.qpos).foot_positions()
+    for point, place in centres.items():
+        assert place @ ground.normal() == pytest.approx(robot.foot_radius[point], abs=1e-9)
+    assert pa.verify_stand(robot, pa.sunk_stand(robot, stand.task)).passed
+
+
+def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    task = pa.StandTask(swing={"left_tilt_link": 0.03}, com="inside", com_margin=0.005)
+    stand = pa.solve_stand(robot, task)
+    assert robot.feet_with(stand.stance_feet) == ("right_tilt_link",)
+    centres = pa.Configuration(robot, stand.qpos).foot_positions()
+    for point in robot.soles["left_tilt_link"]:
+        assert centres[point][2] == pytest.approx(0.03, abs=1e-9)
+    held = pa.stand_statics(robot, stand)
+    assert held.contact_forces.keys() == set(robot.soles["right_tilt_link"])
+
+
+def test_a_step_under_a_flat_foot_is_refused(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    task = pa.StandTask(ground=pa.Ground(heights={"left_tilt_link": 0.02}))
+    with pytest.raises(pa.ConfigurationError, match="a step under left_tilt_link"):
+        pa.solve_stand(robot, task)
+
+
+def test_one_foot_with_one_point_is_not_enough(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path))
+    swing = {"FL_calf": 0.02, "RR_calf": 0.02}
+    with pytest.raises(pa.ConfigurationError, match="at least 3 must, or a flat one"):
+        pa.solve_stand(robot, pa.StandTask(swing=swing))
+
+
+def test_shapes_beside_a_foot_are_kept_off_the_ground(tmp_path: Path) -> None:
+    shapes = (
+        '<geom type="sphere" size="0.02" pos="0 0 -0.2" solimp="0.02 0.9 0.02" priority="1"/>'
+        '<geom type="capsule" size="0.018" fromto="0 0 -0.05 0 0 -0.199"/>'
+    )
+    robot = load(quadruped(tmp_path, foot=shapes))
+    said(robot, "reach down beside the feet")
+    stands(robot)
+
+
+def test_the_margin_of_a_contact_counts(tmp_path: Path) -> None:
+    """MuJoCo's contact pushes from its margin on: a foot may stand above the ground."""
+    sphere = '<geom type="sphere" size="0.02" pos="0 0 -0.2" margin="0.004"/>'
+    robot = load(quadruped(tmp_path, foot=sphere))
+    stand = pa.sunk_stand(robot)
+    bare = pa.sunk_stand(load(quadruped(tmp_path)))
+    for foot, depth in stand.depths.items():
+        assert depth == pytest.approx(bare.depths[foot] - 0.004, abs=1e-9)
+    stands(robot)
+
+
+def test_feet_of_a_robot_that_lies_are_found_all_the_same(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, keyframe="0 2.4 -2.6"))
+    assert len(robot.soles) == 4
+
+
+def test_preparing_changes_no_file(tmp_path: Path) -> None:
+    pair = biped(tmp_path)
+    before = pair.urdf.read_bytes(), pair.mjcf.read_bytes()
+    load(pair)
+    assert before == (pair.urdf.read_bytes(), pair.mjcf.read_bytes())
+    assert len(list(tmp_path.iterdir())) == 2
