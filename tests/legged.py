@@ -1,4 +1,4 @@
-"""Small legged robots as others publish them: no frames for feet, motors, another prefix, no floor."""
+"""Small legged robots as others publish them: no frames for feet, motors, no floor."""
 
 from __future__ import annotations
 

@@ -20,6 +20,7 @@ ROOMS = (
     ("stance",),
     ("simulation",),
     ("checks",),
+    ("prepare",),
     ("analysis",),
     ("report",),
     ("pupper",),

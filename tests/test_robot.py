@@ -215,17 +215,6 @@ JOINT = '<joint name="push" type="slide" axis="0 0 1" range="-0.3 0.4"/>'
         ),
         (
             TINY_URDF,
-            replaced(TINY_MJCF, JOINT, "").replace('<motor joint="push"/>', ""),
-            "robot.xml: no joint push",
-        ),
-        (
-            TINY_URDF.replace('"push" type="prismatic"', '"push" type="fixed"'),
-            TINY_MJCF,
-            "robot.urdf: no joint push",
-        ),
-        (TINY_URDF.replace('name="push"', 'name="pull"'), TINY_MJCF, "no joint pu"),
-        (
-            TINY_URDF,
             TINY_MJCF.replace(
                 '<joint name="turn" axis="0 0 1"/>', '<joint name="turn" type="ball"/>'
             ),
@@ -271,16 +260,47 @@ def test_missing_and_unreadable_files_are_refused(tiny_files: Files, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("urdf_foot", "mjcf_foot", "known"),
-    [("toe_tip", "foot", "hand"), ("foot", "toe_tip", "toe_tip")],
+    ("urdf", "mjcf", "note"),
+    [
+        (
+            TINY_URDF,
+            replaced(TINY_MJCF, JOINT, "").replace('<motor joint="push"/>', ""),
+            "only the URDF has, held at zero: push",
+        ),
+        (
+            TINY_URDF.replace('"push" type="prismatic"', '"push" type="fixed"'),
+            TINY_MJCF,
+            "only the MJCF has, held at zero: push",
+        ),
+        (
+            TINY_URDF.replace('name="push"', 'name="pull"'),
+            TINY_MJCF,
+            "another name in the URDF: pull = push",
+        ),
+    ],
 )
-def test_unknown_foot_lists_what_there_is(
-    tmp_path: Path, urdf_foot: str, mjcf_foot: str, known: str
-) -> None:
+def test_joints_that_differ_are_said(tmp_path: Path, urdf: str, mjcf: str, note: str) -> None:
+    robot = load_files(write(tmp_path, urdf, mjcf))
+    assert any(note in said for said in robot.notes), robot.notes
+
+
+@pytest.mark.parametrize(("urdf_foot", "mjcf_foot"), [("toe_tip", "foot"), ("foot", "toe_tip")])
+def test_a_foot_in_one_file_is_enough(tmp_path: Path, urdf_foot: str, mjcf_foot: str) -> None:
+    whole = load_files(write(tmp_path, TINY_URDF, TINY_MJCF))
     urdf = TINY_URDF.replace('link name="foot"', f'link name="{urdf_foot}"')
     urdf = urdf.replace('child link="foot"', f'child link="{urdf_foot}"')
     mjcf = TINY_MJCF.replace('site name="foot"', f'site name="{mjcf_foot}"')
-    with pytest.raises(pa.UnknownNameError, match=known) as caught:
+    robot = load_files(write(tmp_path, urdf, mjcf))
+    qpos = np.concatenate([[0.1, 0.2, 0.3, 1, 0, 0, 0], [0.1, -0.2, 0.3]])
+    places = [pa.Configuration(each, qpos).foot_positions()["foot"] for each in (whole, robot)]
+    np.testing.assert_allclose(*places, atol=1e-9)
+
+
+def test_unknown_foot_lists_what_there_is(tmp_path: Path) -> None:
+    urdf = TINY_URDF.replace('link name="foot"', 'link name="toe_tip"')
+    urdf = urdf.replace('child link="foot"', 'child link="toe_tip"')
+    mjcf = TINY_MJCF.replace('site name="foot"', 'site name="hoof"')
+    with pytest.raises(pa.UnknownNameError, match=r"toe_tip.*hoof") as caught:
         load_files(write(tmp_path, urdf, mjcf))
     assert caught.value.name == "foot"
     assert isinstance(caught.value, pa.ModelError)

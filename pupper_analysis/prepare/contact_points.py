@@ -19,7 +19,7 @@ _STEEPEST = math.radians(25.0)
 """A sole that is tilted by more in the start pose is none: the foot touches with an edge."""
 
 _LEAST_LENGTH = 0.015
-"""A flat part that is shorter is no sole (m): facets of a round foot's mesh are some millimetres."""
+"""A flat part that is shorter is no sole (m): facets of a round foot's mesh are millimetres."""
 
 _PRESSED = 1e-4
 """How deep the sole is pressed into the ground to see what touches (m)."""
@@ -157,7 +157,7 @@ def _sole(points: Array, radii: Array, down: Array) -> Array:
 
 
 def _facets(surface: Array, down: Array) -> Iterator[Array]:
-    """Yields the outward normals (3,) of a hull's facets that are nearly level, and of its edges."""
+    """Yields the outward normals (3,) of a hull's nearly level facets, or of its edge."""
     middle = surface.mean(axis=0)
     spread = surface - middle
     _, sizes, axes = np.linalg.svd(spread, full_matrices=True)

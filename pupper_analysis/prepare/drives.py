@@ -36,9 +36,9 @@ _FASTEST = 1.5
 at 2."""
 
 _FINER = (1, 2, 4)
-"""Parts into which the model's time step is divided, the first with which the robot comes to rest. A
-light foot without armature (G1's: 3e-4 kg m^2 about the ankle) shakes between a stiff servo and the
-ground at 2 ms, and is at rest at 0.5 ms."""
+"""Parts into which the model's time step is divided, the first with which the robot comes to rest.
+A light foot without armature (G1's: 3e-4 kg m^2 about the ankle) shakes between a stiff servo and
+the ground at 2 ms, and is at rest at 0.5 ms."""
 
 _UPRIGHT = 0.1
 """A robot that leans by more on its servos is not held up by them (rad)."""

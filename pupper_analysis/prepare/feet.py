@@ -133,9 +133,7 @@ def _names(
     return names
 
 
-def named_foot(
-    robot: Robot, name: str, frames: tuple[str | None, str | None], joints: Array
-) -> Foot:
+def named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) -> Foot:
     """Finds a foot that is named, in one file or in both.
 
     Args:
@@ -149,14 +147,14 @@ def named_foot(
         ModelError: If nothing there touches the ground.
     """
     model, data = robot.mj_model, posed(robot, joints)
-    link, frame = frames
+    _, frame = frames
     places = [
-        (kind, mujoco.mj_name2id(model, kind, frame or ""))
+        (kind, mujoco.mj_name2id(model, kind, frame))
         for kind in (mujoco.mjtObj.mjOBJ_GEOM, mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_BODY)
     ]
-    found = next(((kind, index) for kind, index in places if frame and index >= 0), None)
+    found = next(((kind, index) for kind, index in places if index >= 0), None)
     if found is None:
-        body, place = _by_link(robot, name, link, frame, data, joints)
+        body, place = _by_link(robot, name, frames, joints)
         geoms = _around(model, data, geoms_of(model, body), place)
     elif found[0] == mujoco.mjtObj.mjOBJ_GEOM:
         geoms = [found[1]]
@@ -190,17 +188,10 @@ def _around(
     return [nearest] if nearest is not None and away[nearest] < _NEAR else list(geoms)
 
 
-def _by_link(
-    robot: Robot,
-    name: str,
-    link: str | None,
-    frame: str | None,
-    data: mujoco.MjData,
-    joints: Array,
-) -> tuple[int, Array]:
+def _by_link(robot: Robot, name: str, frames: tuple[str, str], joints: Array) -> tuple[int, Array]:
     """Returns the moving body (its id) that carries a link of the URDF, and the link's place."""
-    model = robot.pin_model
-    number = next((i for i, known in enumerate(model.frames) if link and known.name == link), None)
+    model, (link, frame) = robot.pin_model, frames
+    number = next((i for i, known in enumerate(model.frames) if known.name == link), None)
     if number is None:
         sites = [robot.mj_model.site(i).name for i in range(robot.mj_model.nsite)]
         bodies = [robot.mj_model.body(i).name for i in range(1, robot.mj_model.nbody)]
@@ -208,7 +199,7 @@ def _by_link(
         raise UnknownNameError(
             f"{robot.description.urdf_source}, {robot.description.mjcf_source}",
             f"link, geom, site or body (for foot {name!r})",
-            str(frame or link),
+            frame,
             list(dict.fromkeys([*links, *sites, *bodies])),
         )
     joint = model.names[model.frames[number].parentJoint]
@@ -218,9 +209,8 @@ def _by_link(
         body = int(robot.mj_model.body(robot.mj_base).id)
     qpos = robot.neutral()
     qpos[robot.nq - robot.nu :] = joints
-    return int(robot.mj_model.body_weldid[body]), Configuration(robot, qpos).frame_position(
-        str(link)
-    )
+    place = Configuration(robot, qpos).frame_position(link)
+    return int(robot.mj_model.body_weldid[body]), place
 
 
 def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:

@@ -19,6 +19,7 @@ from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare import drives, start
 from pupper_analysis.prepare.feet import Foot, apart_at, find_feet, limb_ends, named_foot, with_feet
 from pupper_analysis.robot.build import add_floor, build_robot, floor_of
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.sunk import sunk_stand
 
@@ -137,7 +138,7 @@ def _prepared(
     notes: list[str] = []
     spec = mjcf.spec.copy()
     name_all(spec, set(), [])
-    known = start.chosen(mjcf, start.keyframes(mjcf, spec), keyframe)
+    known = start.chosen(mjcf, start.keyframes(spec), keyframe)
     if not fixed_base:
         _free(spec, notes)
     matched = match(urdf, replace(mjcf, spec=spec), names=joints, shapes=True)
@@ -145,7 +146,10 @@ def _prepared(
     description = replace(matched.robot.description, name=name or spec.modelname)
     if fixed_base or not matched.robot.floating:
         if frames:
-            raise ModelError(mjcf.path, "a robot with a fixed base has no feet to stand on")
+            raise ModelError(
+                mjcf.path,
+                "with a fixed base, feet are frames that both files name, and the joints the same",
+            )
         robot = build_robot(description, fixed_base=fixed_base)
         return replace(robot, notes=(*notes, *robot.notes))
     ready = description.mjcf.copy()
@@ -253,7 +257,7 @@ def _at(robot: Robot, joints: Array) -> Robot:
     """Returns the robot with a start pose whose lowest foot touches the ground."""
     qpos = robot.neutral()
     qpos[robot.nq - robot.nu :] = joints
-    places = start.Configuration(robot, qpos).foot_positions()
+    places = Configuration(robot, qpos).foot_positions()
     height = max(robot.foot_radius[foot] - float(place[2]) for foot, place in places.items())
     return replace(robot, home=qpos, stand_height=height)
 

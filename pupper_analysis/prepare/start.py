@@ -40,12 +40,11 @@ _MARGINS = (0.2, 0.05, 0.0)
 _LOWEST, _HIGHEST = 0.25, 0.98  # parts of a leg's length
 
 
-def keyframes(mjcf: MjcfFile, spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
+def keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
     """Returns an MJCF's keyframes, {name: {joint: position}}; those without a name are numbered.
 
     Args:
-        mjcf: The file.
-        spec: A copy of its spec in which every joint has a name.
+        spec: A copy of its spec, in which every joint has a name.
     """
     with quiet():
         model = spec.copy().compile()

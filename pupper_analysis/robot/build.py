@@ -61,7 +61,7 @@ def build_robot(
     }
     geoms = foot_geoms(description, mj_model, places)
     radius = {foot: size for foot, (_, size) in geoms.items()}
-    soles = {foot: (foot,) for foot in description.feet}
+    soles: dict[str, tuple[str, ...]] = {foot: (foot,) for foot in description.feet}
     for sole, points in description.soles.items():
         soles = {foot: own for foot, own in soles.items() if foot not in points} | {sole: points}
     sole_of = {point: sole for sole, points in soles.items() for point in points}

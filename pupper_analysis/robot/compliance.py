@@ -15,8 +15,9 @@ from pupper_analysis.robot.robot import Robot
 class GroundLaw:
     """The ground under one foot, as MuJoCo has it at rest.
 
-    With r the penetration, and the contact's margin, d(r) the impedance of ``solimp`` and A the ``diagApprox`` of the
-    contact, R = (1 - d)/d A; a constraint at rest has the force aref / R, aref = k d r - b v. So
+    With r the penetration, and the contact's margin, d(r) the impedance of ``solimp`` and A the
+    ``diagApprox`` of the contact, R = (1 - d)/d A; a constraint at rest has the force aref / R,
+    aref = k d r - b v. So
 
         normal force:      f = k d(r)^2 r / ((1 - d(r)) A)
         tangential force:  f = -c v, c = b d / ((1 - d) A_t), A_t = A / impratio  (a creeping foot)

@@ -323,9 +323,9 @@ def _deviations(
     if off and found.mujoco_residual > ANOTHER_ROBOT * weight:
         masses = robot.total_mass, float(robot.mj_model.body_subtreemass[0])
         off.append(
-            f"the two files are not of one robot: MuJoCo's balance of the MJCF ({masses[1]:.3f} kg) "
-            f"is off by {found.mujoco_residual:.2g} N or N m with the URDF's forces "
-            f"({masses[0]:.3f} kg); crosscheck tells the differences"
+            f"the two files are not of one robot: MuJoCo's balance of the MJCF "
+            f"({masses[1]:.3f} kg) is off by {found.mujoco_residual:.2g} N or N m with the forces "
+            f"of the URDF ({masses[0]:.3f} kg); crosscheck tells the differences"
         )
     deepest = max(float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
     if off and alone and deepest > SOFT:

@@ -130,8 +130,8 @@ class Shapes:
     ) -> Array:
         """Returns how high each shape (n,) is above slope and steps (m); infinite for the feet.
 
-        All shapes on the link of a flat foot are the foot. A shape that reaches into its own foot's sphere, as a calf's does, may be as deep in the
-        ground as the foot.
+        All shapes on the link of a flat foot are the foot. A shape that reaches into its own foot's
+        sphere, as a calf's does, may be as deep in the ground as the foot.
 
         Args:
             qpos: (nq,) the configuration.
@@ -170,7 +170,8 @@ class Shapes:
                 continue
             if int(shape.parentJoint) in feet:
                 foot, ball, there = feet[int(shape.parentJoint)]
-                if _is_sole(shape.geometry, where, ball, there):
+                other = foot in robot.description.foot_geoms
+                if _is_sole(shape.geometry, where, ball, there, other=other):
                     continue
                 if _apart(shape.geometry, where, ball, there) < 0:
                     depth = depths.get(foot, 0.0)
@@ -192,13 +193,23 @@ def _apart(
 
 
 def _is_sole(
-    shape: coal.CollisionGeometry, at: coal.Transform3s, ball: coal.Sphere, there: coal.Transform3s
+    shape: coal.CollisionGeometry,
+    at: coal.Transform3s,
+    ball: coal.Sphere,
+    there: coal.Transform3s,
+    *,
+    other: bool,
 ) -> bool:
-    """Tells whether a shape is the foot: a sphere around its centre, as the URDF has it."""
-    return (
-        isinstance(shape, coal.Sphere)
-        and float(np.linalg.norm(at.getTranslation() - there.getTranslation())) < ball.radius
-    )
+    """Tells whether a shape is the foot.
+
+    If the foot is the MJCF's (``other``), the URDF's is a sphere around its centre, of any size.
+    """
+    away = float(np.linalg.norm(at.getTranslation() - there.getTranslation()))
+    if not isinstance(shape, coal.Sphere):
+        return False
+    if other:
+        return away < ball.radius
+    return max(away, abs(float(shape.radius) - ball.radius)) < _SAME
 
 
 def _primitives(robot: Robot) -> str:

@@ -87,7 +87,8 @@ def _laid(sole: Array, radii: Array, normal: Array) -> Array:
     turn = pin.Quaternion.FromTwoVectors(out, normal).matrix()
     middle = sole.mean(axis=0)
     turned: Array = (sole - middle) @ turn.T
-    return turned - ((turned @ normal - radii).mean() * normal)
+    lifted: Array = turned - (turned @ normal - radii).mean() * normal
+    return lifted
 
 
 def _upwards(points: Array) -> Array:
@@ -136,8 +137,8 @@ def fixing(places: Sequence[Array]) -> list[tuple[int, Array]]:
         places: Where its points shall be, (3,) each (m).
 
     Returns:
-        Number of a point, and a rotation (3, 3) of which the first 3, 2 or 1 rows are the directions
-        that count: those of the first point, two of the one that is farthest from it, one of the
+        Number of a point, and a rotation (3, 3) whose first 3, 2 or 1 rows are the directions that
+        count: those of the first point, two of the one that is farthest from it, one of the
         point that is farthest from the line through both.
     """
     points = np.array(places)

@@ -60,28 +60,7 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
             nothing.
         UnknownNameError: If the task, or depths, name a foot that the robot does not have.
     """
-    if not robot.floating:
-        raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
-    if not robot.feet:
-        raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
-    for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights):
-        robot.points_of(foot)
-    for foot in depths:
-        robot.check_foot(foot)
-    for foot, depth in depths.items():
-        margin = robot.contacts[foot].margin if foot in robot.contacts else 0.0
-        if not -margin <= depth < math.inf:
-            raise ConfigurationError(
-                "depths", f"{foot}: {depth} m is not finite and >= {-margin if margin else 0}"
-            )
-    swinging = {point for foot in task.swing for point in robot.soles[foot]}
-    stance_feet = tuple(foot for foot in robot.feet if foot not in swinging)
-    if len(stance_feet) < 3:
-        raise ConfigurationError(
-            "swing",
-            f"only {len(stance_feet)} feet carry; at least 3 must, or a flat one: the support "
-            "polygon needs an area",
-        )
+    stance_feet = _stance_feet(robot, task, depths)
     if task.ik_seed is not None and len(task.ik_seed) != robot.nu:
         raise ConfigurationError("ik_seed", f"it must have {robot.nu} values")
     normal = task.ground.normal()
@@ -122,3 +101,30 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
         lower=lower,
         upper=upper,
     )
+
+
+def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> tuple[str, ...]:
+    """Returns the contact points that carry, if the task is one for this robot; see ``goal_of``."""
+    if not robot.floating:
+        raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
+    if not robot.feet:
+        raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
+    for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights):
+        robot.points_of(foot)
+    for foot in depths:
+        robot.check_foot(foot)
+    for foot, depth in depths.items():
+        margin = robot.contacts[foot].margin if foot in robot.contacts else 0.0
+        if not -margin <= depth < math.inf:
+            raise ConfigurationError(
+                "depths", f"{foot}: {depth} m is not finite and >= {-margin if margin else 0}"
+            )
+    swinging = {point for foot in task.swing for point in robot.soles[foot]}
+    stance_feet = tuple(foot for foot in robot.feet if foot not in swinging)
+    if len(stance_feet) < 3:
+        raise ConfigurationError(
+            "swing",
+            f"only {len(stance_feet)} feet carry; at least 3 must, or a flat one: the support "
+            "polygon needs an area",
+        )
+    return stance_feet
