@@ -271,3 +271,12 @@ def test_preparing_changes_no_file(tmp_path: Path) -> None:
     load(pair)
     assert before == (pair.urdf.read_bytes(), pair.mjcf.read_bytes())
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_biped_squats_as_its_path_says(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    stances = [pa.StandTask(), pa.StandTask(height=robot.stand_height - 0.05), pa.StandTask()]
+    path = pa.stance_path(robot, stances, seconds=3.0)
+    assert not path.infeasible.any()
+    tracked = pa.track_path(robot, path)
+    assert tracked.passed, tracked.failures

@@ -208,8 +208,8 @@ def _is_sole(
     if not isinstance(shape, coal.Sphere):
         return False
     if other:
-        return away < ball.radius
-    return max(away, abs(float(shape.radius) - ball.radius)) < _SAME
+        return bool(away < ball.radius)
+    return bool(max(away, abs(shape.radius - ball.radius)) < _SAME)
 
 
 def _primitives(robot: Robot) -> str:

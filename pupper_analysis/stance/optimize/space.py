@@ -98,7 +98,7 @@ class StanceSpace:
         self._touching = self._touches(nominal)
         self._nominal_values = self._singular_values(nominal)
         self.centre = np.mean(list(nominal.contact_points.values()), axis=0)[:2]
-        self.free = tuple(foot for foot in robot.feet if foot not in task.feet)
+        self.free = tuple(foot for foot in robot.soles if foot not in task.feet)
         self.names = (*BASE, *(f"{foot} {axis}" for foot in self.free for axis in "xy"))
         height, place = nominal.task.height, nominal.qpos[:2] - self.centre
         assert height is not None
@@ -127,7 +127,9 @@ class StanceSpace:
         return np.minimum(low, self.start), np.maximum(high, self.start)
 
     def _from_centre(self, foot: str) -> Array:
-        away: Array = self.nominal.foot_targets[foot][:2] - self.centre
+        points = self.robot.soles[foot]
+        place = np.mean([self.nominal.foot_targets[point][:2] for point in points], axis=0)
+        away: Array = place - self.centre
         return away
 
     def outwards(self) -> dict[str, Array]:

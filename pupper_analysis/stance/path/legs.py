@@ -93,7 +93,8 @@ def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tupl
         keys.append(Key(solved[-1].task, solved[-1].qpos[:3], com, solved[-1].foot_targets))
     sets = []
     for number, (one, two) in enumerate(pairwise(keys), 1):
-        idle = one.task.swing.keys() | two.task.swing.keys()
+        swinging = one.task.swing.keys() | two.task.swing.keys()
+        idle = {point for foot in swinging for point in robot.soles[foot]}
         sets.append(tuple(foot for foot in robot.feet if foot not in idle))
         where = f"between stances {number} and {number + 1}"
         if len(sets[-1]) < 3:
@@ -143,14 +144,15 @@ def task_between(
     ground, normal = one.ground, one.ground.normal()
     places = {foot: leg.start.feet[foot] for foot in robot.feet}
     places |= {foot: p + share * (leg.end.feet[foot] - p) for foot, p in places.items()}
-    feet = {
-        foot: (float(place[0] + away[foot][0]), float(place[1] + away[foot][1]))
-        for foot, place in places.items()
-    }
+    points = {point: place[:2] + away[point] for point, place in places.items()}
+    feet = {}
+    for foot, own in robot.soles.items():
+        x, y = np.mean([points[point] for point in own], axis=0)
+        feet[foot] = float(x), float(y)
     contacts = {
-        foot: ground.centre(foot, feet[foot], robot.foot_radius[foot])
-        - robot.foot_radius[foot] * normal
-        for foot in stance_feet
+        point: ground.centre(robot.foot_of(point), points[point], robot.foot_radius[point])
+        - robot.foot_radius[point] * normal
+        for point in stance_feet
     }
     centre = np.mean(list(contacts.values()), axis=0)
     base = leg.start.base + share * (leg.end.base - leg.start.base)
@@ -170,8 +172,9 @@ def task_between(
     if one.self_clearance is not None and two.self_clearance is not None:
         apart = between(one.self_clearance, two.self_clearance)
     heights = {
-        foot: between(one.swing.get(foot, 0.0), two.swing.get(foot, 0.0)) for foot in robot.feet
+        foot: between(one.swing.get(foot, 0.0), two.swing.get(foot, 0.0)) for foot in robot.soles
     }
+    carrying = robot.feet_with(stance_feet)
     return StandTask(
         height=float(base[2] - centre[2]),
         roll=between(one.roll, two.roll),
@@ -179,7 +182,7 @@ def task_between(
         yaw=between(one.yaw, two.yaw),
         offset=(float(base[0] - centre[0]), float(base[1] - centre[1])) if by_base else None,
         feet=feet,
-        swing={f: max(TOUCHING, h) for f, h in heights.items() if f not in stance_feet},
+        swing={f: max(TOUCHING, h) for f, h in heights.items() if f not in carrying},
         ground=ground,
         com="centre" if by_base else (float(com[0]), float(com[1])),
         joint_margin=between(one.joint_margin, two.joint_margin),

@@ -41,7 +41,8 @@ def sunk_path(robot: Robot, path: StancePath) -> Array:
         [list(Configuration(robot, qpos).foot_positions().values()) for qpos in path.qpos]
     )
     radius = np.array([robot.foot_radius[foot] for foot in path.feet])
-    shorter = (depths[1:] + depths[:-1]) / (4 * radius)
+    both, reach = depths[1:] + depths[:-1], 4 * radius
+    shorter = np.divide(both, reach, out=np.zeros_like(both), where=reach > 0)  # corners roll not
     rolled = np.diff(centres, axis=0) * (path.stance_feet[1:] & path.stance_feet[:-1])[..., None]
     back = np.cumsum(shorter[..., None] * rolled, axis=0)
     goals = centres - depths[..., None] * normal
