@@ -19,7 +19,7 @@ from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.rollout import STATE, place_on_ground
+from pupper_analysis.simulation.rollout import full_state, place_on_ground
 from pupper_analysis.stance.sag.band import steady_state_band
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState, steady_state
 from pupper_analysis.stance.stand import stand_statics
@@ -207,10 +207,10 @@ def left(robot: pa.Robot, stand: pa.Stand, qpos: np.ndarray, seconds: float = 6.
     """The base's height (m) at the end of a simulation that begins at rest in qpos."""
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     drive = servos(robot, integrator="implicitfast")
-    data, state = mujoco.MjData(drive.model), np.empty(mujoco.mj_stateSize(drive.model, STATE))
+    data = mujoco.MjData(drive.model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_forward(drive.model, data)
-    mujoco.mj_getState(drive.model, data, state, STATE)
+    state = full_state(drive.model, data)
     ctrl = drive.command(robot, stand.joint_positions(robot))
     steps = round(seconds / drive.model.opt.timestep)
     return end_height(robot, drive.model, state, np.tile(ctrl, (steps, 1)))

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Container
 from dataclasses import dataclass, replace
 
 import mujoco
-import mujoco.rollout
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.results import Result
-from pupper_analysis.robot import contact
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.rollout import (
-    FALLEN_TILT,
-    STATE,
+from pupper_analysis.simulation.monitor import (
+    Monitor,
     base_heights,
-    check_stand,
     diverged,
+    divergence,
+    fall,
+    foot_centres,
+    has_fallen,
     lean,
-    place_on_ground,
     turned_by,
 )
+from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import drop_at
@@ -169,13 +168,7 @@ def verify_stand(
     ctrl = drive.command(robot, stand.joint_positions(robot), torques)
     start = place_on_ground(robot, drive, stand, prediction.joint_torques)
     timestep = float(drive.model.opt.timestep)
-    states, _ = mujoco.rollout.rollout(
-        drive.model,
-        mujoco.MjData(drive.model),
-        start,
-        np.tile(ctrl, (1, max(2, round(duration / timestep)), 1)),
-    )
-    states = states[0]
+    states = run(drive.model, start, np.tile(ctrl, (max(2, round(duration / timestep)), 1)))
     light = LIGHT * sum(force[2] for force in prediction.contact_forces.values())
     loaded = {
         foot
@@ -284,14 +277,9 @@ def _failures(
     leaning = lean(robot, stand.task.rotation(), states[-1])
     failures = list(watch.failures)
     if diverged(states, found.timestep):
-        failures.insert(
-            0, f"the simulation diverged ({found.integrator}, {1e3 * found.timestep:g} ms)"
-        )
-    if leaning > FALLEN_TILT or found.base_height < 0.5 * stand.qpos[2]:
-        failures.insert(
-            0,
-            f"it fell over: tilt {math.degrees(leaning):.0f} deg, height {found.base_height:.3f} m",
-        )
+        failures.insert(0, divergence(found.integrator, found.timestep))
+    if has_fallen(leaning, found.base_height, float(stand.qpos[2])):
+        failures.insert(0, fall(leaning, found.base_height))
     if not found.height_deviation < STABLE_DEVIATION:
         failures.append(
             f"the height deviates by {1e3 * found.height_deviation:.2f} mm in the last second"
@@ -331,7 +319,7 @@ def _watch(
 
     The feet in ``loaded`` must not let go; others are hardly predicted to touch.
     """
-    data = mujoco.MjData(model)
+    monitor = Monitor(robot, model)
     step = max(1, round(_SAMPLE / model.opt.timestep))
     touched: dict[str, float] = {}
     lost: dict[str, float] = {}
@@ -340,20 +328,16 @@ def _watch(
     feet = {foot: np.zeros(3) for foot in robot.feet}
     count = 0
     for index in range(len(states) - 1, -1, -step):  # backwards: the first moment stays
-        mujoco.mj_setState(model, data, states[index], STATE)
-        data.ctrl[:] = ctrl
-        mujoco.mj_forward(model, data)
-        forces, others = contact.ground_forces(model, data, robot.foot_geoms)
-        touched |= dict.fromkeys(others, float(data.time))
-        touched |= {foot: float(data.time) for foot in forces if foot not in stand.stance_feet}
-        idle = [foot for foot in stand.stance_feet if foot not in forces or forces[foot][2] <= 0]
-        lost |= {foot: float(data.time) for foot in idle if foot in loaded}
+        seen = monitor.look(states[index], ctrl)
+        touched |= dict.fromkeys(seen.bodies, seen.time)
+        touched |= {foot: seen.time for foot in seen.forces if foot not in stand.stance_feet}
+        lost |= {foot: seen.time for foot in seen.idle(stand.stance_feet) if foot in loaded}
         if index >= len(states) - last_second:
             count += 1
-            torques += data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
-            for foot, (body, position) in robot.foot_places.items():
-                total[foot] += forces.get(foot, np.zeros(3))
-                feet[foot] += data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+            torques += monitor.data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
+            for foot, centre in monitor.foot_centres().items():
+                total[foot] += seen.forces.get(foot, np.zeros(3))
+                feet[foot] += centre
     failures = [
         f"{body} touches the ground at {moment:.2f} s" for body, moment in sorted(touched.items())
     ]
@@ -381,12 +365,11 @@ def _backend_evaluation(
     remainder[robot.mj_convention.qvel_index[6:]] -= prediction.joint_torques
     foot_error = 0.0
     jacobian = np.zeros((3, model.nv))
-    for foot, (body, position) in robot.foot_places.items():
-        centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+    for foot, centre in foot_centres(robot, data).items():
         foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
         if foot in stand.stance_feet:
             reach = robot.foot_radius[foot] - stand.depths[foot] / 2
             point = centre - reach * stand.normals[foot]
-            mujoco.mj_jac(model, data, jacobian, None, point, body)
+            mujoco.mj_jac(model, data, jacobian, None, point, robot.foot_places[foot][0])
             remainder -= jacobian.T @ prediction.contact_forces[foot]
     return foot_error, float(np.abs(remainder).max())
