@@ -55,7 +55,7 @@ TASK = (
         "--move", "moves", multiple=True, metavar="FOOT=X,Y", help="Foot off its place (m)."
     ),
     click.option(
-        "--swing", "swings", multiple=True, metavar="FOOT=LENGTH", help="Foot lifted by (m)."
+        "--swing", "swings", multiple=True, metavar="FOOT=LENGTH", help="Swing foot, so high (m)."
     ),
     click.option(
         "--step", "steps", multiple=True, metavar="FOOT=LENGTH", help="Step under it (m)."

@@ -173,7 +173,7 @@ def best(
 
     OBJECTIVE is what shall be best: utilisation (the least peak of torque / limit), margin (the com
     deepest inside the support polygon) or payload (the greatest, at --at). The search begins at the
-    stance that is given, as for `stand`, and keeps its ground, lifted feet and margins. It takes
+    stance that is given, as for `stand`, and keeps its ground, swing feet and margins. It takes
     some seconds. What it finds is then printed and simulated as `stand` does it.
 
     \b
