@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pupper_analysis.analysis.payload import LoadedStance, try_payload
-from pupper_analysis.analysis.stance import Stance, study_stand
+from pupper_analysis.analysis.stance import Stance, study_stance
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.optimize.best import BestStance, best_stance
@@ -63,4 +63,4 @@ def study_best(
     loaded = None
     if best.payload is not None:
         loaded = try_payload(robot, best.stand, best.payload, kp=kp, kd=kd)
-    return BestStudy(best, study_stand(robot, best.stand, kp=kp, kd=kd), loaded)
+    return BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd), loaded)

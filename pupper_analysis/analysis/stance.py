@@ -74,7 +74,7 @@ class Stance(Result):
 
 def study_stance(
     robot: Robot,
-    task: StandTask,
+    stance: StandTask | Stand,
     *,
     kp: float | None = None,
     kd: float | None = None,
@@ -84,7 +84,7 @@ def study_stance(
 
     Args:
         robot: The robot.
-        task: The stance.
+        stance: The stance, or a stand, which is taken as it is.
         kp: Servo stiffness (N m/rad); the model's own by default.
         kd: Servo damping (N m s/rad); the model's own by default.
         stiffness: Also find the minimum stiffness of the servos (a second or two).
@@ -95,18 +95,7 @@ def study_stance(
         ConfigurationError: If the task, or another argument, makes no sense for the robot.
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
-    return study_stand(robot, solve_stand(robot, task), kp=kp, kd=kd, stiffness=stiffness)
-
-
-def study_stand(
-    robot: Robot,
-    stand: Stand,
-    *,
-    kp: float | None = None,
-    kd: float | None = None,
-    stiffness: bool = False,
-) -> Stance:
-    """Finds out what a stand costs and whether it holds; see ``study_stance``."""
+    stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
     settled, unsettled, sunk, least = None, "", None, None
     try:
         settled = steady_state(robot, stand, kp=kp)

@@ -8,11 +8,10 @@ import click
 
 from pupper_analysis.cli.shared import (
     CONTEXT,
-    FAILED,
     check_outputs,
     figure_option,
+    finish,
     json_option,
-    write_json,
 )
 from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
 from pupper_analysis.errors import ConfigurationError
@@ -64,9 +63,7 @@ def path(
         result.path.to_csv(csv)
     if npz is not None:
         result.path.to_npz(npz)
-    write_json(json_path, result)
-    if not result.passed:
-        click.get_current_context().exit(FAILED)
+    finish(json_path, result, passed=result.passed)
 
 
 @click.command(context_settings=CONTEXT, short_help="Push robots over: how hard, which way?")
@@ -124,6 +121,4 @@ def push(
         from pupper_analysis.report.figures.push import push_figure
 
         push_figure({name: result.recovery for name, result in results.items()}, figure)
-    write_json(json_path, results)
-    if not all(result.passed for result in results.values()):
-        click.get_current_context().exit(FAILED)
+    finish(json_path, results, passed=all(result.passed for result in results.values()))

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from pupper_analysis.cli.shared import (
     CONTEXT,
-    FAILED,
     check_outputs,
     figure_option,
+    finish,
     json_option,
     point,
-    write_json,
 )
 from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
+
+if TYPE_CHECKING:
+    from pupper_analysis.analysis.stance import Stance
+    from pupper_analysis.robot.robot import Robot
 
 at_option = click.option(
     "--at", default="0,0,0", metavar="X,Y,Z", help="Of the payload, in the base's frame (m)."
@@ -72,13 +76,8 @@ def stand(
     robot = asked.robot(name)
     result = study_stance(robot, task, kp=asked.kp, kd=asked.kd, stiffness=minimum_stiffness)
     print_stance(console(), result)
-    if figure is not None:
-        from pupper_analysis.report.figures.pose import pose_figure
-
-        pose_figure(robot, result.stand, result.statics, figure)
-    write_json(json_path, result)
-    if not result.passed:
-        click.get_current_context().exit(FAILED)
+    _draw(robot, result, figure)
+    finish(json_path, result, passed=result.passed)
 
 
 @click.command(context_settings=CONTEXT, short_help="How far can the base go, with feet planted?")
@@ -116,7 +115,7 @@ def workspace(
         from pupper_analysis.report.figures.workspace import workspace_figure
 
         workspace_figure(robot, result, figure)
-    write_json(json_path, result)
+    finish(json_path, result, passed=True)
 
 
 @click.command(context_settings=CONTEXT, short_help="How much can a stance carry, and what fails?")
@@ -149,9 +148,7 @@ def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | No
     check_outputs(json_path)
     result = study_payload(asked.robot(name), task, place, kp=asked.kp, kd=asked.kd)
     print_payload(console(), result)
-    write_json(json_path, result)
-    if not result.passed:
-        click.get_current_context().exit(FAILED)
+    finish(json_path, result, passed=result.passed)
 
 
 @click.command(context_settings=CONTEXT, short_help="Search for the stance that is best in ...")
@@ -196,13 +193,16 @@ def best(
     robot = asked.robot(name)
     result = study_best(robot, Objective(objective), task, place, kp=asked.kp, kd=asked.kd)
     print_best(console(), result)
-    if figure is not None:
+    _draw(robot, result.stance, figure)
+    finish(json_path, result, passed=result.passed)
+
+
+def _draw(robot: Robot, stance: Stance, path: Path | None) -> None:
+    """Draws a stance, if there is a file to draw it into."""
+    if path is not None:
         from pupper_analysis.report.figures.pose import pose_figure
 
-        pose_figure(robot, result.stance.stand, result.stance.statics, figure)
-    write_json(json_path, result)
-    if not result.passed:
-        click.get_current_context().exit(FAILED)
+        pose_figure(robot, stance.stand, stance.statics, path)
 
 
 def _at(text: str) -> tuple[float, float, float]:

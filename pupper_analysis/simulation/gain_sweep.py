@@ -18,13 +18,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.monitor import (
-    FALLEN_TILT,
-    Monitor,
-    base_heights,
-    diverged,
-    lean,
-)
+from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
     FORCED,
     check_stand,
@@ -129,9 +123,9 @@ def sweep_gains(
     )
     states = _rollout_in_chunks([drive.model for drive in drives], starts, control, progress)
 
-    deviations = base_heights(robot, states)[:, -round(1.0 / timestep) :].std(axis=1)
+    deviations = monitor.base_heights(robot, states)[:, -round(1.0 / timestep) :].std(axis=1)
     for index, (drive, rows) in enumerate(zip(drives, states, strict=True)):
-        if diverged(rows, timestep) or _lies(robot, drive.model, stand, rows[-1], ctrl):
+        if monitor.diverged(rows, timestep) or _lies(robot, drive.model, stand, rows[-1], ctrl):
             deviations[index] = np.inf
     grid = deviations.reshape(len(kp), len(kd))
     row, column = divmod(int(np.argmin(grid)), len(kd))
@@ -153,9 +147,9 @@ def sweep_gains(
 
 def _lies(robot: Robot, model: mujoco.MjModel, stand: Stand, state: Array, ctrl: Array) -> bool:
     """Tells whether a robot has fallen over, or rests on something else than its feet."""
-    seen = Monitor(robot, model).look(state, ctrl)
-    leaning = lean(robot, stand.task.rotation(), state)
-    return bool(seen.bodies) or leaning > FALLEN_TILT
+    seen = monitor.Watcher(robot, model).look(state, ctrl)
+    leaning = monitor.lean(robot, stand.task.rotation(), state)
+    return bool(seen.bodies) or leaning > monitor.FALLEN_TILT
 
 
 def _rollout_in_chunks(

@@ -45,7 +45,7 @@ class Sight:
         return [foot for foot in feet if foot not in forces or forces[foot][2] <= 0]
 
 
-class Monitor:
+class Watcher:
     """Looks at single states of a robot's rollouts.
 
     Args:

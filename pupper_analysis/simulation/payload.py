@@ -16,7 +16,7 @@ from pupper_analysis.robot.payload import point_on_base, with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.monitor import Monitor, diverged
+from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import check_stand, full_state
 from pupper_analysis.stance.payload.servo_limit import (
     LASTING,
@@ -202,18 +202,18 @@ def _first_event(
 ) -> tuple[float, Failure, tuple[str, ...]] | None:
     """Returns when, what and where something happened that shall not, if it did."""
     timestep = float(model.opt.timestep)
-    if diverged(states, timestep):
+    if monitor.diverged(states, timestep):
         return 0.0, Failure.BUCKLING, ()
-    monitor = Monitor(robot, model)
-    data = monitor.data
+    watcher = monitor.Watcher(robot, model)
+    data = watcher.data
     strong, names = strengths(robot), np.array(robot.joint_names)
     lower, upper = robot.lower_limits, robot.upper_limits
     places: dict[str, Array] = {}
     for state in states[:: max(1, round(_SAMPLE / timestep))]:
-        seen = monitor.look(state, ctrl)
+        seen = watcher.look(state, ctrl)
         angles = data.qpos[robot.mj_convention.qpos_index[7:]]
         torques = np.abs(data.qfrc_actuator[robot.mj_convention.qvel_index[6:]])
-        feet = monitor.foot_centres()
+        feet = watcher.foot_centres()
         places = places or feet
         moved = {
             foot: np.linalg.norm((feet[foot] - places[foot])[:2]) for foot in stand.stance_feet

@@ -20,16 +20,7 @@ from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.monitor import (
-    Monitor,
-    base_heights,
-    base_speed,
-    diverged,
-    divergence,
-    fall,
-    has_fallen,
-    lean,
-)
+from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
     FORCED,
     check_stand,
@@ -339,7 +330,7 @@ class _Bench:
         self.timestep = float(model.opt.timestep)
         self.steps = round(self.duration / self.timestep)
         self.pulse_steps = max(1, round(PULSE / self.timestep))
-        self.monitor = Monitor(self.robot, model)
+        self.watcher = monitor.Watcher(self.robot, model)
         self.workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
 
     def push(self, directions: NDArray[np.int64], impulses: Array) -> list[str | None]:
@@ -362,21 +353,21 @@ class _Bench:
 
     def _failure(self, states: Array) -> str | None:
         """Returns why a run is no recovery, or None if it is one."""
-        if diverged(states, self.timestep):
-            return divergence(self.drive.integrator, self.timestep)
+        if monitor.diverged(states, self.timestep):
+            return monitor.divergence(self.drive.integrator, self.timestep)
         failures = []
         for state in states[:: max(1, round(_SAMPLE / self.timestep))]:
-            if touching := sorted(self.monitor.touching(state)):
-                moment = self.monitor.data.time
+            if touching := sorted(self.watcher.touching(state)):
+                moment = self.watcher.data.time
                 failures.append(f"{touching[0]} touches the ground at {moment:.2f} s")
                 break
         upright = float(self.stand.qpos[2])
-        leaning = lean(self.robot, self.stand.task.rotation(), states[-1])
-        height = float(base_heights(self.robot, states[-1]))
-        if has_fallen(leaning, height, upright):
-            failures.append(fall(leaning, height))
+        leaning = monitor.lean(self.robot, self.stand.task.rotation(), states[-1])
+        height = float(monitor.base_heights(self.robot, states[-1]))
+        if monitor.has_fallen(leaning, height, upright):
+            failures.append(monitor.fall(leaning, height))
         last = states[-round(_REST / self.timestep) :]
-        speed = base_speed(self.robot, self.drive.model, last, upright)
+        speed = monitor.base_speed(self.robot, self.drive.model, last, upright)
         if speed > REST_SPEED:
             failures.append(f"it has not come to rest: {1e3 * speed:.0f} mm/s at the end")
         return "; ".join(failures) or None

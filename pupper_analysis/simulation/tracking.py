@@ -13,7 +13,7 @@ from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.monitor import Monitor, diverged, divergence, has_fallen, lean
+from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.path_commands import PathCommands, path_commands
 from pupper_analysis.simulation.rollout import run
 from pupper_analysis.stance.path.stance_path import StancePath
@@ -123,8 +123,8 @@ def track_path(
     step = max(1, round(apart / timestep))
     looks = np.arange(step - 1, len(states), step)
     tilt, torque_error, slip = math.inf, math.inf, dict.fromkeys(path.feet, math.inf)
-    if diverged(states, timestep):
-        failures = [divergence(plan.drive.integrator, timestep)]
+    if monitor.diverged(states, timestep):
+        failures = [monitor.divergence(plan.drive.integrator, timestep)]
     else:
         failures, tilt, slip = _watch(plan, states, looks)
         saturated, torque_error = _torques(plan, states)
@@ -193,22 +193,22 @@ def _watch(
 ) -> tuple[list[str], float, dict[str, float]]:
     """Looks at states; returns failures, tilt (rad) and the feet's slip (m)."""
     path, robot = plan.path, plan.robot
-    monitor = Monitor(robot, plan.drive.model)
+    watcher = monitor.Watcher(robot, plan.drive.model)
     events: dict[str, float] = {}
     slip = dict.fromkeys(path.feet, 0.0)
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     tilt = 0.0
     for index in looks:
-        sight = monitor.look(states[index], plan.ctrl[min(index + 1, len(plan.ctrl) - 1)])
+        sight = watcher.look(states[index], plan.ctrl[min(index + 1, len(plan.ctrl) - 1)])
         seen = [f"{body} touches the ground" for body in sorted(sight.bodies)]
         goal = plan.qpos[index]
         rotation = rotation_from_quaternion(goal[3:7] / np.linalg.norm(goal[3:7]))
-        base = monitor.data.qpos[robot.mj_convention.qpos_index[:7]]
+        base = watcher.data.qpos[robot.mj_convention.qpos_index[:7]]
         turn = rotation.T @ rotation_from_quaternion(base[3:])
         tilt = max(tilt, float(np.linalg.norm(pin.log3(turn))))
-        if has_fallen(lean(robot, rotation, states[index]), base[2], goal[2]):
+        if monitor.has_fallen(monitor.lean(robot, rotation, states[index]), base[2], goal[2]):
             seen.append("it fell over")
-        centres, targets = monitor.foot_centres(), Configuration(robot, goal).foot_positions()
+        centres, targets = watcher.foot_centres(), Configuration(robot, goal).foot_positions()
         idle = sight.idle(path.feet)
         sample = min(len(path.time) - 1, round(sight.time / path.time[1]))
         for column, foot in enumerate(path.feet):

@@ -13,17 +13,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.monitor import (
-    Monitor,
-    base_heights,
-    diverged,
-    divergence,
-    fall,
-    foot_centres,
-    has_fallen,
-    lean,
-    turned_by,
-)
+from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
@@ -217,9 +207,9 @@ def _measured(
     timestep = float(drive.model.opt.timestep)
     last_second = round(1.0 / timestep)
     settled = states[-last_second:]
-    heights = base_heights(robot, states)
+    heights = monitor.base_heights(robot, states)
     drops = watch.drops(stand)
-    base_height = float(base_heights(robot, settled).mean())
+    base_height = float(monitor.base_heights(robot, settled).mean())
     height_loss = float(stand.qpos[2]) - base_height
     contact_sag = drop_at(
         stand.qpos[:2],
@@ -234,8 +224,8 @@ def _measured(
         abs(watch.forces[foot][2] - force[2]) / max(force[2], light)
         for foot, force in prediction.contact_forces.items()
     )
-    tilt = turned_by(robot, stand.task.rotation(), states[-1])
-    deviation = float(base_heights(robot, settled).std())
+    tilt = monitor.turned_by(robot, stand.task.rotation(), states[-1])
+    deviation = float(monitor.base_heights(robot, settled).std())
     drift = float(heights[-1] - heights[-last_second]) / (timestep * (last_second - 1))
     step = max(1, round(_SAMPLE / timestep))
     foot_error, residual = _backend_evaluation(robot, stand, prediction)
@@ -274,12 +264,12 @@ def _failures(
     robot: Robot, stand: Stand, states: Array, watch: _Watch, found: StandVerification
 ) -> list[str]:
     """Says why the robot does not stand still on its feet, if it does not."""
-    leaning = lean(robot, stand.task.rotation(), states[-1])
+    leaning = monitor.lean(robot, stand.task.rotation(), states[-1])
     failures = list(watch.failures)
-    if diverged(states, found.timestep):
-        failures.insert(0, divergence(found.integrator, found.timestep))
-    if has_fallen(leaning, found.base_height, float(stand.qpos[2])):
-        failures.insert(0, fall(leaning, found.base_height))
+    if monitor.diverged(states, found.timestep):
+        failures.insert(0, monitor.divergence(found.integrator, found.timestep))
+    if monitor.has_fallen(leaning, found.base_height, float(stand.qpos[2])):
+        failures.insert(0, monitor.fall(leaning, found.base_height))
     if not found.height_deviation < STABLE_DEVIATION:
         failures.append(
             f"the height deviates by {1e3 * found.height_deviation:.2f} mm in the last second"
@@ -319,7 +309,7 @@ def _watch(
 
     The feet in ``loaded`` must not let go; others are hardly predicted to touch.
     """
-    monitor = Monitor(robot, model)
+    watcher = monitor.Watcher(robot, model)
     step = max(1, round(_SAMPLE / model.opt.timestep))
     touched: dict[str, float] = {}
     lost: dict[str, float] = {}
@@ -328,14 +318,14 @@ def _watch(
     feet = {foot: np.zeros(3) for foot in robot.feet}
     count = 0
     for index in range(len(states) - 1, -1, -step):  # backwards: the first moment stays
-        seen = monitor.look(states[index], ctrl)
+        seen = watcher.look(states[index], ctrl)
         touched |= dict.fromkeys(seen.bodies, seen.time)
         touched |= {foot: seen.time for foot in seen.forces if foot not in stand.stance_feet}
         lost |= {foot: seen.time for foot in seen.idle(stand.stance_feet) if foot in loaded}
         if index >= len(states) - last_second:
             count += 1
-            torques += monitor.data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
-            for foot, centre in monitor.foot_centres().items():
+            torques += watcher.data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
+            for foot, centre in watcher.foot_centres().items():
                 total[foot] += seen.forces.get(foot, np.zeros(3))
                 feet[foot] += centre
     failures = [
@@ -365,7 +355,7 @@ def _backend_evaluation(
     remainder[robot.mj_convention.qvel_index[6:]] -= prediction.joint_torques
     foot_error = 0.0
     jacobian = np.zeros((3, model.nv))
-    for foot, centre in foot_centres(robot, data).items():
+    for foot, centre in monitor.foot_centres(robot, data).items():
         foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
         if foot in stand.stance_feet:
             reach = robot.foot_radius[foot] - stand.depths[foot] / 2
