@@ -151,7 +151,7 @@ def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | No
     finish(json_path, result, passed=result.passed)
 
 
-@click.command(context_settings=CONTEXT, short_help="Search for the stance that is best in ...")
+@click.command(context_settings=CONTEXT, short_help="Search for the best stance.")
 @click.argument("objective", type=click.Choice(["utilisation", "margin", "payload"]))
 @name_argument
 @at_option
