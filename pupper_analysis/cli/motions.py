@@ -44,7 +44,7 @@ def path(
     Examples:
       pupper-analysis path v3 --swing FL=2cm --com inside --seconds 4 --csv lift.csv
       pupper-analysis path original --height 14cm --fastest
-      pupper-analysis path v3-heavy --pitch 10deg --seconds 1.5 --npz pitch.npz
+      pupper-analysis path v3-heavy --pitch 5deg --seconds 3 --npz pitch.npz
 
     \b
     Exit status: 0 it is followed, 1 it is not, 2 out of reach, not holdable or bad input.
