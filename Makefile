@@ -4,6 +4,10 @@ PYTHON ?= python3
 
 VENV := .venv
 BIN := $(VENV)/bin
+LOWEST := .venv-lowest
+# Quick ones, which between them use every package that is required.
+LOWEST_TESTS := $(addprefix tests/test_,$(addsuffix .py,audit_report cli_quantities crosscheck \
+  figures loading printed results robot simulation statics))
 MINOR := $(shell sed -n 's/^requires-python = ">=3\.\([0-9]*\)".*/\1/p' pyproject.toml)
 
 # What else is installed on the machine stays out of the way.
@@ -11,10 +15,10 @@ export PYTHONNOUSERSITE := 1
 unexport PYTHONPATH PYTHONHOME
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow coverage benchmark lint types docs wheel clean
+.PHONY: help setup analyze test test-slow test-lowest coverage benchmark lint types docs wheel clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-9s  %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-11s  %s\n", $$1, $$2}' Makefile
 
 setup: $(VENV)/.ready ## only set up the virtual environment
 
@@ -26,6 +30,9 @@ test: $(VENV)/.ready ## run the tests, without the long proofs
 
 test-slow: $(VENV)/.ready ## run the long proofs
 	$(BIN)/python -m pytest -m slow
+
+test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed
+	$(LOWEST)/bin/python -m pytest -m "not slow" -W ignore::DeprecationWarning $(LOWEST_TESTS)
 
 coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave out
 	$(BIN)/python -m pytest --cov --cov-report=term-missing:skip-covered
@@ -47,7 +54,7 @@ wheel: $(VENV)/.ready-dev ## build the wheel into dist/
 	$(BIN)/python -m build --wheel
 
 clean: ## delete the virtual environment and all that was made
-	rm -rf $(VENV) build dist output .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(LOWEST) build dist output .pytest_cache .hypothesis .mypy_cache .ruff_cache
 
 $(VENV)/.ready: pyproject.toml $(VENV)/.created
 	$(BIN)/python -m pip install --quiet --editable . --group test
@@ -59,6 +66,15 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 
 $(VENV)/.ready-docs: $(VENV)/.ready
 	$(BIN)/python -m pip install --quiet --group docs
+	@touch $@
+
+# Of what is not named in pyproject.toml the newest is taken: old packages warn about it.
+$(LOWEST)/.ready: pyproject.toml scripts/lowest_versions.py $(VENV)/.created
+	$(BIN)/python -m venv --clear $(LOWEST)
+	$(BIN)/python scripts/lowest_versions.py > $(LOWEST)/constraints.txt
+	$(LOWEST)/bin/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(LOWEST)/bin/python -m pip install --quiet --editable . --group test \
+	  --constraint $(LOWEST)/constraints.txt
 	@touch $@
 
 # The first pip that knows dependency groups is 25.1.

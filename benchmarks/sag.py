@@ -19,7 +19,7 @@ from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.rollout import STATE, place_on_ground
+from pupper_analysis.simulation.rollout import full_state, place_on_ground
 from pupper_analysis.stance.sag.band import steady_state_band
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState, steady_state
 from pupper_analysis.stance.stand import stand_statics
@@ -46,7 +46,7 @@ def changed(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Rob
     change(model)
     ground = contact.ground_geom(model)
     contacts = {
-        foot: contact.combine(model, sole, ground) for sole, foot in robot.foot_geoms.items()
+        foot: contact.combine(model, geom, ground) for geom, foot in robot.foot_geoms.items()
     }
     return replace(robot, mj_model=model, contacts=contacts)
 
@@ -67,7 +67,7 @@ def without_dry_friction(model: mujoco.MjModel) -> None:
 
 @dataclass(frozen=True)
 class Case:
-    """One lifted foot, predicted and simulated; heights in mm."""
+    """One swing foot, predicted and simulated; heights in mm."""
 
     foot: str
     lift: float
@@ -77,7 +77,7 @@ class Case:
 
     @property
     def problems(self) -> list[str]:
-        """Why it is not predicted to stand, but for the lifted foot's touching."""
+        """Why it is not predicted to stand, but for the swing foot's touching."""
         if self.pose is None:
             return ["no equilibrium"]
         return [text for text in self.pose.failures if ", lifted," not in text]
@@ -97,7 +97,7 @@ class Case:
 
 
 def stands(robot: pa.Robot, stand: pa.Stand, kp: float) -> bool:
-    """Tells whether it stands, on the lifted foot as well if that comes down."""
+    """Tells whether it stands, on the swing foot as well if that comes down."""
     try:
         pose = steady_state(robot, stand, kp=kp)
     except PupperAnalysisError:
@@ -105,7 +105,7 @@ def stands(robot: pa.Robot, stand: pa.Stand, kp: float) -> bool:
     return not [text for text in pose.failures if ", lifted," not in text]
 
 
-def softest(does: Callable[[float], bool]) -> float:
+def least_stiffness(does: Callable[[float], bool]) -> float:
     low, high = 0.0, 1.0
     while not does(high):
         low, high = high, 2 * high
@@ -120,7 +120,7 @@ def cases(robot: pa.Robot, lifts: tuple[float, ...], times: tuple[float, ...]) -
         for lift in lifts:
             task = pa.StandTask(swing={foot: lift}, com="inside", com_margin=0.01)
             stand = pa.solve_stand(robot, task)
-            least = softest(lambda kp, stand=stand: stands(robot, stand, kp))
+            least = least_stiffness(lambda kp, stand=stand: stands(robot, stand, kp))
             for kp in least * np.array(times):
                 run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=SECONDS)
                 try:
@@ -141,7 +141,7 @@ def lifted(
     times: tuple[float, ...],
     verbose: bool,
 ) -> None:
-    """Lift each foot, on servos of so many times the softest that carry the robot."""
+    """Lift each foot, on servos of so many times the minimum stiffness."""
     columns = ("variant", "simulated", "said not to stand", "touch", "firm", "worst (mm)")
     table = Table(*columns, "not firm", "worst (mm)")
     for name in variant or pa.VARIANTS:
@@ -207,10 +207,10 @@ def left(robot: pa.Robot, stand: pa.Stand, qpos: np.ndarray, seconds: float = 6.
     """The base's height (m) at the end of a simulation that begins at rest in qpos."""
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     drive = servos(robot, integrator="implicitfast")
-    data, state = mujoco.MjData(drive.model), np.empty(mujoco.mj_stateSize(drive.model, STATE))
+    data = mujoco.MjData(drive.model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_forward(drive.model, data)
-    mujoco.mj_getState(drive.model, data, state, STATE)
+    state = full_state(drive.model, data)
     ctrl = drive.command(robot, stand.joint_positions(robot))
     steps = round(seconds / drive.model.opt.timestep)
     return end_height(robot, drive.model, state, np.tile(ctrl, (steps, 1)))
@@ -258,9 +258,9 @@ def band(variant: tuple[str, ...], deep: float, seconds: float) -> None:
 
 @main.command()
 def limits() -> None:
-    """Let v3 go on servos a little above its least kp, and heavy on motors a little too weak."""
+    """Let v3 go just above the minimum stiffness, and heavy on motors a little too weak."""
     robot = pa.load_variant("v3")
-    stand, table = pa.solve_stand(robot), Table("impratio", "kp / least kp", "lost (mm)", "knees")
+    stand, table = pa.solve_stand(robot), Table("impratio", "kp / minimum", "lost (mm)", "knees")
     least = pa.minimum_stiffness(robot, stand)
     for impratio in (1.0, 100.0, 1e4):
 

@@ -1,7 +1,7 @@
 """Why does it not stand where it is told to: servos sag, and the ground gives way.
 
 One sees where Pupper v3 comes to rest on its own servos without feed-forward, predicted without a
-simulation and then simulated; and the softest servos that would still carry it.
+simulation and then simulated; and the least kp with which servos would still carry it.
 """
 
 import pupper_analysis as pa

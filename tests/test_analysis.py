@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import TINY_MJCF, TINY_URDF
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.robot import (
@@ -40,6 +41,21 @@ def test_motions_are_what_the_axes_do() -> None:
     assert [joint.motion for joint in v3] == ["pitch", "roll", "pitch"] * 4
     skeleton = joint_summaries(pa.load_variant("original"))
     assert [joint.motion for joint in skeleton] == ["roll", "pitch", "pitch"] * 4
+
+
+def test_a_prismatic_joint_slides(tiny: pa.Robot, tmp_path: Path) -> None:
+    found = {joint.name: joint.motion for joint in joint_summaries(tiny)}
+    assert found["push"] == "along z"
+    assert found["turn"] == found["bend"] == "oblique"  # the arm is tilted by 0.3 rad
+    slide = '<origin xyz="-0.1 0 0"/><axis xyz="0 0 1"/>'
+    assert slide in TINY_URDF
+    (tmp_path / "tiny.urdf").write_text(TINY_URDF.replace(slide, slide.replace("0 0 1", "0 1 1")))
+    (tmp_path / "tiny.xml").write_text(
+        TINY_MJCF.replace('type="slide" axis="0 0 1"', 'type="slide" axis="0 1 1"')
+    )
+    oblique = pa.load_robot(urdf=tmp_path / "tiny.urdf", mjcf=tmp_path / "tiny.xml", feet=["foot"])
+    found = {joint.name: joint.motion for joint in joint_summaries(oblique)}
+    assert found["push"] == "oblique slide"
 
 
 def test_leg_joints() -> None:

@@ -31,7 +31,7 @@ def com_margin(robot: pa.Robot, stand: pa.Stand) -> float:
     return margin
 
 
-def mobility(robot: pa.Robot, stand: pa.Stand) -> np.ndarray:
+def bent(robot: pa.Robot, stand: pa.Stand) -> np.ndarray:
     """The least singular value of each leg's Jacobian."""
     values = []
     for jacobian in pa.Configuration(robot, stand.qpos).foot_jacobians().values():
@@ -54,7 +54,7 @@ def neighbours(robot: pa.Robot, found: pa.BestStance, count: int) -> list[pa.Sta
             stand = pa.solve_stand(robot, task, explain=False)
         except pa.StanceUnreachableError:
             continue
-        if (mobility(robot, stand) >= LEAST_SINGULAR_VALUE * mobility(robot, found.nominal)).all():
+        if (bent(robot, stand) >= LEAST_SINGULAR_VALUE * bent(robot, found.nominal)).all():
             stands.append(stand)
     return stands
 
@@ -67,8 +67,8 @@ def check_kept(robot: pa.Robot, found: pa.BestStance) -> None:
     assert (joints <= robot.upper_limits + 1e-9).all()
     for name, interval in found.bounds.items():
         assert interval.low - 1e-12 <= found.coordinates[name] <= interval.high + 1e-12
-    least = LEAST_SINGULAR_VALUE * mobility(robot, found.nominal)
-    assert (mobility(robot, found.stand) >= least * (1 - 1e-9)).all()
+    least = LEAST_SINGULAR_VALUE * bent(robot, found.nominal)
+    assert (bent(robot, found.stand) >= least * (1 - 1e-9)).all()
     statics = stand_statics(robot, found.stand, distribution=EVEN)
     assert statics.residual_force < 1e-9
     assert com_margin(robot, found.stand) > 0

@@ -21,7 +21,7 @@ from pupper_analysis.errors import ConfigurationError, OutputError
 from pupper_analysis.report.figures.gains import gain_figure
 from pupper_analysis.report.figures.heights import height_figure
 from pupper_analysis.report.figures.pose import pose_figure
-from pupper_analysis.report.figures.skeleton import nearest_edge_point, skeleton, support_polygon
+from pupper_analysis.report.figures.skeleton import hull_corners, nearest_edge_point, skeleton
 from pupper_analysis.report.figures.style import DPI
 from pupper_analysis.report.figures.torques import torque_figure, utilisation
 
@@ -127,17 +127,17 @@ def test_a_fixed_base_can_be_drawn() -> None:
 
 def test_support_polygon() -> None:
     points = [np.array(point, float) for point in ((0, 0, 1), (2, 0, 0), (2, 2, 0), (1, 0.5, 0))]
-    corners = support_polygon(points)
+    corners = hull_corners(points)
     assert {tuple(corner) for corner in corners} == {(0, 0), (2, 0), (2, 2)}
-    assert len(support_polygon(points[:2])) == 2
-    assert len(support_polygon(points[:1])) == 1
+    assert len(hull_corners(points[:2])) == 2
+    assert len(hull_corners(points[:1])) == 1
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_margin_is_drawn_to_the_nearest_edge(name: str) -> None:
     statics = analysis_of(name).statics
     com = statics.center_of_mass[:2]
-    polygon = support_polygon(statics.contact_points.values())
+    polygon = hull_corners(statics.contact_points.values())
     nearest = nearest_edge_point(polygon, com)
     assert np.linalg.norm(nearest - com) == pytest.approx(statics.com_margin, abs=1e-12)
 

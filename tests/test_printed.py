@@ -366,8 +366,16 @@ def pushes(shift: float) -> Stub:
     )
 
 
+def pushed(shift: float, depth: float) -> Stub:
+    stand = Stub(task=f"yaw {shift:.1f} deg", depths={"FR": depth / 2, "RL": depth})
+    return Stub(stand=stand, recovery=pushes(shift))
+
+
 def test_pushes() -> None:
-    assert printed(push_report.print_pushes, {"one": pushes(0.0), "two": pushes(0.1)}) == words("""
+    both = {"one": pushed(0.0, 0.00311), "two": pushed(0.1, 0.0)}
+    assert printed(push_report.print_pushes, both) == words("""
+        one: yaw 0.0 deg
+        two: yaw 0.1 deg
         Largest push that the stand survives
         one two
         direction (N s) (N s)
@@ -379,6 +387,10 @@ def test_pushes() -> None:
             0.75 N s)
         two (2.15 kg): weakest at 240 deg, 0.53 N s = 0.25 m/s; then it falls (a rigid robot tips at
             0.85 N s)
+        simulated with its legs longer by what the feet sink into MuJoCo's soft ground (at most 3.11
+            mm)
+        note: the feet of two, sunk into MuJoCo's soft ground, would be out of reach; simulated with
+            joints for rigid ground
     """)
 
 
@@ -389,41 +401,23 @@ def test_how_deep_feet_sink_is_in_millimetres() -> None:
 # ------------------------------------------------------------------------------------- a stance
 
 
+STAND = Stub(
+    task="roll 1.0 deg",
+    ground_clearance=Stub(distance=0.0111, links=("calf",)),
+    self_clearance=Stub(distance=0.0222, links=("thigh", "base")),
+)
+
+
 def stance(**changes: Any) -> Stub:
     fields: dict[str, Any] = {
         "name": "stub",
-        "stand": Stub(
-            task="roll 1.0 deg",
-            ground_clearance=Stub(distance=0.0111, links=("calf",)),
-            self_clearance=Stub(distance=0.0222, links=("thigh", "base")),
-        ),
+        "stand": STAND,
         "verification": run(0.0, passed=True),
-        "best": Stub(
-            objective=Objective.MARGIN,
-            value=0.0456,
-            nominal_value=0.0345,
-            evaluations=321,
-            coordinates={"height": 0.1567, "pitch": math.radians(2.5), "FR x": -0.0123},
-            active=("height high",),
-        ),
         "joint_positions": np.array([0.6543, -0.7654]),
         "statics": loads(0.0),
         "minimum_peak": loads(-0.05),
         "limits": np.array([3.1, 4.2]),
         "overloaded": ("knee",),
-        "payload": Stub(
-            point=np.array([0.011, -0.022, 0.083]),
-            mass=1.239,
-            where=("knee",),
-            failure=Failure.BUCKLING,
-            motors=Stub(mass=4.569),
-            servos=Stub(mass=1.239),
-            contacts=Stub(mass=math.inf),
-            unlimited=("hip",),
-        ),
-        "trial": Stub(
-            mass=1.177, duration=12.0, failure=Failure.TIPPING, time=3.456, where=("FL",)
-        ),
         "settled": Stub(
             base_height=0.11223,
             servo_sag=0.00789,
@@ -433,35 +427,6 @@ def stance(**changes: Any) -> Stub:
         ),
         "unsettled": "",
         "minimum_stiffness": 4.567,
-        "workspace": Stub(
-            intervals={
-                "height": Stub(low=0.0911, high=0.1922),
-                "roll": Stub(low=math.radians(-13.3), high=math.radians(14.4)),
-                "x": Stub(low=-0.0255, high=0.0366),
-            }
-        ),
-        "push": pushes(0.0),
-        "path": Stub(
-            feet=("FR", "RL"),
-            loads=np.array([[3.33, 9.99], [7.77, 4.44]]),
-            time=np.array([0.0, 1.5, 3.0]),
-            peak_utilisation=0.321,
-            peak_joint="knee",
-            peak_time=1.23,
-            peak_speed_utilisation=0.054,
-            com_margin=np.array([0.0311, 0.0222]),
-            zmp_margin=np.array([0.0177, 0.0288]),
-        ),
-        "tracking": Stub(
-            torque_error=0.012,
-            joint_error=0.034,
-            joint_error_rms=0.005,
-            height_error=0.0067,
-            orientation_error=0.089,
-            foot_slip={"FR": 0.0011, "RL": 0.0023},
-            passed=True,
-            failures=(),
-        ),
         "sunk": Stub(depths={"FR": 0.00311, "RL": 0.00422}),
     }
     return Stub(**{**fields, **changes})
@@ -470,9 +435,6 @@ def stance(**changes: Any) -> Stub:
 def test_a_stance() -> None:
     assert printed(stance_report.print_stance, stance()) == words("""
         stub: roll 1.0 deg
-        best of 321 stances: distance of the com from the support polygon's edge 0.0456 m, against
-            0.0345 m as asked; height 156.7 mm, pitch +2.5 deg, FR x -12.3 mm; at its limit: height
-            high
         Motor torques (N m)
         joint torque limit utilisation simulated minimum peak position (rad)
         hip +0.1111 3.1 5.1% +0.3333 +0.0611 +0.6543
@@ -487,52 +449,74 @@ def test_a_stance() -> None:
         balance residual 1.1e-11 N, 2.2e-12 N m (in MuJoCo's terms 4.2e-05); com 12.3 mm inside the
             support polygon
         OVERLOADED: the motors cannot hold it with the contact forces that last: knee
-        payload at (11, -22, 83) mm of the base: 1.23 kg, then the servos are too soft: it buckles
-            (knee); motors 4.56 kg, servos' stiffness 1.23 kg, contacts no limit; 1 motors have no
-            effort limit, and set no payload
-        simulated with 1.17 kg on it, 12 s, nudged: at 3.46 s the robot tips (FL)
         lowest part but the feet: calf, 11.1 mm
         nearest links: thigh and base, 22.2 mm apart
         without feed-forward it settles at 0.11223 m: servos give 7.89 mm, the ground 4.21 mm; but
             foot FR slides
-        softest servos that carry it: 4.57 N m/rad
-        How far the base can go, each alone
-        from to
-        height +91.1 mm +192.2 mm
-        roll -13.3 deg +14.4 deg
-        x -25.5 mm +36.6 mm
-        Largest push that the stand survives
-        stub
-        direction (N s)
-        0 deg 0.51
-        120 deg 0.62
-        240 deg 0.43
-        directions about the vertical, of the base: forward 0, left 90
-        stub (2.15 kg): weakest at 240 deg, 0.43 N s = 0.20 m/s; then it falls (a rigid robot tips
-            at 0.75 N s)
-        path of 3 s, 3 samples: motors in motion at most 32.1% of their torque limit (knee at 1.23
-            s), 5.4% of their velocity limit; com at least 22.2 mm inside the support polygon,
-            zero-moment point 17.7 mm
-        least load of the feet (N): FR 3.33, RL 4.44
-        in MuJoCo: torques within 1.2% of the largest, joints within 0.034 rad (0.005 rms), base
-            height within 6.7 mm, orientation within 0.089 rad, feet within 2.3 mm of their places
-        TRACKED
+        minimum stiffness of servos that carry it without feed-forward: 4.57 N m/rad
         simulated with its legs longer by what the feet sink into MuJoCo's soft ground (at most 4.22
             mm)
-        HOLDS in MuJoCo, without payload: torques within 1.23%, forces within 2.36% of the
-            prediction
+        HOLDS in MuJoCo: torques within 1.23%, forces within 2.36% of the prediction
     """)
 
 
 def test_a_stance_that_fails() -> None:
     failing = stance(
-        verification=run(0.0, passed=False), best=None, sunk=None, settled=None, unsettled="why",
-        minimum_stiffness=None, workspace=None, push=None, path=None, tracking=None, overloaded=(),
+        verification=run(0.0, passed=False), sunk=None, settled=None, unsettled="why",
+        minimum_stiffness=None, overloaded=(),
     )  # fmt: skip
     text = " ".join(printed(stance_report.print_stance, failing))
-    assert "without feed-forward, no sag is predicted: why note: its feet, sunk into" in text
+    assert "without feed-forward, no sag is predicted: why note: the feet of stub, sunk" in text
     assert text.endswith("simulated with joints for rigid ground FAILS in MuJoCo: it sank")
     assert "HOLDS" not in text
+
+
+def loaded(*unlimited: str) -> Stub:
+    payload = Stub(
+        point=np.array([0.011, -0.022, 0.083]),
+        mass=1.239,
+        where=("knee",),
+        failure=Failure.BUCKLING,
+        motors=Stub(mass=4.569),
+        servos=Stub(mass=1.239),
+        contacts=Stub(mass=math.inf),
+        unlimited=unlimited,
+    )
+    trial = Stub(mass=1.177, duration=12.0, failure=Failure.TIPPING, time=3.456, where=("FL",))
+    return Stub(name="stub", stand=STAND, payload=payload, trial=trial)
+
+
+def test_a_payload() -> None:
+    assert printed(stance_report.print_payload, loaded("hip")) == words("""
+        stub: roll 1.0 deg
+        payload at (11, -22, 83) mm of the base: 1.23 kg, then the servos are too soft: it buckles
+            (knee); motors 4.56 kg, servos' stiffness 1.23 kg, contacts no limit; 1 motor has no
+            effort limit, and sets no payload
+        simulated with 1.17 kg on it, 12 s, nudged: at 3.46 s the robot tips (FL)
+    """)
+    text = " ".join(printed(stance_report.print_payload, loaded("hip", "knee")))
+    assert "no limit; 2 motors have no effort limit, and set no payload simulated" in text
+    assert "contacts no limit simulated" in " ".join(printed(stance_report.print_payload, loaded()))
+
+
+def test_the_best() -> None:
+    best = Stub(
+        objective=Objective.MARGIN,
+        value=0.0456,
+        nominal_value=0.0345,
+        evaluations=321,
+        coordinates={"height": 0.1567, "pitch": math.radians(2.5), "FR x": -0.0123},
+        active=("height high",),
+    )
+    study = Stub(best=best, stance=stance(), loaded=None)
+    first = words("""
+        best of 321 stances: distance of the com from the support polygon's edge 0.0456 m, against
+            0.0345 m as asked; height 156.7 mm, pitch +2.5 deg, FR x -12.3 mm; at its limit: height
+            high
+    """)
+    assert printed(stance_report.print_best, study) == (
+        first + printed(stance_report.print_stance, stance())
+    )
 
 
 def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
@@ -540,8 +524,73 @@ def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
         objective=Objective.PAYLOAD, value=2.349, nominal_value=1.118, evaluations=5,
         coordinates={"yaw": math.radians(-3.3)}, active=(),
     )  # fmt: skip
-    text = " ".join(printed(stance_report.print_stance, stance(best=best)))
+    study = Stub(best=best, stance=stance(), loaded=loaded())
+    text = " ".join(printed(stance_report.print_best, study))
     assert "best of 5 stances: payload 2.34 kg, against 1.11 kg as asked; yaw -3.3 deg" in text
+    assert text.endswith("nudged: at 3.46 s the robot tips (FL)")
+
+
+def test_a_workspace() -> None:
+    intervals = {
+        "height": Stub(low=0.0911, high=0.1922),
+        "roll": Stub(low=math.radians(-13.3), high=math.radians(14.4)),
+        "x": Stub(low=-0.0255, high=0.0366),
+    }
+    found = Stub(start=STAND, intervals=intervals)
+    assert printed(stance_report.print_workspace, "stub", found) == words("""
+        stub: roll 1.0 deg
+        How far the base can go, each alone
+        from to
+        height +91.1 mm +192.2 mm
+        roll -13.3 deg +14.4 deg
+        x -25.5 mm +36.6 mm
+    """)
+
+
+def there(**changes: Any) -> Stub:
+    path = Stub(
+        feet=("FR", "RL"),
+        loads=np.array([[3.33, 9.99], [7.77, 4.44]]),
+        time=np.array([0.0, 1.5, 3.0]),
+        peak_utilisation=0.321,
+        peak_joint="knee",
+        peak_time=1.23,
+        peak_speed_utilisation=0.054,
+        com_margin=np.array([0.0311, 0.0222]),
+        zmp_margin=np.array([0.0177, 0.0288]),
+    )
+    tracking = Stub(
+        torque_error=0.012,
+        joint_error=0.034,
+        joint_error_rms=0.005,
+        height_error=0.0067,
+        orientation_error=0.089,
+        foot_slip={"FR": 0.0011, "RL": 0.0023},
+        passed=True,
+        failures=(),
+    )
+    fields = {"name": "stub", "stand": STAND, "path": path, "tracking": tracking}
+    return Stub(**fields, **{"binding": None, "reserve": None, **changes})
+
+
+def test_a_path() -> None:
+    assert printed(stance_report.print_path, there()) == words("""
+        stub: roll 1.0 deg
+        path of 3 s, 3 samples: motors in motion at most 32.1% of their torque limit (knee at 1.23
+            s), 5.4% of their velocity limit; com at least 22.2 mm inside the support polygon,
+            zero-moment point 17.7 mm
+        least load of the feet (N): FR 3.33, RL 4.44
+        in MuJoCo: torques within 1.2% of the largest, joints within 0.034 rad (0.005 rms), base
+            height within 6.7 mm, orientation within 0.089 rad, feet within 2.3 mm of their places
+        TRACKED
+    """)
+
+
+def test_the_fastest_path() -> None:
+    text = " ".join(printed(stance_report.print_path, there(binding="friction (FR)", reserve=0.21)))
+    assert (
+        "least time 3 s, with 21% of every limit in reserve: bound by friction (FR) path of" in text
+    )
 
 
 # ------------------------------------------------------------------------------------- two files

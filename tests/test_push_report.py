@@ -23,19 +23,21 @@ def test_two_robots(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert status == 0, err
     content = json.loads(path.read_text())
     assert list(content) == ["original", "heavy"]
-    for name, result in content.items():
+    for name, stance in content.items():
+        result = stance["recovery"]
         assert f"{name} ({result['mass']:.2f} kg)" in out
         assert f"{result['weakest_impulse']:.2f} N s" in out
         assert result["weakest_impulse"] == min(result["impulses"])
     for degrees in (0, 90, 180, 270):
         assert f"\n{degrees} deg " in out
-    # Pushed is the stand with its feet sunk in, as `stand --push` does it.
+    # Pushed is the stand with its feet sunk in.
     results, deepest = {}, 0.0
-    for name, result in content.items():
+    for name, stance in content.items():
         robot = load(name)
         stand = pa.sunk_stand(robot)
         results[name] = pa.push_recovery(robot, stand, directions=4, resolution=0.3)
-        assert result == json.loads(results[name].to_json())
+        assert stance["recovery"] == json.loads(results[name].to_json())
+        assert stance["stand"] == json.loads(stand.to_json())
         deepest = max(deepest, *stand.depths.values())
     assert f"soft ground (at most {1e3 * deepest:.2f} mm)" in out
     push_figure(results, tmp_path / "alike.png")
@@ -45,15 +47,54 @@ def test_two_robots(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
 def test_a_stand_that_does_not_last_is_exit_status_1(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from pupper_analysis.simulation import push
+    from pupper_analysis.simulation import monitor
 
-    monkeypatch.setattr(push, "FALLEN_TILT", -1.0)
+    monkeypatch.setattr(monitor, "FALLEN_TILT", -1.0)
     status, out, _ = run_command(capfd, "push", "original", *COARSE)
     assert status == 1
     assert "0.00 N s" in out
 
 
+def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    urdf, mjcf = pa.write_variant("heavy", tmp_path / "robot")
+    own = ("--urdf", str(urdf), "--mjcf", str(mjcf))
+    feet = [part for foot in ("FL", "FR", "RL", "RR") for part in ("--foot", f"{foot}_foot")]
+    stance = (
+        "--swing",
+        "FL_foot=1cm",
+        "--com",
+        "inside",
+        "--com-margin",
+        "1cm",
+        "--height",
+        "0.15",
+    )
+    file = tmp_path / "own.json"
+    servos = ("--kp", "60", "--kd", "1")
+    status, out, err = run_command(
+        capfd, "push", *own, *feet, *stance, *servos, *COARSE, "--json", str(file)
+    )
+    assert status == 0, err
+    (found,) = json.loads(file.read_text()).values()
+    robot = load("heavy")
+    task = pa.StandTask(height=0.15, swing={"FL": 0.01}, com="inside", com_margin=0.01)
+    alike = pa.push_recovery(
+        robot, pa.sunk_stand(robot, task), directions=4, resolution=0.3, kp=60.0, kd=1.0
+    )
+    np.testing.assert_allclose(found["recovery"]["impulses"], alike.impulses, atol=1e-9)
+    assert "FL_foot lifted 10 mm" in out
+
+
+def test_a_variant_and_a_derived_one(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "all.json"
+    arguments = ("original", "--leg-scale", "1.2", "--json", str(file))
+    status, _, err = run_command(capfd, "push", *arguments, *COARSE)
+    assert status == 0, err
+    assert list(json.loads(file.read_text())) == ["original", "skeleton-leg1.2-torso1"]
+
+
 BAD = {
+    "name and files": (["v3", "--urdf", "a.urdf"], "or --urdf, --mjcf, --foot"),
     "no such robot": (["spot"], "'spot'"),
     "too high": (["v3", "--height", "0.3"], "height 0.1919 m"),
     "too few directions": (["v3", "--directions", "2"], "not between 3 and 360"),

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import re
+import shlex
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from conftest import answer
 
 import pupper_analysis as pa
+from pupper_analysis import cli
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+PAGES = [*ROOT.glob("[!C]*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*.md")]
 SNIPPETS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
@@ -64,3 +69,45 @@ def test_the_table_of_variants_is_true() -> None:
         assert float(utilisation.split()[0]) == pytest.approx(
             100 * statics.motor_utilisation.max(), abs=0.05
         )
+
+
+def commands(text: str) -> list[str]:
+    """The commands that a page names: between backticks, or in a block of code."""
+    spans = re.findall(r"`(pupper-analysis [a-z][^`]*)`", text)
+    joined = text.replace("\\\n", " ")
+    lines = re.findall(r"^(?: {4}|\$ |- run: )?(pupper-analysis .*)$", joined, re.M)
+    return sorted({re.split(r"\s+[#>]", command)[0].strip() for command in [*spans, *lines]})
+
+
+README_COMMANDS = [
+    pytest.param(command, marks=pytest.mark.slow if command.split()[1] in ("best", "push") else ())
+    for command in commands(README)
+    if "mini_cheetah" not in command and command.split()[1] != "analyze"  # run by test_cli
+]
+
+
+@pytest.mark.parametrize("command", README_COMMANDS)
+def test_a_command_runs(command: str, tmp_path: Path) -> None:
+    urdf, mjcf = pa.write_variant("heavy", tmp_path / "written")
+    (tmp_path / "robot.urdf").write_bytes(urdf.read_bytes())
+    (tmp_path / "robot.xml").write_bytes(mjcf.read_bytes())
+    arguments = shlex.split(command.replace("FILE", "robot.urdf"))[1:]
+    result = answer(*arguments, folder=tmp_path)
+    assert result.returncode == 0, result.stderr + result.stdout
+    for option, file in pairwise(arguments):
+        if option in ("--figure", "--csv"):
+            assert (tmp_path / file).is_file()
+
+
+def test_all_commands_about_stances_are_in_the_readme() -> None:
+    named = {command.split()[1] for command in commands(README)}
+    assert named | {"view", "drop"} == set(cli.group.commands)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_have_the_options_that_pages_name(page: Path) -> None:
+    for command in commands(page.read_text()):
+        name, *arguments = shlex.split(command)[1:]
+        assert name in cli.group.commands, command
+        if arguments:
+            cli.group.commands[name].make_context(name, arguments)

@@ -405,7 +405,7 @@ def test_a_foot_that_the_ground_would_have_to_pull_lets_go() -> None:
     assert pose.base_height == pytest.approx(run.base_height, abs=2e-5)
 
 
-def test_least_kp_keeps_a_lifted_foot_off_the_ground() -> None:
+def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
     robot, stand = load("v3"), lifted("v3", "RR", 0.02)
     kp = minimum_stiffness(robot, stand, tolerance=0.02)
     assert steady_state(robot, stand, kp=kp).stance_feet == stand.stance_feet
@@ -433,7 +433,7 @@ def test_long_leg_of_v3_does_not_last() -> None:
         assert any("touches the ground" in failure for failure in run.failures)
 
 
-def test_least_kp_of_pinned_feet() -> None:
+def test_minimum_stiffness_of_pinned_feet() -> None:
     robot, stand = load("long-leg"), stand_of("long-leg")
     kp = minimum_stiffness(robot, stand, tolerance=0.05)
     firm = changed(robot, firm_grip)
@@ -446,7 +446,7 @@ def test_least_kp_of_pinned_feet() -> None:
     assert any("touches the ground" in failure for failure in below.failures)
 
 
-def test_least_kp_of_sliding_feet() -> None:
+def test_minimum_stiffness_of_sliding_feet() -> None:
     robot, stand = load("v3"), stand_of("v3")
     kp = minimum_stiffness(robot, stand, feet="sliding", tolerance=0.05)
     fast = changed(robot, fast_creep)

@@ -1,1 +1,1 @@
-"""All that is found out about one robot, or one of its stances."""
+"""All that is found out about one robot, or about one of its stances: a module per question."""

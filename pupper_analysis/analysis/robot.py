@@ -37,9 +37,10 @@ class JointSummary(Result):
     Attributes:
         name: Its name, in both files.
         motion: ``roll``, ``pitch`` or ``yaw``, as far as the axis is within 1 degree of x, y or z
-            of the base at zero angles; otherwise ``oblique``.
+            of the base at zero angles; otherwise ``oblique``. Of a joint that slides ``along x``,
+            ``along y`` or ``along z``; otherwise ``oblique slide``.
         axis: (3,) its axis in the base frame at zero angles.
-        lower: rad.
+        lower: rad (here and below, of a joint that slides: m for rad, N for N m, kg for kg m^2).
         upper: rad.
         effort: N m.
         velocity: rad/s.
@@ -202,12 +203,10 @@ def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
     summaries = []
     for index, name in enumerate(robot.joint_names):
         axis = rest.joint_axis(name)
-        direction = int(np.argmax(np.abs(axis)))
-        aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
         summaries.append(
             JointSummary(
                 name=name,
-                motion=("roll", "pitch", "yaw")[direction] if aligned else "oblique",
+                motion=_motion(axis, slides=_slides(robot, name)),
                 axis=axis,
                 lower=float(robot.lower_limits[index]),
                 upper=float(robot.upper_limits[index]),
@@ -219,6 +218,20 @@ def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
             )
         )
     return tuple(summaries)
+
+
+def _slides(robot: Robot, joint: str) -> bool:
+    kind = robot.mj_model.jnt_type[robot.mj_model.joint(joint).id]
+    return bool(kind == mujoco.mjtJoint.mjJNT_SLIDE.value)
+
+
+def _motion(axis: Array, *, slides: bool) -> str:
+    """Returns the word for what a joint does; see ``JointSummary``."""
+    direction = int(np.argmax(np.abs(axis)))
+    aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
+    if slides:
+        return f"along {'xyz'[direction]}" if aligned else "oblique slide"
+    return ("roll", "pitch", "yaw")[direction] if aligned else "oblique"
 
 
 def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:

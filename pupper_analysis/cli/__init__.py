@@ -7,8 +7,9 @@ import sys
 import click
 
 from pupper_analysis.cli.models import audit_command, crosscheck
+from pupper_analysis.cli.motions import path, push
 from pupper_analysis.cli.shared import BAD_INPUT, CONTEXT, VERIFIED
-from pupper_analysis.cli.stances import push, stand
+from pupper_analysis.cli.stances import best, payload, stand, workspace
 from pupper_analysis.cli.variants import analyze
 from pupper_analysis.cli.windows import drop, view
 from pupper_analysis.errors import PupperAnalysisError
@@ -59,5 +60,17 @@ def group() -> None:
     """  # noqa: D301 - click reads the \b
 
 
-for _command in (analyze, stand, push, crosscheck, audit_command, view, drop):
+for _command in (
+    analyze,
+    stand,
+    workspace,
+    payload,
+    best,
+    path,
+    push,
+    crosscheck,
+    audit_command,
+    view,
+    drop,
+):
     group.add_command(_command)

@@ -8,13 +8,12 @@ import click
 
 from pupper_analysis.cli.shared import (
     CONTEXT,
-    FAILED,
     assignment,
     check_outputs,
+    finish,
     format_option,
     json_option,
     number,
-    write_json,
 )
 from pupper_analysis.errors import ConfigurationError
 
@@ -101,10 +100,7 @@ def crosscheck(
         old, new = assignment("map", text)
         if names.setdefault(old, new) != new:
             raise ConfigurationError("map", f"{old!r} is mapped to both {names[old]!r} and {new!r}")
-    folders = {name: Path(value) for name, value in (assignment("package", p) for p in packages)}
-    for name, folder in folders.items():
-        if not folder.is_dir():
-            raise ConfigurationError("package", f"{name}: {folder} is not a folder")
+    folders = _folders(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()
     tolerances = tolerances.changed(dict(number("tolerance", text) for text in changes))
     check_outputs(json_path)
@@ -119,14 +115,11 @@ def crosscheck(
     )
     if style == "text":
         comparison_report.print_models(console(), comparison, everything=everything)
-    elif style == "github":
-        click.echo(formats.github(comparison_report.remarks(comparison)))
     else:
         suite = f"{urdf.name} against {mjcf.name}"
-        click.echo(formats.junit(suite, comparison_report.cases(comparison)))
-    write_json(json_path, comparison)
-    if not comparison.agree:
-        click.get_current_context().exit(FAILED)
+        remarks, cases = comparison_report.remarks, comparison_report.cases
+        click.echo(formats.for_machines(style, suite, remarks(comparison), cases(comparison)))
+    finish(json_path, comparison, passed=comparison.agree)
 
 
 @click.command(
@@ -181,15 +174,23 @@ def audit_command(
         return
     if file is None:
         raise ConfigurationError("FILE", "give the URDF or MJCF to audit")
-    folders = {name: Path(value) for name, value in (assignment("package", p) for p in packages)}
+    folders = _folders(packages)
     check_outputs(json_path)
     result = audit_model(file, packages=folders, disabled=disabled)
     if style == "text":
         audit_report.print_audit(console(), result)
-    elif style == "github":
-        click.echo(formats.github(audit_report.remarks(result)))
     else:
-        click.echo(formats.junit(f"audit of {file.name}", audit_report.cases(result)))
-    write_json(json_path, result)
-    if audit_report.worst_rank(result) <= audit_report.rank(fail_on):
-        click.get_current_context().exit(FAILED)
+        suite = f"audit of {file.name}"
+        remarks, cases = audit_report.remarks, audit_report.cases
+        click.echo(formats.for_machines(style, suite, remarks(result), cases(result)))
+    passed = audit_report.worst_rank(result) > audit_report.rank(fail_on)
+    finish(json_path, result, passed=passed)
+
+
+def _folders(packages: tuple[str, ...]) -> dict[str, Path]:
+    """Returns {package: folder} of NAME=DIR."""
+    folders = {name: Path(value) for name, value in (assignment("package", p) for p in packages)}
+    for name, folder in folders.items():
+        if not folder.is_dir():
+            raise ConfigurationError("package", f"{name}: {folder} is not a folder")
+    return folders

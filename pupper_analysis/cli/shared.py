@@ -119,6 +119,13 @@ def write_json(path: Path | None, content: object) -> None:
             temporary.write_text(to_json(content) + "\n")
 
 
+def finish(json_path: Path | None, content: object, *, passed: bool) -> None:
+    """Writes results as JSON, if there is a file to write to; leaves with the exit status."""
+    write_json(json_path, content)
+    if not passed:
+        click.get_current_context().exit(FAILED)
+
+
 def point(option: str, text: str, size: int = 2) -> tuple[float, ...]:
     """Returns the numbers of X,Y (or X,Y,Z), or raises ConfigurationError for the option."""
     try:

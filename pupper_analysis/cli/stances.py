@@ -1,4 +1,4 @@
-"""``pupper-analysis stand`` and ``push``: how robots stand, and what makes them fall."""
+"""``pupper-analysis stand``, ``workspace``, ``payload`` and ``best``: how robots stand."""
 
 from __future__ import annotations
 
@@ -8,107 +8,42 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli.shared import (
-    ANGLE,
     CONTEXT,
-    FAILED,
-    LENGTH,
-    assignment,
     check_outputs,
     figure_option,
+    finish,
     json_option,
-    length,
     point,
-    write_json,
 )
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
 
 if TYPE_CHECKING:
+    from pupper_analysis.analysis.stance import Stance
     from pupper_analysis.robot.robot import Robot
+
+at_option = click.option(
+    "--at", default="0,0,0", metavar="X,Y,Z", help="Of the payload, in the base's frame (m)."
+)
 
 
 @click.command(context_settings=CONTEXT, short_help="Solve a stance: its cost, and if it holds.")
-@click.argument("name", required=False)
-@click.option("--urdf", type=click.Path(path_type=Path), help="A robot of your own: its URDF ...")
-@click.option("--mjcf", type=click.Path(path_type=Path), help="... its MJCF ...")
-@click.option(
-    "--foot",
-    "feet",
-    multiple=True,
-    metavar="NAME=FRAME",
-    help="... and a foot's frame. Repeatable.",
-)
-@click.option("--height", type=LENGTH, help="Base above the contact points (m).")
-@click.option("--roll", type=ANGLE, default=0.0, help="Roll of the base (rad).")
-@click.option("--pitch", type=ANGLE, default=0.0, help="Pitch of the base (rad).")
-@click.option("--yaw", type=ANGLE, default=0.0, help="Yaw against the feet (rad).")
-@click.option("--offset", metavar="X,Y", help="Base from the centre of the feet (m).")
-@click.option("--com", default="centre", metavar="X,Y", help="Com at (m), or: centre, inside.")
-@click.option("--com-margin", type=LENGTH, default=0.0, help="Inside the polygon (m).")
-@click.option("--joint-margin", type=ANGLE, default=0.0, help="Off the limits (rad).")
-@click.option("--ground-clearance", type=LENGTH, default=0.0, help="All but the feet (m).")
-@click.option("--self-clearance", type=LENGTH, help="Between links (m).")
-@click.option("--move", "moves", multiple=True, metavar="FOOT=X,Y", help="Foot off its place (m).")
-@click.option("--swing", "lifts", multiple=True, metavar="FOOT=LENGTH", help="Foot lifted by (m).")
-@click.option("--step", "steps", multiple=True, metavar="FOOT=LENGTH", help="Step under it (m).")
-@click.option("--slope", type=ANGLE, default=0.0, help="Slope of the ground (rad).")
-@click.option("--uphill", type=ANGLE, default=0.0, help="Where it rises (rad).")
-@click.option("--kp", type=float, metavar="NM", help="Servo stiffness (N m/rad), not the model's.")
-@click.option("--kd", type=float, metavar="NMS", help="Servo damping (N m s/rad), likewise.")
-@click.option(
-    "--best",
-    type=click.Choice(["utilisation", "margin", "payload"]),
-    help="Search for the best: the base's pose and the place of each foot are free.",
-)
-@click.option("--payload-at", default="0,0,0", metavar="X,Y,Z", help="In the base's frame (m).")
-@click.option("--minimum-stiffness", is_flag=True, help="Also the softest servos that carry it.")
-@click.option("--workspace", is_flag=True, help="Also how far the base can go from there.")
-@click.option(
-    "--workspace-figure", type=click.Path(path_type=Path), help="Draw that: a PNG.", metavar="PATH"
-)
-@click.option("--push", "pushed", is_flag=True, help="Also the largest pushes it survives.")
-@click.option("--path", "seconds", type=float, metavar="S", help="Also move there in S seconds.")
-@click.option("--csv", type=click.Path(path_type=Path), help="Write the path's commands here.")
-@click.option("--npz", type=click.Path(path_type=Path), help="Write the path's arrays here.")
+@name_argument
+@click.option("--minimum-stiffness", is_flag=True, help="Also the least kp that carries it.")
+@robot_and_task
 @figure_option
 @json_option
 def stand(
+    asked: RobotAndTask,
     name: str | None,
-    urdf: Path | None,
-    mjcf: Path | None,
-    feet: tuple[str, ...],
-    height: float | None,
-    roll: float,
-    pitch: float,
-    yaw: float,
-    offset: str | None,
-    com: str,
-    com_margin: float,
-    joint_margin: float,
-    ground_clearance: float,
-    self_clearance: float | None,
-    moves: tuple[str, ...],
-    lifts: tuple[str, ...],
-    steps: tuple[str, ...],
-    slope: float,
-    uphill: float,
-    kp: float | None,
-    kd: float | None,
-    best: str | None,
-    payload_at: str,
     minimum_stiffness: bool,
-    workspace: bool,
-    workspace_figure: Path | None,
-    pushed: bool,
-    seconds: float | None,
-    csv: Path | None,
-    npz: Path | None,
     figure: Path | None,
     json_path: Path | None,
 ) -> None:
     """Solve a stance; print joint angles, what the motors hold, and whether it lasts.
 
-    NAME is a variant (v3 by default). A robot of your own is a URDF, an MJCF, and the frames at the
-    centres of its feet, which both files name; if it has no position servos, give --kp and --kd.
+    NAME is a variant (v3 by default); --base, --leg-scale and --torso-mass-scale make others. A
+    robot of your own is a URDF, an MJCF, and the frames at the centres of its feet, which both
+    files name; if it has no position servos, give --kp and --kd.
 
     Lengths are in m and angles in rad, or have a unit: 20mm, 2cm, 5deg.
 
@@ -116,152 +51,160 @@ def stand(
     cannot be held (it slides or tips) is told apart. What is simulated is the stance with its legs
     longer by what the feet sink into MuJoCo's soft ground.
 
+    How far the base can go from the stance, what it can carry, how hard it can be pushed, a better
+    one and the path to it are commands of their own, with the same options of robot and stance:
+    workspace, payload, push, best, path.
+
     \b
     Examples:
-      pupper-analysis stand v3 --swing FL=2cm --com inside --com-margin 1cm --path 4 --csv lift.csv
+      pupper-analysis stand v3 --swing FL=2cm --com inside --com-margin 1cm
       pupper-analysis stand long-leg --slope 5deg --uphill 90deg --pitch 0.05
-      pupper-analysis stand v3 --step FR=0.02 --move RL=-0.01,0.02 --workspace --figure s.png
-      pupper-analysis stand v3-heavy --best payload --payload-at 0,0,0.08
+      pupper-analysis stand v3 --step FR=0.02 --move RL=-0.01,0.02 --figure stance.png
+      pupper-analysis stand --base v3 --leg-scale 1.2 --minimum-stiffness
       pupper-analysis stand --urdf go1.urdf --mjcf go1.xml --foot FR=FR_foot --foot FL=FL_foot \\
         --foot RR=RR_foot --foot RL=RL_foot --kp 100 --kd 3
 
     \b
-    Exit status: 0 it holds (and is reached along the path), 1 it fails in simulation,
-    2 out of reach, not holdable or bad input.
+    Exit status: 0 it holds, 1 it fails in simulation, 2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.analysis.stance import study
-    from pupper_analysis.report import stance as stance_report
+    from pupper_analysis.analysis.stance import study_stance
     from pupper_analysis.report.console import console
-    from pupper_analysis.robot.ground import Ground
-    from pupper_analysis.stance.optimize.search import Objective
-    from pupper_analysis.stance.task import StandTask
+    from pupper_analysis.report.stance import print_stance
 
-    task = StandTask(
-        height=height,
-        roll=roll,
-        pitch=pitch,
-        yaw=yaw,
-        offset=None if offset is None else _place("offset", offset),
-        com=com if com in ("centre", "inside") else _place("com", com),
-        com_margin=com_margin,
-        joint_margin=joint_margin,
-        ground_clearance=ground_clearance,
-        self_clearance=self_clearance,
-        foot_offsets={f: _place("move", p) for f, p in (assignment("move", m) for m in moves)},
-        swing=dict(length("swing", text) for text in lifts),
-        ground=Ground(slope, uphill, dict(length("step", text) for text in steps)),
-    )
-    if seconds is None and not (csv is None and npz is None):
-        raise ConfigurationError("--csv, --npz", "there is no path to write; give --path too")
-    x, y, z = point("payload-at", payload_at, 3)
-    check_outputs(figure, workspace_figure, csv, npz, json_path)
-    robot = _robot(name, urdf, mjcf, feet)
-    result = study(
-        robot,
-        task,
-        kp=kp,
-        kd=kd,
-        point=(x, y, z),
-        objective=None if best is None else Objective(best),
-        softest=minimum_stiffness,
-        workspace=workspace or workspace_figure is not None,
-        seconds=seconds,
-        push=pushed,
-    )
-    stance_report.print_stance(console(), result)
-    if figure is not None:
-        from pupper_analysis.report.figures.pose import pose_figure
-
-        pose_figure(robot, result.stand, result.statics, figure)
-    if workspace_figure is not None and result.workspace is not None:
-        from pupper_analysis.report.figures import workspace as drawing
-
-        drawing.workspace_figure(robot, result.workspace, workspace_figure)
-    if csv is not None and result.path is not None:
-        result.path.to_csv(csv)
-    if npz is not None and result.path is not None:
-        result.path.to_npz(npz)
-    write_json(json_path, result)
-    if not result.passed:
-        click.get_current_context().exit(FAILED)
+    task = asked.task()
+    check_outputs(figure, json_path)
+    robot = asked.robot(name)
+    result = study_stance(robot, task, kp=asked.kp, kd=asked.kd, stiffness=minimum_stiffness)
+    print_stance(console(), result)
+    _draw(robot, result, figure)
+    finish(json_path, result, passed=result.passed)
 
 
-def _place(option: str, text: str) -> tuple[float, float]:
-    x, y = point(option, text)
-    return x, y
-
-
-def _robot(name: str | None, urdf: Path | None, mjcf: Path | None, feet: tuple[str, ...]) -> Robot:
-    """Returns the variant of that name, or the robot of the two files."""
-    from pupper_analysis.prepare.load import load_robot
-    from pupper_analysis.pupper.load import load_variant
-
-    if urdf is None and mjcf is None and not feet:
-        return load_variant(name or "v3")
-    if name is not None:
-        raise ConfigurationError("NAME", "give a variant's name, or --urdf, --mjcf and --foot")
-    if urdf is None or mjcf is None or not feet:
-        raise ConfigurationError(
-            "--urdf, --mjcf, --foot", "a robot of your own needs all three, --foot for each foot"
-        )
-    return load_robot(urdf=urdf, mjcf=mjcf, feet=dict(assignment("foot", foot) for foot in feet))
-
-
-@click.command(context_settings=CONTEXT, short_help="Push robots over: how hard, which way?")
-@click.argument("names", nargs=-1)
-@click.option("--directions", default=12, show_default=True, help="How many, evenly spaced.")
-@click.option(
-    "--resolution", default=0.02, show_default=True, metavar="NS", help="Of the impulses (N s)."
-)
-@click.option("--height", type=LENGTH, help="Base above the ground (m).")
+@click.command(context_settings=CONTEXT, short_help="How far can the base go, with feet planted?")
+@name_argument
+@robot_and_task
 @figure_option
 @json_option
-def push(
-    names: tuple[str, ...],
-    directions: int,
-    resolution: float,
-    height: float | None,
-    figure: Path | None,
-    json_path: Path | None,
+def workspace(
+    asked: RobotAndTask, name: str | None, figure: Path | None, json_path: Path | None
 ) -> None:
-    """Find the largest horizontal push, in each direction, that variants survive as they stand.
+    """Find how far the base can rise, roll, pitch, yaw and shift from a stance.
 
-    Each NAME is a variant; without any, all six are pushed (about ten seconds each). A push lasts
-    20 ms, at the com of the base; a robot that survives it is upright and at rest after 6 s, and
-    nothing but its feet ever touched the ground. It stands as in `stand --push`, with its legs
-    longer by what the feet sink into MuJoCo's soft ground.
+    The feet stay planted, and each direction is searched on its own, to where a stand is first out
+    of reach. Robot and stance are given as for `stand`.
 
     \b
     Examples:
-      pupper-analysis push v3 v3-heavy --figure push.png
-      pupper-analysis push original --height 0.12 --directions 4 --resolution 0.1
+      pupper-analysis workspace v3 --figure workspace.png
+      pupper-analysis workspace v3-heavy --height 12cm --self-clearance 5mm
+      pupper-analysis workspace v3 --swing FL=2cm --com inside --json workspace.json
 
     \b
-    Exit status: 0 done, 1 a stand does not last even unpushed, 2 bad input.
+    Exit status: 0 done, 2 the stance itself is out of reach, or bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.pupper.load import load_variant
-    from pupper_analysis.pupper.variants import VARIANTS
-    from pupper_analysis.report import push as push_report
     from pupper_analysis.report.console import console
-    from pupper_analysis.simulation.push import push_recovery
-    from pupper_analysis.stance.sunk import sunk_stand
-    from pupper_analysis.stance.task import StandTask
+    from pupper_analysis.report.stance import print_workspace
+    from pupper_analysis.stance.workspace import base_workspace
 
+    task = asked.task()
     check_outputs(figure, json_path)
-    robots = [load_variant(name) for name in dict.fromkeys(names or VARIANTS)]
-    stands = [sunk_stand(robot, StandTask(height=height)) for robot in robots]
-    results = {
-        robot.name: push_recovery(robot, stand, directions=directions, resolution=resolution)
-        for robot, stand in zip(robots, stands, strict=True)
-    }
-    out = console()
-    push_report.print_pushes(out, results)
-    depths = [depth for stand in stands for depth in stand.depths.values()]
-    out.print(push_report.sunk_note(depths), soft_wrap=True)
+    robot = asked.robot(name)
+    result = base_workspace(robot, task)
+    print_workspace(console(), robot.name, result)
     if figure is not None:
-        from pupper_analysis.report.figures.push import push_figure
+        from pupper_analysis.report.figures.workspace import workspace_figure
 
-        push_figure(results, figure)
-    write_json(json_path, results)
-    if not all(result.weakest_impulse > 0 for result in results.values()):
-        click.get_current_context().exit(FAILED)
+        workspace_figure(robot, result, figure)
+    finish(json_path, result, passed=True)
+
+
+@click.command(context_settings=CONTEXT, short_help="How much can a stance carry, and what fails?")
+@name_argument
+@at_option
+@robot_and_task
+@json_option
+def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | None) -> None:
+    """Find the greatest mass that a stance carries, and what gives way beyond it.
+
+    Motors, the servos' stiffness and the contacts each set a limit; the least is the payload. The
+    robot is then simulated with 95 % of it, and nudged from all sides. Robot and stance are given
+    as for `stand`.
+
+    \b
+    Examples:
+      pupper-analysis payload v3 --at 0,0,8cm
+      pupper-analysis payload v3-long-leg --height 15cm --kp 20 --kd 0.5
+      pupper-analysis payload original --swing FL=2cm --com inside --com-margin 1cm
+
+    \b
+    Exit status: 0 it carries something, 1 nothing, or it falls in simulation,
+    2 out of reach, not holdable or bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.analysis.payload import study_payload
+    from pupper_analysis.report.console import console
+    from pupper_analysis.report.stance import print_payload
+
+    task, place = asked.task(), _at(at)
+    check_outputs(json_path)
+    result = study_payload(asked.robot(name), task, place, kp=asked.kp, kd=asked.kd)
+    print_payload(console(), result)
+    finish(json_path, result, passed=result.passed)
+
+
+@click.command(context_settings=CONTEXT, short_help="Search for the best stance.")
+@click.argument("objective", type=click.Choice(["utilisation", "margin", "payload"]))
+@name_argument
+@at_option
+@robot_and_task
+@figure_option
+@json_option
+def best(
+    asked: RobotAndTask,
+    objective: str,
+    name: str | None,
+    at: str,
+    figure: Path | None,
+    json_path: Path | None,
+) -> None:
+    """Search for the best stance: the base's pose and the place of each foot are free.
+
+    OBJECTIVE is what shall be best: utilisation (the least peak of torque / limit), margin (the com
+    deepest inside the support polygon) or payload (the greatest, at --at). The search begins at the
+    stance that is given, as for `stand`, and keeps its ground, swing feet and margins. It takes
+    some seconds. What it finds is then printed and simulated as `stand` does it.
+
+    \b
+    Examples:
+      pupper-analysis best utilisation v3
+      pupper-analysis best payload v3-heavy --at 0,0,8cm --figure best.png
+      pupper-analysis best margin original --swing FL=2cm --com inside --self-clearance 5mm
+
+    \b
+    Exit status: 0 it holds (and so does its payload), 1 it fails in simulation,
+    2 the stance itself is out of reach or not holdable, or bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.analysis.best import study_best
+    from pupper_analysis.report.console import console
+    from pupper_analysis.report.stance import print_best
+    from pupper_analysis.stance.optimize.search import Objective
+
+    task, place = asked.task(), _at(at)
+    check_outputs(figure, json_path)
+    robot = asked.robot(name)
+    result = study_best(robot, Objective(objective), task, place, kp=asked.kp, kd=asked.kd)
+    print_best(console(), result)
+    _draw(robot, result.stance, figure)
+    finish(json_path, result, passed=result.passed)
+
+
+def _draw(robot: Robot, stance: Stance, path: Path | None) -> None:
+    """Draws a stance, if there is a file to draw it into."""
+    if path is not None:
+        from pupper_analysis.report.figures.pose import pose_figure
+
+        pose_figure(robot, stance.stand, stance.statics, path)
+
+
+def _at(text: str) -> tuple[float, float, float]:
+    x, y, z = point("at", text, 3)
+    return x, y, z

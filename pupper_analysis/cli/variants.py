@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pupper_analysis.cli.shared import CONTEXT, FAILED, check_outputs, json_option, write_json
+from pupper_analysis.cli.stance_options import BASE, VARIANT, derived_variant, options
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis
@@ -20,13 +21,7 @@ if TYPE_CHECKING:
 )
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--list", "list_only", is_flag=True, help="List the variants, and stop.")
-@click.option("--base", metavar="BASE", help="Analyse a variant of this base: skeleton or v3.")
-@click.option("--leg-scale", type=float, metavar="S", help="Its legs' length and mass, times S.")
-@click.option("--torso-mass-scale", type=float, metavar="T", help="Its torso's mass, times T.")
-@click.option("--height", type=float, metavar="M", help="Height of the base above the ground (m).")
-@click.option("--roll", type=float, default=0.0, metavar="RAD", help="Roll of the base (rad).")
-@click.option("--pitch", type=float, default=0.0, metavar="RAD", help="Pitch of the base (rad).")
-@click.option("--yaw", type=float, default=0.0, metavar="RAD", help="Yaw against the feet (rad).")
+@options(VARIANT, BASE)
 @click.option(
     "--output",
     type=click.Path(path_type=Path, file_okay=False),
@@ -79,17 +74,12 @@ def analyze(
     2 bad input (an unknown name, a scale that is no scale, a stance out of reach).
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper.variant_files import write_variant
-    from pupper_analysis.pupper.variants import VARIANTS, VariantSpec, variant_spec
+    from pupper_analysis.pupper.variants import VARIANTS, variant_spec
 
     specs = [variant_spec(name) for name in dict.fromkeys(names)]
-    if base is not None or leg_scale is not None or torso_mass_scale is not None:
-        specs.append(
-            VariantSpec(
-                base="skeleton" if base is None else base,
-                leg_scale=1.0 if leg_scale is None else leg_scale,
-                torso_mass_scale=1.0 if torso_mass_scale is None else torso_mass_scale,
-            )
-        )
+    derived = derived_variant(base, leg_scale, torso_mass_scale)
+    if derived is not None:
+        specs.append(derived)
     if list_only:
         _print_list(specs or list(VARIANTS.values()))
         return

@@ -219,9 +219,6 @@ def _append(model: pin.Model, joint: int, body: Body) -> None:
     model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
 
 
-# ------------------------------------------------------------------------------------- alignment
-
-
 def aligned(
     second: Parameters, first: Parameters, count: Callable[[Parameters, Parameters, str], int]
 ) -> Parameters:

@@ -70,7 +70,7 @@ def _print_structure(out: Console, analysis: Analysis) -> None:
         table.add_row(
             joint.name,
             joint.motion,
-            _vector(joint.axis, 0) if joint.motion != "oblique" else _vector(joint.axis, 2),
+            _vector(joint.axis, 2 if joint.motion.startswith("oblique") else 0),
             f"{joint.lower:+.2f} … {joint.upper:+.2f}",
             f"{joint.effort:g}",
             f"{joint.velocity:g}",

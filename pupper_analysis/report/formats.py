@@ -84,3 +84,10 @@ def junit(suite: str, cases: Iterable[Case]) -> str:
     ElementTree.indent(root)
     declaration = '<?xml version="1.0" encoding="utf-8"?>\n'
     return declaration + ElementTree.tostring(root, encoding="unicode")
+
+
+def for_machines(
+    style: str, suite: str, annotations: Iterable[Annotation], cases: Iterable[Case]
+) -> str:
+    """Returns what is said to machines: annotations (``github``) or a report (``junit``)."""
+    return github(annotations) if style == "github" else junit(suite, cases)

@@ -9,17 +9,20 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
+from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.report.console import titled_table
-from pupper_analysis.simulation.push import PushRecovery
 
 
-def print_pushes(out: Console, results: Mapping[str, PushRecovery]) -> None:
+def print_pushes(out: Console, stances: Mapping[str, PushedStance]) -> None:
     """Prints the largest push of each direction, and how each robot fails at its weakest.
 
     Args:
         out: Where to.
-        results: Per robot; all with the same directions.
+        stances: Per robot; all with the same directions.
     """
+    results = {name: stance.recovery for name, stance in stances.items()}
+    for name, task in {name: str(stance.stand.task) for name, stance in stances.items()}.items():
+        out.print(f"[bold]{escape(name)}[/]: {escape(task)}", soft_wrap=True)
     columns = (f"{escape(name)}\n(N s)" for name in results)
     table = titled_table(out, "Largest push that the stand survives", "direction", *columns)
     for index, angle in enumerate(next(iter(results.values())).directions):
@@ -36,6 +39,13 @@ def print_pushes(out: Console, results: Mapping[str, PushRecovery]) -> None:
             f"{escape(result.weakest_failure)} (a rigid robot tips at {tipping:.2f} N s)",
             soft_wrap=True,
         )
+    stands = {name: stance.stand for name, stance in stances.items()}
+    rigid = [name for name, stand in stands.items() if not any(stand.depths.values())]
+    if len(rigid) < len(stands):
+        depths = (depth for stand in stands.values() for depth in stand.depths.values())
+        out.print(sunk_note(depths), soft_wrap=True)
+    if rigid:
+        out.print(rigid_note(*rigid), soft_wrap=True)
 
 
 def sunk_note(depths: Iterable[float]) -> str:
@@ -43,6 +53,14 @@ def sunk_note(depths: Iterable[float]) -> str:
     return (
         "simulated with its legs longer by what the feet sink into MuJoCo's soft ground "
         f"(at most {1e3 * max(depths):.2f} mm)"
+    )
+
+
+def rigid_note(*names: str) -> str:
+    """Says that the robots of these names were simulated as they would stand on rigid ground."""
+    return (
+        f"[yellow]note:[/] the feet of {escape(', '.join(names))}, sunk into MuJoCo's soft ground, "
+        "would be out of reach; simulated with joints for rigid ground"
     )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.analysis.robot import leg_lengths
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.report.figures.skeleton import BOX_FACES, support_polygon
+from pupper_analysis.report.figures.skeleton import BOX_FACES, hull_corners
 from pupper_analysis.report.figures.style import save
 from pupper_analysis.report.opengl import GROUND, rendered
 from pupper_analysis.report.tiles import LABEL, Tile, tiles_of
@@ -130,7 +130,7 @@ def _draw_lines(canvas: Axes, tile: Tile) -> None:
     lines = tile.lines
     thick = 0.035 * tile.width * 72 / _DPI
     legs = np.array([leg[[0, -1]] for leg in lines.legs.values()])
-    feet = support_polygon(legs[:, -1])
+    feet = hull_corners(legs[:, -1])
     ground = tile.pixels(np.column_stack([feet, np.zeros(len(feet))]))
     canvas.fill(*ground.T, color="#DDE2E9", zorder=1)
     for leg in lines.legs.values():

@@ -1,4 +1,4 @@
-"""Prints what was found out about a stance."""
+"""Prints what was found out about a stance: one function per result."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 
+from pupper_analysis.analysis.best import BestStudy
+from pupper_analysis.analysis.path import PathThere
+from pupper_analysis.analysis.payload import LoadedStance
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.report.analysis import print_loads
 from pupper_analysis.report.console import titled_table
-from pupper_analysis.report.push import print_pushes, sunk_note
+from pupper_analysis.report.push import rigid_note, sunk_note
 from pupper_analysis.simulation.tracking import PathTracking
 from pupper_analysis.stance.optimize.best import BestStance
 from pupper_analysis.stance.optimize.search import Objective
 from pupper_analysis.stance.path.stance_path import StancePath
-from pupper_analysis.stance.sag.steady_state import (
-    RELEASE_MARGIN,
-)
+from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.workspace import BaseWorkspace
 
@@ -30,11 +31,9 @@ DISAGREEMENT = 1e-4
 
 
 def print_stance(out: Console, stance: Stance) -> None:
-    """Prints a stance."""
-    stand, verification = stance.stand, stance.verification
-    out.print(f"[bold]{escape(stance.name)}[/]: {escape(str(stand.task))}", soft_wrap=True)
-    if stance.best is not None:
-        _print_best(out, stance.best)
+    """Prints a stance, what it costs, and whether it holds."""
+    verification = stance.verification
+    _print_task(out, stance.name, stance.stand)
     more = {"position (rad)": stance.joint_positions}
     print_loads(
         out, stance.statics, stance.minimum_peak, verification, stance.limits.tolist(), more
@@ -48,25 +47,16 @@ def print_stance(out: Console, stance: Stance) -> None:
             f"{', '.join(stance.overloaded)}",
             soft_wrap=True,
         )
-    _print_payload(out, stance)
-    _print_clearance(out, stand)
+    _print_clearance(out, stance.stand)
     _print_settled(out, stance)
     if stance.minimum_stiffness is not None:
         out.print(
-            f"softest servos that carry it: {stance.minimum_stiffness:.2f} N m/rad", soft_wrap=True
-        )
-    if stance.workspace is not None:
-        _print_envelope(out, stance.workspace)
-    if stance.push is not None:
-        print_pushes(out, {stance.name: stance.push})
-    if stance.path is not None and stance.tracking is not None:
-        print_tracking(out, stance.path, stance.tracking)
-    if stance.sunk is None:
-        out.print(
-            "[yellow]note:[/] its feet, sunk into MuJoCo's soft ground, would be out of reach; "
-            "simulated with joints for rigid ground",
+            "minimum stiffness of servos that carry it without feed-forward: "
+            f"{stance.minimum_stiffness:.2f} N m/rad",
             soft_wrap=True,
         )
+    if stance.sunk is None:
+        out.print(rigid_note(stance.name), soft_wrap=True)
     else:
         out.print(sunk_note(stance.sunk.depths.values()), soft_wrap=True)
     if verification.mujoco_residual > DISAGREEMENT:
@@ -78,7 +68,7 @@ def print_stance(out: Console, stance: Stance) -> None:
         )
     if verification.passed:
         out.print(
-            f"[bold green]HOLDS[/] in MuJoCo, without payload: "
+            f"[bold green]HOLDS[/] in MuJoCo: "
             f"torques within {verification.torque_error:.2%}, "
             f"forces within {verification.force_error:.2%} of the prediction"
         )
@@ -86,7 +76,19 @@ def print_stance(out: Console, stance: Stance) -> None:
         out.print(f"[bold red]FAILS[/] in MuJoCo: {escape('; '.join(verification.failures))}")
 
 
-def _print_best(out: Console, best: BestStance) -> None:
+def _print_task(out: Console, name: str, stand: Stand) -> None:
+    out.print(f"[bold]{escape(name)}[/]: {escape(str(stand.task))}", soft_wrap=True)
+
+
+def print_best(out: Console, study: BestStudy) -> None:
+    """Prints the best stance, how it was found, and what is found out about it."""
+    _print_search(out, study.best)
+    print_stance(out, study.stance)
+    if study.loaded is not None:
+        _print_limit(out, study.loaded)
+
+
+def _print_search(out: Console, best: BestStance) -> None:
     unit = " m" if best.objective is Objective.MARGIN else ""
     what = {
         Objective.UTILISATION: "peak motor utilisation",
@@ -110,8 +112,14 @@ def _print_best(out: Console, best: BestStance) -> None:
     )
 
 
-def _print_payload(out: Console, stance: Stance) -> None:
-    payload, trial = stance.payload, stance.trial
+def print_payload(out: Console, loaded: LoadedStance) -> None:
+    """Prints what a stance can carry, and what the simulation makes of it."""
+    _print_task(out, loaded.name, loaded.stand)
+    _print_limit(out, loaded)
+
+
+def _print_limit(out: Console, loaded: LoadedStance) -> None:
+    payload, trial = loaded.payload, loaded.trial
     place = ", ".join(f"{1e3 * value:.0f}" for value in payload.point)
     where = f" ({', '.join(payload.where)})" if payload.where else ""
     bounds = (
@@ -125,7 +133,9 @@ def _print_payload(out: Console, stance: Stance) -> None:
         f"{payload.failure.value}{where}; {each}"
     )
     if payload.unlimited:
-        text += f"; {len(payload.unlimited)} motors have no effort limit, and set no payload"
+        count = len(payload.unlimited)
+        motors = "1 motor has" if count == 1 else f"{count} motors have"
+        text += f"; {motors} no effort limit, and set{'s' if count == 1 else ''} no payload"
     if trial is not None:
         text += f"\nsimulated with {kilograms(trial.mass)} on it, {trial.duration:g} s, nudged: "
         text += (
@@ -151,12 +161,24 @@ def _print_clearance(out: Console, stand: Stand) -> None:
         )
 
 
+def print_path(out: Console, there: PathThere) -> None:
+    """Prints a path to a stance, and how well it is followed."""
+    _print_task(out, there.name, there.stand)
+    if there.binding is not None:
+        out.print(
+            f"least time {there.path.time[-1]:.3g} s, with {there.reserve:.0%} of every limit in "
+            f"reserve: bound by {escape(str(there.binding))}",
+            soft_wrap=True,
+        )
+    print_tracking(out, there.path, there.tracking)
+
+
 def print_tracking(out: Console, path: StancePath, tracking: PathTracking) -> None:
     """Prints how well a path is followed."""
     lowest = path.loads.min(axis=0)
     loads = ", ".join(f"{foot} {low:.2f}" for foot, low in zip(path.feet, lowest, strict=True))
     out.print(
-        f"path of {path.time[-1]:g} s, {len(path.time)} samples: motors in motion at most "
+        f"path of {path.time[-1]:.4g} s, {len(path.time)} samples: motors in motion at most "
         f"{path.peak_utilisation:.1%} of their torque limit ({path.peak_joint} at "
         f"{path.peak_time:.2f} s), {path.peak_speed_utilisation:.1%} of their velocity limit; com "
         f"at least {1e3 * path.com_margin.min():.1f} mm inside the support polygon, zero-moment "
@@ -196,7 +218,9 @@ def _print_settled(out: Console, stance: Stance) -> None:
     out.print(escape(text), soft_wrap=True)
 
 
-def _print_envelope(out: Console, workspace: BaseWorkspace) -> None:
+def print_workspace(out: Console, name: str, workspace: BaseWorkspace) -> None:
+    """Prints how far a base can go."""
+    _print_task(out, name, workspace.start)
     rows = titled_table(out, "How far the base can go, each alone", "", "from", "to")
     for direction, interval in workspace.intervals.items():
         if direction in ("roll", "pitch", "yaw"):

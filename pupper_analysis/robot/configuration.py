@@ -61,8 +61,6 @@ class Configuration:
         pin.computeJointJacobians(self._model, self._data, self._q)
         pin.updateFramePlacements(self._model, self._data)
 
-    # ---------------------------------------------------------------------------------- frames
-
     def frame_position(self, name: str) -> Array:
         """Returns a frame's position (3,) in the world (m).
 
@@ -105,8 +103,6 @@ class Configuration:
             raise UnknownNameError(self.robot.name, "link", name, links)
         return int(self._model.getFrameId(name, pin.FrameType.BODY))
 
-    # ---------------------------------------------------------------------------------- joints
-
     def joint_position(self, name: str) -> Array:
         """Returns where a joint is (3,), in the world (m).
 
@@ -131,8 +127,6 @@ class Configuration:
         if name not in self.robot.joint_names:
             raise UnknownNameError(self.robot.name, "joint", name, self.robot.joint_names)
         return int(self._model.getJointId(name))
-
-    # ---------------------------------------------------------------------------------- feet
 
     def foot_positions(self) -> dict[str, Array]:
         """Returns the centre of each foot's sphere, {foot: (3,)}, in the world (m)."""
@@ -182,8 +176,6 @@ class Configuration:
             for foot in (self.robot.feet if feet is None else feet)
         }
 
-    # ---------------------------------------------------------------------------------- com
-
     def center_of_mass(self) -> Array:
         """Returns the centre of mass (3,) in the world (m)."""
         moving: Array = np.array(pin.centerOfMass(self._model, self._data, self._q, False))
@@ -205,8 +197,6 @@ class Configuration:
     @property
     def _fixed_share(self) -> float:
         return float(self._fixed.mass) / self.robot.total_mass
-
-    # ---------------------------------------------------------------------------------- dynamics
 
     def mass_matrix(self) -> Array:
         """Returns the joint-space inertia matrix M (nv, nv), armature included."""
@@ -312,8 +302,6 @@ class Configuration:
         linear = pin.getFrameClassicalAcceleration(self._model, data, index, pin.LOCAL).linear
         gravity = data.oMf[index].rotation.T @ self.robot.gravity
         return np.array(gyro), np.array(linear - gravity)
-
-    # ---------------------------------------------------------------------------------- checks
 
     def base_rotation(self) -> Array:
         """Returns the rotation (3, 3) from the base's axes to the world's."""

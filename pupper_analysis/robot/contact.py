@@ -139,7 +139,7 @@ def ground_forces(
 def bodies_on_ground(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> set[str]:
-    """Returns the names of the bodies that touch the ground with something else than a sole.
+    """Returns the names of the bodies that touch the ground with other geoms than feet's.
 
     Args:
         model: The model.

@@ -15,17 +15,14 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
-from pupper_analysis.robot import contact
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
-    FALLEN_TILT,
-    STATE,
-    base_heights,
+    FORCED,
     check_stand,
-    diverged,
-    lean,
+    forced_commands,
     place_on_ground,
 )
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -117,21 +114,18 @@ def sweep_gains(
     timestep = float(robot.mj_model.opt.timestep)
     steps = round(duration / timestep)
     model = drives[0].model
-    base = model.body(robot.mj_base).id
     ctrl = drives[0].command(robot, stand.joint_positions(robot))
-    control = np.zeros((1, steps, model.nu + 6 * model.nbody))
-    control[0, :, : model.nu] = ctrl
-    force = amplitude * np.sin(2 * math.pi * frequency * timestep * np.arange(steps))
-    control[0, :, model.nu + 6 * base + 2] = force
+    control, force = forced_commands(robot, model, ctrl, 1, steps)
+    force[0, :, 2] = amplitude * np.sin(2 * math.pi * frequency * timestep * np.arange(steps))
     balance = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     starts = np.array(
         [place_on_ground(robot, drive, stand, balance.joint_torques) for drive in drives]
     )
     states = _rollout_in_chunks([drive.model for drive in drives], starts, control, progress)
 
-    deviations = base_heights(robot, states)[:, -round(1.0 / timestep) :].std(axis=1)
+    deviations = monitor.base_heights(robot, states)[:, -round(1.0 / timestep) :].std(axis=1)
     for index, (drive, rows) in enumerate(zip(drives, states, strict=True)):
-        if diverged(rows, timestep) or _lies(robot, drive.model, stand, rows[-1], ctrl):
+        if monitor.diverged(rows, timestep) or _lies(robot, drive.model, stand, rows[-1], ctrl):
             deviations[index] = np.inf
     grid = deviations.reshape(len(kp), len(kd))
     row, column = divmod(int(np.argmin(grid)), len(kd))
@@ -153,12 +147,9 @@ def sweep_gains(
 
 def _lies(robot: Robot, model: mujoco.MjModel, stand: Stand, state: Array, ctrl: Array) -> bool:
     """Tells whether a robot has fallen over, or rests on something else than its feet."""
-    data = mujoco.MjData(model)
-    mujoco.mj_setState(model, data, state, STATE)
-    data.ctrl[:] = ctrl
-    mujoco.mj_forward(model, data)
-    _, others = contact.ground_forces(model, data, robot.foot_geoms)
-    return bool(others) or lean(robot, stand.task.rotation(), state) > FALLEN_TILT
+    seen = monitor.Watcher(robot, model).look(state, ctrl)
+    leaning = monitor.lean(robot, stand.task.rotation(), state)
+    return bool(seen.bodies) or leaning > monitor.FALLEN_TILT
 
 
 def _rollout_in_chunks(
@@ -169,7 +160,6 @@ def _rollout_in_chunks(
 
     workers = min(len(models), os.cpu_count() or 1)
     datas = [mujoco.MjData(models[0]) for _ in range(workers)]
-    spec = int(mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value)
     chunk = 2 * workers
     states = []
     began = time.monotonic()
@@ -181,7 +171,7 @@ def _rollout_in_chunks(
         for first in range(0, len(models), chunk):
             batch = models[first : first + chunk]
             rows, _ = pool.rollout(
-                batch, datas, starts[first : first + chunk], control, control_spec=spec
+                batch, datas, starts[first : first + chunk], control, control_spec=FORCED
             )
             states.append(rows)
             bar.update(task, advance=len(batch), visible=time.monotonic() - began > 1.0)

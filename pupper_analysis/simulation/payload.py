@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.results import Result
-from pupper_analysis.robot import contact
 from pupper_analysis.robot.payload import point_on_base, with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.rollout import STATE, check_stand, diverged
+from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.rollout import check_stand, full_state
 from pupper_analysis.stance.payload.servo_limit import (
     LASTING,
     Bound,
@@ -189,9 +189,7 @@ def _rollouts(
     starts = []
     for qvel in speeds:
         robot.mj_convention.set_state(data, qpos, qvel)
-        state = np.empty(mujoco.mj_stateSize(model, STATE))
-        mujoco.mj_getState(model, data, state, STATE)
-        starts.append(state)
+        starts.append(full_state(model, data))
     steps = max(2, round(duration / float(model.opt.timestep)))
     control = np.tile(ctrl, (1, steps, 1))
     datas = [mujoco.MjData(model) for _ in range(2)]
@@ -204,41 +202,36 @@ def _first_event(
 ) -> tuple[float, Failure, tuple[str, ...]] | None:
     """Returns when, what and where something happened that shall not, if it did."""
     timestep = float(model.opt.timestep)
-    if diverged(states, timestep):
+    if monitor.diverged(states, timestep):
         return 0.0, Failure.BUCKLING, ()
-    data = mujoco.MjData(model)
+    watcher = monitor.Watcher(robot, model)
+    data = watcher.data
     strong, names = strengths(robot), np.array(robot.joint_names)
     lower, upper = robot.lower_limits, robot.upper_limits
     places: dict[str, Array] = {}
     carrying = set(robot.feet_with(stand.stance_feet))
     for state in states[:: max(1, round(_SAMPLE / timestep))]:
-        mujoco.mj_setState(model, data, state, STATE)
-        data.ctrl[:] = ctrl
-        mujoco.mj_forward(model, data)
+        seen = watcher.look(state, ctrl)
         angles = data.qpos[robot.mj_convention.qpos_index[7:]]
         torques = np.abs(data.qfrc_actuator[robot.mj_convention.qvel_index[6:]])
-        forces, others = contact.ground_forces(model, data, robot.foot_geoms)
-        feet = {
-            foot: data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
-            for foot, (body, position) in robot.foot_places.items()
-        }
+        feet = watcher.foot_centres()
         places = places or feet
         moved = {
             foot: np.linalg.norm((feet[foot] - places[foot])[:2]) for foot in stand.stance_feet
         }
         found = {
             Failure.MOTOR: names[torques > strong * (1 - 1e-9)].tolist(),
-            Failure.GROUND: sorted(others | (set(forces) - carrying)),
+            Failure.GROUND: sorted(seen.bodies | (set(seen.forces) - carrying)),
             Failure.JOINT: names[(angles < lower) | (angles > upper)].tolist(),
             Failure.TIPPING: [
                 foot
                 for foot in stand.stance_feet
-                if robot.foot_of(foot) not in forces and (feet[foot] - places[foot])[2] > LIFTED
+                if robot.foot_of(foot) not in seen.forces and (feet[foot] - places[foot])[2] > LIFTED
             ],
             Failure.SLIDING: [foot for foot, way in moved.items() if way > SLIPPED],
             Failure.BUCKLING: names[np.abs(angles - qpos[7:]) > LEFT].tolist(),
         }
         for failure, where in found.items():
             if where:
-                return float(data.time), failure, tuple(where)
+                return seen.time, failure, tuple(where)
     return None

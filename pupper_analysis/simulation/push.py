@@ -16,17 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
-from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
-    FALLEN_TILT,
-    STATE,
+    FORCED,
     check_stand,
-    diverged,
-    lean,
+    forced_commands,
     place_on_ground,
 )
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -39,9 +37,6 @@ PULSE = 0.02
 
 REST_SPEED = 0.01
 """A base that is faster than this in the last half second has not come to rest (m/s)."""
-
-FALLEN_HEIGHT = 0.5
-"""A base that ends lower than this share of the stand's height has fallen."""
 
 LEVELS = 8
 """So many smaller pushes per direction are tried once a limit is found."""
@@ -269,9 +264,6 @@ def _push_point(robot: Robot, stand: Stand) -> Array:
     return np.array(data.xipos[robot.mj_model.body(robot.mj_base).id])
 
 
-# ------------------------------------------------------------------------------------- search
-
-
 def _limits(
     bench: _Bench, estimate: Array, resolution: float
 ) -> tuple[Array, Array, tuple[str, ...]]:
@@ -338,7 +330,7 @@ class _Bench:
         self.timestep = float(model.opt.timestep)
         self.steps = round(self.duration / self.timestep)
         self.pulse_steps = max(1, round(PULSE / self.timestep))
-        self.data = mujoco.MjData(model)
+        self.watcher = monitor.Watcher(self.robot, model)
         self.workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
 
     def push(self, directions: NDArray[np.int64], impulses: Array) -> list[str | None]:
@@ -346,44 +338,36 @@ class _Bench:
         model = self.drive.model
         width = model.nu + 6 * model.nbody
         size = max(1, _BATCH // (self.steps * (width + len(self.start))))
-        column = model.nu + 6 * model.body(self.robot.mj_base).id
         forces = impulses[:, None] * self.axes[directions] / (self.pulse_steps * self.timestep)
-        spec = int(mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value)
         failures: list[str | None] = []
         for begin in range(0, len(forces), size):
             batch = forces[begin : begin + size]
-            control = np.zeros((len(batch), self.steps, width))
-            control[:, :, : model.nu] = self.ctrl
-            control[:, : self.pulse_steps, column : column + 2] = batch[:, None]
+            control, force = forced_commands(self.robot, model, self.ctrl, len(batch), self.steps)
+            force[:, : self.pulse_steps, :2] = batch[:, None]
             starts = np.tile(self.start, (len(batch), 1))
             workers = self.workers[: len(batch)]
-            states, _ = mujoco.rollout.rollout(model, workers, starts, control, control_spec=spec)
+            states, _ = mujoco.rollout.rollout(model, workers, starts, control, control_spec=FORCED)
             failures += [self._failure(run) for run in states]
         self.rollouts += len(forces)
         return failures
 
     def _failure(self, states: Array) -> str | None:
         """Returns why a run is no recovery, or None if it is one."""
-        robot, model = self.robot, self.drive.model
-        if diverged(states, self.timestep):
-            return f"the simulation diverged ({self.drive.integrator}, {1e3 * self.timestep:g} ms)"
+        if monitor.diverged(states, self.timestep):
+            return monitor.divergence(self.drive.integrator, self.timestep)
         failures = []
         for state in states[:: max(1, round(_SAMPLE / self.timestep))]:
-            mujoco.mj_setState(model, self.data, state, STATE)
-            mujoco.mj_kinematics(model, self.data)
-            mujoco.mj_collision(model, self.data)
-            if touching := sorted(contact.bodies_on_ground(model, self.data, robot.foot_geoms)):
-                failures.append(f"{touching[0]} touches the ground at {self.data.time:.2f} s")
+            if touching := sorted(self.watcher.touching(state)):
+                moment = self.watcher.data.time
+                failures.append(f"{touching[0]} touches the ground at {moment:.2f} s")
                 break
-        tilt = lean(robot, self.stand.task.rotation(), states[-1])
-        height = float(states[-1, 1 + robot.mj_convention.qpos_index[2]])
-        if tilt > FALLEN_TILT or height < FALLEN_HEIGHT * self.stand.qpos[2]:
-            angle = math.degrees(tilt)
-            failures.append(f"it fell over: tilt {angle:.0f} deg, height {height:.3f} m")
-        rates = states[-round(_REST / self.timestep) :, 1 + model.nq :]
-        rates = rates[:, robot.mj_convention.qvel_index[:6]]
-        linear, angular = (np.linalg.norm(part, axis=1) for part in (rates[:, :3], rates[:, 3:]))
-        speed = float((linear + self.stand.qpos[2] * angular).max())
+        upright = float(self.stand.qpos[2])
+        leaning = monitor.lean(self.robot, self.stand.task.rotation(), states[-1])
+        height = float(monitor.base_heights(self.robot, states[-1]))
+        if monitor.has_fallen(leaning, height, upright):
+            failures.append(monitor.fall(leaning, height))
+        last = states[-round(_REST / self.timestep) :]
+        speed = monitor.base_speed(self.robot, self.drive.model, last, upright)
         if speed > REST_SPEED:
             failures.append(f"it has not come to rest: {1e3 * speed:.0f} mm/s at the end")
         return "; ".join(failures) or None

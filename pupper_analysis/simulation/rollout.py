@@ -1,4 +1,4 @@
-"""Rollouts of a stand: where they begin, and what their states say."""
+"""Rollouts: where they begin, and what they are given; ``monitor`` says what comes of them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ import math
 import mujoco
 import mujoco.rollout
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
@@ -18,15 +16,14 @@ from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 
-FALLEN_TILT = 0.5
-"""A base that is tilted by more than this against its task has fallen over (rad)."""
-
-
 _SHALLOW, _DEEP = 1e-6, 0.05  # m: within what the feet are looked for that carry the weight
 
 
 STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
 """What rollouts return: time, qpos, qvel ..."""
+
+FORCED = int(mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value)
+"""What rollouts with forces on bodies are given."""
 
 
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
@@ -67,34 +64,51 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         middle = (low + high) / 2
         low, high = (middle, high) if surplus(middle) < 0 else (low, middle)
     surplus(high)
+    return full_state(model, data)
+
+
+def full_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """Returns the state (mjSTATE_FULLPHYSICS) in MuJoCo's data."""
     state = np.empty(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return state
 
 
-def base_heights(robot: Robot, states: Array) -> Array:
-    """Returns the base's height in every state of a rollout."""
-    heights: Array = states[..., 1 + robot.mj_convention.qpos_index[2]]
-    return heights
+def run(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array:
+    """Simulates a model from a state on.
+
+    Args:
+        model: The model.
+        start: The state (mjSTATE_FULLPHYSICS).
+        ctrl: (n, nu) the command in each step.
+
+    Returns:
+        (n, size) the states after each step.
+    """
+    states, _ = mujoco.rollout.rollout(model, mujoco.MjData(model), start, ctrl[None])
+    return np.asarray(states[0])
 
 
-def turned_by(robot: Robot, rotation: Array, state: Array) -> float:
-    """Returns the angle of the base's rotation against the given one (rad)."""
-    quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
-    return float(np.linalg.norm(pin.log3(rotation.T @ rotation_from_quaternion(quaternion))))
+def forced_commands(
+    robot: Robot, model: mujoco.MjModel, ctrl: Array, runs: int, steps: int
+) -> tuple[Array, Array]:
+    """Returns what rollouts with a force on the base are given, for ``control_spec=FORCED``.
 
+    Args:
+        robot: The robot.
+        model: Its model.
+        ctrl: (nu,) the servos' command, in all steps.
+        runs: How many rollouts.
+        steps: Their length.
 
-def lean(robot: Robot, rotation: Array, state: Array) -> float:
-    """Returns how far the base of a state leans off a rotation's vertical (rad); yaw is no lean."""
-    quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
-    cosine = float(rotation_from_quaternion(quaternion)[2] @ rotation[2])
-    return math.acos(min(1.0, max(-1.0, cosine)))
-
-
-def diverged(states: Array, timestep: float) -> bool:
-    """Tells whether a rollout broke down: MuJoCo resets the state, and so the time, if it does."""
-    times = states[..., 0]
-    return not bool(np.isfinite(states).all() and (np.diff(times) > timestep / 2).all())
+    Returns:
+        (runs, steps, size) with forces of zero; and the part of it, (runs, steps, 3), that is the
+        force on the base, at its com, in world axes (N).
+    """
+    control = np.zeros((runs, steps, model.nu + 6 * model.nbody))
+    control[:, :, : model.nu] = ctrl
+    column = model.nu + 6 * model.body(robot.mj_base).id
+    return control, control[:, :, column : column + 3]
 
 
 def check_stand(robot: Robot, stand: Stand, duration: float) -> None:

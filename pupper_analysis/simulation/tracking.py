@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import mujoco
-import mujoco.rollout
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.results import Result
-from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.path_commands import PathCommands, path_commands
-from pupper_analysis.simulation.rollout import FALLEN_TILT, STATE, diverged, lean
+from pupper_analysis.simulation.rollout import run
 from pupper_analysis.stance.path.stance_path import StancePath
 
 Array = NDArray[np.float64]
@@ -115,7 +113,7 @@ def track_path(
     """
     plan = path_commands(robot, path, kp=kp, kd=kd, integrator=integrator, timestep=timestep)
     robot, model, joints = plan.robot, plan.drive.model, slice(robot.nq - robot.nu, None)
-    states = mujoco.rollout.rollout(model, mujoco.MjData(model), plan.start, plan.ctrl[None])[0][0]
+    states = run(model, plan.start, plan.ctrl)
     simulated = states[:, 1 + robot.mj_convention.qpos_index]
     deviation = simulated[:, joints] - plan.qpos[:, joints]
     joint_error = float(np.abs(deviation).max())
@@ -125,8 +123,8 @@ def track_path(
     step = max(1, round(apart / timestep))
     looks = np.arange(step - 1, len(states), step)
     tilt, torque_error, slip = math.inf, math.inf, dict.fromkeys(path.feet, math.inf)
-    if diverged(states, timestep):
-        failures = [f"the simulation diverged ({plan.drive.integrator}, {1e3 * timestep:g} ms)"]
+    if monitor.diverged(states, timestep):
+        failures = [monitor.divergence(plan.drive.integrator, timestep)]
     else:
         failures, tilt, slip = _watch(plan, states, looks)
         saturated, torque_error = _torques(plan, states)
@@ -194,40 +192,36 @@ def _watch(
     plan: PathCommands, states: Array, looks: NDArray[np.int64]
 ) -> tuple[list[str], float, dict[str, float]]:
     """Looks at states; returns failures, tilt (rad) and the feet's slip (m)."""
-    path, robot, model = plan.path, plan.robot, plan.drive.model
-    data = mujoco.MjData(model)
+    path, robot = plan.path, plan.robot
+    watcher = monitor.Watcher(robot, plan.drive.model)
     events: dict[str, float] = {}
     slip = dict.fromkeys(path.feet, 0.0)
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     tilt = 0.0
     for index in looks:
-        mujoco.mj_setState(model, data, states[index], STATE)
-        data.ctrl[:] = plan.ctrl[min(index + 1, len(plan.ctrl) - 1)]  # what comes next
-        mujoco.mj_forward(model, data)
-        forces, others = contact.ground_forces(model, data, robot.foot_geoms)
-        seen = [f"{body} touches the ground" for body in sorted(others)]
+        sight = watcher.look(states[index], plan.ctrl[min(index + 1, len(plan.ctrl) - 1)])
+        seen = [f"{body} touches the ground" for body in sorted(sight.bodies)]
         goal = plan.qpos[index]
         rotation = rotation_from_quaternion(goal[3:7] / np.linalg.norm(goal[3:7]))
-        base = data.qpos[robot.mj_convention.qpos_index[:7]]
+        base = watcher.data.qpos[robot.mj_convention.qpos_index[:7]]
         turn = rotation.T @ rotation_from_quaternion(base[3:])
         tilt = max(tilt, float(np.linalg.norm(pin.log3(turn))))
-        if lean(robot, rotation, states[index]) > FALLEN_TILT or base[2] < 0.5 * goal[2]:
+        if monitor.has_fallen(monitor.lean(robot, rotation, states[index]), base[2], goal[2]):
             seen.append("it fell over")
-        targets = Configuration(robot, goal).foot_positions()
-        sample = min(len(path.time) - 1, round(float(data.time) / path.time[1]))
+        centres, targets = watcher.foot_centres(), Configuration(robot, goal).foot_positions()
+        idle = sight.idle(robot.soles)
+        sample = min(len(path.time) - 1, round(sight.time / path.time[1]))
         for column, foot in enumerate(path.feet):
             load, own = path.loads[sample, column] / weight, robot.foot_of(foot)
             # A load below zero is that of a foot which would have to be held to the ground.
-            if (load > LOADED or load < 0) and (own not in forces or forces[own][2] <= 0):
+            if (load > LOADED or load < 0) and own in idle:
                 seen.append(f"foot {foot} carries nothing")
-            if path.clearance[sample, column] > LIFT_CLEARANCE and own in forces:
+            if path.clearance[sample, column] > LIFT_CLEARANCE and own in sight.forces:
                 seen.append(f"foot {foot} is lifted, and touches the ground")
             if path.stance_feet[sample, column]:
-                body, place = robot.foot_places[foot]
-                centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
-                away = float(np.linalg.norm((centre - targets[foot])[:2]))
+                away = float(np.linalg.norm((centres[foot] - targets[foot])[:2]))
                 slip[foot] = max(slip[foot], away)
         for event in seen:
-            events.setdefault(event, float(data.time))
+            events.setdefault(event, sight.time)
     failures = [f"{event} at {moment:.2f} s" for event, moment in events.items()]
     return failures, tilt, slip

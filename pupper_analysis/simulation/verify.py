@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Container
 from dataclasses import dataclass, replace
 
 import mujoco
-import mujoco.rollout
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.results import Result
-from pupper_analysis.robot import contact
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.rollout import (
-    FALLEN_TILT,
-    STATE,
-    base_heights,
-    check_stand,
-    diverged,
-    lean,
-    place_on_ground,
-    turned_by,
-)
+from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import drop_at
@@ -173,13 +162,7 @@ def verify_stand(
     ctrl = drive.command(robot, stand.joint_positions(robot), torques)
     start = place_on_ground(robot, drive, stand, prediction.joint_torques)
     timestep = float(drive.model.opt.timestep)
-    states, _ = mujoco.rollout.rollout(
-        drive.model,
-        mujoco.MjData(drive.model),
-        start,
-        np.tile(ctrl, (1, max(2, round(duration / timestep)), 1)),
-    )
-    states = states[0]
+    states = run(drive.model, start, np.tile(ctrl, (max(2, round(duration / timestep)), 1)))
     predicted = robot.per_foot(prediction.contact_forces)
     light = LIGHT * sum(force[2] for force in predicted.values())
     loaded = {foot for foot, force in predicted.items() if force[2] >= FORCE_TOLERANCE * light}
@@ -225,9 +208,9 @@ def _measured(
     timestep = float(drive.model.opt.timestep)
     last_second = round(1.0 / timestep)
     settled = states[-last_second:]
-    heights = base_heights(robot, states)
+    heights = monitor.base_heights(robot, states)
     drops = watch.drops(stand)
-    base_height = float(base_heights(robot, settled).mean())
+    base_height = float(monitor.base_heights(robot, settled).mean())
     height_loss = float(stand.qpos[2]) - base_height
     contact_sag = drop_at(
         stand.qpos[:2],
@@ -243,8 +226,8 @@ def _measured(
         abs(watch.forces[foot][2] - force[2]) / max(force[2], light)
         for foot, force in predicted.items()
     )
-    tilt = turned_by(robot, stand.task.rotation(), states[-1])
-    deviation = float(base_heights(robot, settled).std())
+    tilt = monitor.turned_by(robot, stand.task.rotation(), states[-1])
+    deviation = float(monitor.base_heights(robot, settled).std())
     drift = float(heights[-1] - heights[-last_second]) / (timestep * (last_second - 1))
     step = max(1, round(_SAMPLE / timestep))
     foot_error, residual = _backend_evaluation(robot, stand, prediction)
@@ -286,17 +269,12 @@ def _failures(
     robot: Robot, stand: Stand, states: Array, watch: _Watch, found: StandVerification
 ) -> list[str]:
     """Says why the robot does not stand still on its feet, if it does not."""
-    leaning = lean(robot, stand.task.rotation(), states[-1])
+    leaning = monitor.lean(robot, stand.task.rotation(), states[-1])
     failures = list(watch.failures)
-    if diverged(states, found.timestep):
-        failures.insert(
-            0, f"the simulation diverged ({found.integrator}, {1e3 * found.timestep:g} ms)"
-        )
-    if leaning > FALLEN_TILT or found.base_height < 0.5 * stand.qpos[2]:
-        failures.insert(
-            0,
-            f"it fell over: tilt {math.degrees(leaning):.0f} deg, height {found.base_height:.3f} m",
-        )
+    if monitor.diverged(states, found.timestep):
+        failures.insert(0, monitor.divergence(found.integrator, found.timestep))
+    if monitor.has_fallen(leaning, found.base_height, float(stand.qpos[2])):
+        failures.insert(0, monitor.fall(leaning, found.base_height))
     if not found.height_deviation < STABLE_DEVIATION:
         failures.append(
             f"the height deviates by {1e3 * found.height_deviation:.2f} mm in the last second"
@@ -346,7 +324,7 @@ def _watch(
 
     The feet in ``loaded`` must not let go; others are hardly predicted to touch.
     """
-    data = mujoco.MjData(model)
+    watcher = monitor.Watcher(robot, model)
     step = max(1, round(_SAMPLE / model.opt.timestep))
     touched: dict[str, float] = {}
     lost: dict[str, float] = {}
@@ -356,21 +334,17 @@ def _watch(
     feet = {foot: np.zeros(3) for foot in robot.feet}
     count = 0
     for index in range(len(states) - 1, -1, -step):  # backwards: the first moment stays
-        mujoco.mj_setState(model, data, states[index], STATE)
-        data.ctrl[:] = ctrl
-        mujoco.mj_forward(model, data)
-        forces, others = contact.ground_forces(model, data, robot.foot_geoms)
-        touched |= dict.fromkeys(others, float(data.time))
-        touched |= {foot: float(data.time) for foot in forces if foot not in carrying}
-        idle = [foot for foot in carrying if foot not in forces or forces[foot][2] <= 0]
-        lost |= {foot: float(data.time) for foot in idle if foot in loaded}
+        seen = watcher.look(states[index], ctrl)
+        touched |= dict.fromkeys(seen.bodies, seen.time)
+        touched |= {foot: seen.time for foot in seen.forces if foot not in carrying}
+        lost |= {foot: seen.time for foot in seen.idle(carrying) if foot in loaded}
         if index >= len(states) - last_second:
             count += 1
-            torques += data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
+            torques += watcher.data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
             for foot in total:
-                total[foot] += forces.get(foot, np.zeros(3))
-            for foot, (body, position) in robot.foot_places.items():
-                feet[foot] += data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+                total[foot] += seen.forces.get(foot, np.zeros(3))
+            for foot, centre in watcher.foot_centres().items():
+                feet[foot] += centre
     failures = [
         f"{body} touches the ground at {moment:.2f} s" for body, moment in sorted(touched.items())
     ]
@@ -398,12 +372,11 @@ def _backend_evaluation(
     remainder[robot.mj_convention.qvel_index[6:]] -= prediction.joint_torques
     foot_error = 0.0
     jacobian = np.zeros((3, model.nv))
-    for foot, (body, position) in robot.foot_places.items():
-        centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+    for foot, centre in monitor.foot_centres(robot, data).items():
         foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
         if foot in stand.stance_feet:
             reach = robot.foot_radius[foot] - stand.depths[foot] / 2
             point = centre - reach * stand.normals[foot]
-            mujoco.mj_jac(model, data, jacobian, None, point, body)
+            mujoco.mj_jac(model, data, jacobian, None, point, robot.foot_places[foot][0])
             remainder -= jacobian.T @ prediction.contact_forces[foot]
     return foot_error, float(np.abs(remainder).max())

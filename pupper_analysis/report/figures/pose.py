@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from pupper_analysis.report.figures.skeleton import (
     BOX_FACES,
     Skeleton,
+    hull_corners,
     nearest_edge_point,
     skeleton,
-    support_polygon,
 )
 from pupper_analysis.report.figures.style import (
     BLACK,
@@ -99,7 +99,7 @@ def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation
     axes: Any = figure.add_axes((-0.03, 0.165, 0.74, 0.76), projection="3d", computed_zorder=False)
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_proj_type("ortho")
-    polygon = support_polygon(statics.contact_points.values())
+    polygon = hull_corners(statics.contact_points.values())
     ground = 1e3 * np.column_stack([polygon, _heights_below(statics, polygon)])
     axes.add_collection3d(
         Poly3DCollection([ground], facecolor=_SUPPORT, alpha=0.6, edgecolor=BLUE, lw=1.2, zorder=1)
@@ -207,11 +207,11 @@ def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensati
     axes = figure.add_axes((0.735, 0.17, 0.255, 0.66))
     put_style(axes, "from above")
     points = {foot: 1e3 * point[:2] for foot, point in statics.contact_points.items()}
-    polygon = 1e3 * support_polygon(statics.contact_points.values())
+    polygon = 1e3 * hull_corners(statics.contact_points.values())
     # Forward is up and left is left: y is drawn to the left, x upwards.
     axes.add_patch(Polygon(polygon[:, ::-1], fc=_SUPPORT, ec=BLUE, hatch="//", lw=1.2, zorder=1))
     for box in lines.boxes:
-        outline = 1e3 * support_polygon(box)
+        outline = 1e3 * hull_corners(box)
         axes.plot(outline[:, 1], outline[:, 0], color=_BASE_EDGE, lw=1.0, zorder=2)
     for leg in lines.legs.values():
         axes.plot(

@@ -68,7 +68,7 @@ def skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
     return Skeleton(legs, np.array(boxes).reshape(-1, 8, 3))
 
 
-def support_polygon(points: Iterable[Array]) -> Array:
+def hull_corners(points: Iterable[Array]) -> Array:
     """Returns the corners (n, 2) of the convex hull of points (3,), seen from above (m)."""
     hull = shapely.MultiPoint([point[:2] for point in points]).convex_hull
     line = hull.exterior if hull.geom_type == "Polygon" else hull

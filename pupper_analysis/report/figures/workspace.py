@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from pupper_analysis.report.figures.skeleton import Skeleton, skeleton, support_polygon
+from pupper_analysis.report.figures.skeleton import Skeleton, hull_corners, skeleton
 from pupper_analysis.report.figures.style import (
     BLUE,
     DPI,
@@ -96,7 +96,7 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
 
 def _draw(axes: Axes, lines: Skeleton, color: str, across: int, up: int) -> None:
     for box in lines.boxes:
-        outline = 1e3 * support_polygon(box[:, [across, up]])
+        outline = 1e3 * hull_corners(box[:, [across, up]])
         axes.fill(outline[:, 0], outline[:, 1], fc=color, ec=color, alpha=0.15, lw=0)
         axes.plot(*np.vstack([outline, outline[:1]]).T, color=color, lw=0.8)
     for leg in lines.legs.values():

@@ -155,9 +155,6 @@ def payload_limit(
     )
 
 
-# ------------------------------------------------------------------------------------- motors
-
-
 def motor_limit(
     robot: Robot, stand: Stand, point: Sequence[float] | Array, *, most: float = math.inf
 ) -> Bound:
@@ -236,9 +233,6 @@ def _even(
 
 def _names(robot: Robot, chosen: NDArray[np.bool_]) -> tuple[str, ...]:
     return tuple(robot.joint_names[index] for index in np.flatnonzero(chosen))
-
-
-# ------------------------------------------------------------------------------------- contacts
 
 
 def contact_limit(robot: Robot, stand: Stand, point: Sequence[float] | Array) -> Bound:

@@ -1,0 +1,95 @@
+"""The path to a stance, and how MuJoCo follows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from pupper_analysis.results import Result
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.tracking import PathTracking, track_path
+from pupper_analysis.stance.path.fastest import Binding, fastest_path
+from pupper_analysis.stance.path.stance_path import StancePath, stance_path
+from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.task import StandTask
+
+
+@dataclass(frozen=True, eq=False)
+class PathThere(Result):
+    """The path from the nominal stand to a stance, and how MuJoCo follows it.
+
+    Attributes:
+        name: The robot's name.
+        stand: Where it leads.
+        path: The path.
+        tracking: The simulation of it.
+        binding: What keeps it from being faster, if its least time was asked for.
+        reserve: Share of every limit that the least time leaves unused, likewise.
+    """
+
+    name: str
+    stand: Stand
+    path: StancePath
+    tracking: PathTracking
+    binding: Binding | None
+    reserve: float | None
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is followed."""
+        return self.tracking.passed
+
+
+def study_path(
+    robot: Robot,
+    task: StandTask,
+    seconds: float | None,
+    *,
+    kp: float | None = None,
+    kd: float | None = None,
+) -> PathThere:
+    """Moves from the nominal stand to a stance, and simulates that.
+
+    Args:
+        robot: The robot.
+        task: The stance.
+        seconds: How long it takes (s); the least time if None.
+        kp: Servo stiffness (N m/rad); the model's own by default.
+        kd: Servo damping (N m s/rad); the model's own by default.
+
+    Raises:
+        StanceUnreachableError: If a sample is out of reach; says where.
+        StaticsInfeasibleError: If a sample cannot be held; says where.
+        ConfigurationError: If the task, or another argument, makes no sense for the robot.
+        ModelError: If the robot has no position servos, and kp and kd are not both given.
+    """
+    stand = solve_stand(robot, task)
+    way = way_to(robot, stand)
+    binding, reserve = None, None
+    if seconds is None:
+        fastest = fastest_path(robot, way)
+        path, binding, reserve = fastest.path, fastest.binding, fastest.reserve
+    else:
+        path = stance_path(robot, way, seconds)
+    return PathThere(
+        name=robot.name,
+        stand=stand,
+        path=path,
+        tracking=track_path(robot, path, kp=kp, kd=kd),
+        binding=binding,
+        reserve=reserve,
+    )
+
+
+def way_to(robot: Robot, stand: Stand) -> list[StandTask]:
+    """Returns the stances that lead to a stand: the nominal one, with its feet where they are.
+
+    Where a foot is lifted, the weight is first shifted on to the others.
+    """
+    task = stand.task
+    x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
+    over = replace(task, com=(float(x), float(y)), com_margin=0.0, offset=None)
+    nominal = StandTask(
+        feet=task.feet, foot_offsets=task.foot_offsets, ground=task.ground, ik_seed=task.ik_seed
+    )
+    return [nominal, *([replace(over, swing={})] if task.swing else []), over]

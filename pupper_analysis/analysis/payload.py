@@ -1,0 +1,83 @@
+"""What a stance can carry, and whether it does in the simulation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pupper_analysis.results import Result
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.payload import PayloadTrial, payload_trial
+from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
+from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.task import StandTask
+
+TRIED = 0.95
+"""The part of the payload's limit with which the loaded robot is simulated: below it, as no servo,
+floor or hand is exact to a percent."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedStance(Result):
+    """The greatest payload of a stance, and the simulation of almost that.
+
+    Attributes:
+        name: The robot's name.
+        stand: The solved stand, without payload.
+        payload: The greatest mass.
+        trial: The simulation with ``TRIED`` of that mass on the robot; None where that is nothing,
+            or without limit.
+    """
+
+    name: str
+    stand: Stand
+    payload: PayloadLimit
+    trial: PayloadTrial | None
+
+    @property
+    def passed(self) -> bool:
+        """Whether it carries anything, and stays up with it."""
+        return self.payload.mass > 0 and (self.trial is None or self.trial.held)
+
+
+def study_payload(
+    robot: Robot,
+    task: StandTask,
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    kp: float | None = None,
+    kd: float | None = None,
+) -> LoadedStance:
+    """Solves a stance, and finds out what it can carry.
+
+    Args:
+        robot: The robot.
+        task: The stance.
+        point: Where the payload is, in the base's frame (m).
+        kp: Servo stiffness (N m/rad); the model's own by default.
+        kd: Servo damping (N m s/rad); the model's own by default.
+
+    Raises:
+        StanceUnreachableError: If it is out of reach.
+        StaticsInfeasibleError: If it is reached, but slides or tips without payload.
+        ConfigurationError: If the task, or another argument, makes no sense for the robot.
+        ModelError: If the robot has no position servos, and kp and kd are not both given.
+    """
+    stand = solve_stand(robot, task)
+    return try_payload(robot, stand, payload_limit(robot, stand, point, kp=kp), kp=kp, kd=kd)
+
+
+def try_payload(
+    robot: Robot,
+    stand: Stand,
+    payload: PayloadLimit,
+    *,
+    kp: float | None = None,
+    kd: float | None = None,
+) -> LoadedStance:
+    """Simulates a stand with almost the greatest payload on it; see ``study_payload``."""
+    trial = None
+    if 0 < payload.mass < math.inf:
+        point = payload.point.tolist()
+        trial = payload_trial(robot, stand, TRIED * payload.mass, point, kp=kp, kd=kd)
+    return LoadedStance(robot.name, stand, payload, trial)

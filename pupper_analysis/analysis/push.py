@@ -1,0 +1,79 @@
+"""How hard a stance can be pushed, as it stands in the simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pupper_analysis.errors import StanceUnreachableError
+from pupper_analysis.results import Result
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.push import PushRecovery, push_recovery
+from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.stance.task import StandTask
+
+
+@dataclass(frozen=True, eq=False)
+class PushedStance(Result):
+    """A stance, and the largest pushes from which it recovers.
+
+    Attributes:
+        name: The robot's name.
+        stand: What is pushed: the stand with its feet sunk into MuJoCo's soft ground; the one on
+            rigid ground where that is out of reach.
+        recovery: The largest pushes.
+    """
+
+    name: str
+    stand: Stand
+    recovery: PushRecovery
+
+    @property
+    def passed(self) -> bool:
+        """Whether it lasts unpushed: some push is survived in every direction."""
+        return self.recovery.weakest_impulse > 0
+
+
+def study_pushes(
+    robots: Sequence[Robot],
+    task: StandTask,
+    *,
+    kp: float | None = None,
+    kd: float | None = None,
+    directions: int = 12,
+    resolution: float = 0.02,
+) -> dict[str, PushedStance]:
+    """Finds out how hard robots can be pushed in a stance (some ten seconds each).
+
+    Args:
+        robots: The robots, of different names; all are solved before the first is pushed.
+        task: The stance of each.
+        kp: Servo stiffness (N m/rad); the model's own by default.
+        kd: Servo damping (N m s/rad); the model's own by default.
+        directions: How many, evenly spaced, the first one forward; 3 to 360.
+        resolution: Of the impulses (N s).
+
+    Raises:
+        StanceUnreachableError: If the stance is out of reach.
+        StaticsInfeasibleError: If it is reached, but slides or tips.
+        ConfigurationError: If the task, or another argument, makes no sense for a robot.
+        ModelError: If a robot has no position servos, and kp and kd are not both given.
+    """
+    stands = [_standing(robot, task) for robot in robots]
+    return {
+        robot.name: PushedStance(
+            robot.name,
+            stand,
+            push_recovery(robot, stand, kp=kp, kd=kd, directions=directions, resolution=resolution),
+        )
+        for robot, stand in zip(robots, stands, strict=True)
+    }
+
+
+def _standing(robot: Robot, task: StandTask) -> Stand:
+    """Returns what is pushed; see ``PushedStance.stand``."""
+    try:
+        return sunk_stand(robot, task, explain=False)
+    except StanceUnreachableError:
+        return solve_stand(robot, task)

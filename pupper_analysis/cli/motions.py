@@ -1,0 +1,124 @@
+"""``pupper-analysis path`` and ``push``: how robots come to stand, and what makes them fall."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pupper_analysis.cli.shared import (
+    CONTEXT,
+    check_outputs,
+    figure_option,
+    finish,
+    json_option,
+)
+from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
+from pupper_analysis.errors import ConfigurationError
+
+
+@click.command(context_settings=CONTEXT, short_help="Move to a stance, in balance all the way.")
+@name_argument
+@click.option("--seconds", type=float, metavar="S", help="How long it takes (s).")
+@click.option("--fastest", is_flag=True, help="The least time that motors and contacts allow.")
+@click.option("--csv", type=click.Path(path_type=Path), help="Write the path's commands here.")
+@click.option("--npz", type=click.Path(path_type=Path), help="Write the path's arrays here.")
+@robot_and_task
+@json_option
+def path(
+    asked: RobotAndTask,
+    name: str | None,
+    seconds: float | None,
+    fastest: bool,
+    csv: Path | None,
+    npz: Path | None,
+    json_path: Path | None,
+) -> None:
+    """Move from the nominal stand to a stance, and simulate that.
+
+    The feet are from the start where the stance has them; before one is lifted, the weight is
+    shifted on to the others. Every sample is a stand in balance, inertia included. Robot and stance
+    are given as for `stand`; the time by --seconds, or as the least by --fastest.
+
+    \b
+    Examples:
+      pupper-analysis path v3 --swing FL=2cm --com inside --seconds 4 --csv lift.csv
+      pupper-analysis path original --height 14cm --fastest
+      pupper-analysis path v3-heavy --pitch 5deg --seconds 3 --npz pitch.npz
+
+    \b
+    Exit status: 0 it is followed, 1 it is not, 2 out of reach, not holdable or bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.analysis.path import study_path
+    from pupper_analysis.report.console import console
+    from pupper_analysis.report.stance import print_path
+
+    if fastest != (seconds is None):
+        raise ConfigurationError("--seconds, --fastest", "give one of them: how long it shall take")
+    task = asked.task()
+    check_outputs(csv, npz, json_path)
+    result = study_path(asked.robot(name), task, seconds, kp=asked.kp, kd=asked.kd)
+    print_path(console(), result)
+    if csv is not None:
+        result.path.to_csv(csv)
+    if npz is not None:
+        result.path.to_npz(npz)
+    finish(json_path, result, passed=result.passed)
+
+
+@click.command(context_settings=CONTEXT, short_help="Push robots over: how hard, which way?")
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--directions", default=12, show_default=True, help="How many, evenly spaced.")
+@click.option(
+    "--resolution", default=0.02, show_default=True, metavar="NS", help="Of the impulses (N s)."
+)
+@robot_and_task
+@figure_option
+@json_option
+def push(
+    asked: RobotAndTask,
+    names: tuple[str, ...],
+    directions: int,
+    resolution: float,
+    figure: Path | None,
+    json_path: Path | None,
+) -> None:
+    """Find the largest horizontal push, in each direction, that robots survive as they stand.
+
+    Each NAME is a variant; without any, and no other robot, all six are pushed (about ten seconds
+    each). Robot and stance are given as for `stand`. A push lasts 20 ms, at the com of the base; a
+    robot that survives it is upright and at rest after 6 s, and nothing but its feet ever touched
+    the ground. What is pushed is the stance with its legs longer by what the feet sink into
+    MuJoCo's soft ground.
+
+    \b
+    Examples:
+      pupper-analysis push v3 v3-heavy --figure push.png
+      pupper-analysis push original --height 0.12 --directions 4 --resolution 0.1
+      pupper-analysis push v3 --swing FL=2cm --com inside --com-margin 1cm
+      pupper-analysis push --base v3 --torso-mass-scale 1.5 --kp 20 --kd 0.5
+
+    \b
+    Exit status: 0 done, 1 a stand does not last even unpushed, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.analysis.push import study_pushes
+    from pupper_analysis.pupper.variants import VARIANTS
+    from pupper_analysis.report.console import console
+    from pupper_analysis.report.push import print_pushes
+
+    task = asked.task()
+    check_outputs(figure, json_path)
+    results = study_pushes(
+        asked.robots(names, default=tuple(VARIANTS)),
+        task,
+        kp=asked.kp,
+        kd=asked.kd,
+        directions=directions,
+        resolution=resolution,
+    )
+    print_pushes(console(), results)
+    if figure is not None:
+        from pupper_analysis.report.figures.push import push_figure
+
+        push_figure({name: result.recovery for name, result in results.items()}, figure)
+    finish(json_path, results, passed=all(result.passed for result in results.values()))

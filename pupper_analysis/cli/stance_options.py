@@ -1,0 +1,202 @@
+"""Which robot, and how it shall stand: the options that all commands about stances share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pupper_analysis.cli.shared import ANGLE, LENGTH, assignment, length, point
+from pupper_analysis.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pupper_analysis.pupper.variants import VariantSpec
+    from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.stance.task import StandTask
+
+Command = Callable[..., None]
+
+VARIANT = (
+    click.option("--base", metavar="BASE", help="A variant of this base: skeleton or v3."),
+    click.option(
+        "--leg-scale", type=float, metavar="S", help="Its legs, times S in length and mass."
+    ),
+    click.option("--torso-mass-scale", type=float, metavar="T", help="Its torso's mass, times T."),
+)
+OWN = (
+    click.option("--urdf", type=click.Path(path_type=Path), help="A robot of your own: its URDF,"),
+    click.option("--mjcf", type=click.Path(path_type=Path), help="its MJCF,"),
+    click.option(
+        "--foot",
+        "feet",
+        multiple=True,
+        metavar="[NAME=]FRAME",
+        help="and the frame of a foot. Repeatable.",
+    ),
+)
+BASE = (
+    click.option("--height", type=LENGTH, help="Base above the contact points (m)."),
+    click.option("--roll", type=ANGLE, default=0.0, help="Roll of the base (rad)."),
+    click.option("--pitch", type=ANGLE, default=0.0, help="Pitch of the base (rad)."),
+    click.option("--yaw", type=ANGLE, default=0.0, help="Yaw against the feet (rad)."),
+)
+TASK = (
+    click.option("--offset", metavar="X,Y", help="Base from the centre of the feet (m)."),
+    click.option("--com", default="centre", metavar="X,Y", help="Com at (m), or: centre, inside."),
+    click.option("--com-margin", type=LENGTH, default=0.0, help="Inside the polygon (m)."),
+    click.option("--joint-margin", type=ANGLE, default=0.0, help="Off the limits (rad)."),
+    click.option("--ground-clearance", type=LENGTH, default=0.0, help="All but the feet (m)."),
+    click.option("--self-clearance", type=LENGTH, help="Between links (m)."),
+    click.option(
+        "--move", "moves", multiple=True, metavar="FOOT=X,Y", help="Foot off its place (m)."
+    ),
+    click.option(
+        "--swing", "swings", multiple=True, metavar="FOOT=LENGTH", help="Swing foot, so high (m)."
+    ),
+    click.option(
+        "--step", "steps", multiple=True, metavar="FOOT=LENGTH", help="Step under it (m)."
+    ),
+    click.option("--slope", type=ANGLE, default=0.0, help="Slope of the ground (rad)."),
+    click.option("--uphill", type=ANGLE, default=0.0, help="Where it rises (rad)."),
+)
+SERVOS = (
+    click.option(
+        "--kp", type=float, metavar="NM", help="Servo stiffness (N m/rad), not the model's."
+    ),
+    click.option("--kd", type=float, metavar="NMS", help="Servo damping (N m s/rad), likewise."),
+)
+
+name_argument = click.argument("name", required=False)
+
+
+def options(*groups: tuple[Callable[[Command], Command], ...]) -> Callable[[Command], Command]:
+    """Returns what gives a command the options of these groups, in this order."""
+
+    def add(command: Command) -> Command:
+        for option in reversed([option for group in groups for option in group]):
+            command = option(command)
+        return command
+
+    return add
+
+
+@dataclass(frozen=True)
+class RobotAndTask:
+    """What these options say, as it was given; each field is an option's."""
+
+    urdf: Path | None
+    mjcf: Path | None
+    feet: tuple[str, ...]
+    base: str | None
+    leg_scale: float | None
+    torso_mass_scale: float | None
+    height: float | None
+    roll: float
+    pitch: float
+    yaw: float
+    offset: str | None
+    com: str
+    com_margin: float
+    joint_margin: float
+    ground_clearance: float
+    self_clearance: float | None
+    moves: tuple[str, ...]
+    swings: tuple[str, ...]
+    steps: tuple[str, ...]
+    slope: float
+    uphill: float
+    kp: float | None
+    kd: float | None
+
+    def robot(self, name: str | None) -> Robot:
+        """Returns the variant of that name or of a base (v3 by default), or the files' robot."""
+        robots = self.robots(() if name is None else (name,), default=("v3",))
+        if len(robots) > 1:
+            raise ConfigurationError("NAME", "give a variant's name, or --base and its scales")
+        return robots[0]
+
+    def robots(self, names: tuple[str, ...], *, default: tuple[str, ...]) -> list[Robot]:
+        """Returns the variants of these names and of a base, or the robot of the two files."""
+        from pupper_analysis.pupper.load import load_variant
+        from pupper_analysis.robot.build import load_robot
+
+        derived = derived_variant(self.base, self.leg_scale, self.torso_mass_scale)
+        variants: list[str | VariantSpec] = [*dict.fromkeys(names)]
+        if derived is not None:
+            variants.append(derived)
+        if self.urdf is None and self.mjcf is None and not self.feet:
+            return [load_variant(variant) for variant in variants or default]
+        if variants:
+            raise ConfigurationError(
+                "NAME", "give a variant's name, or --base and its scales, or --urdf, --mjcf, --foot"
+            )
+        if self.urdf is None or self.mjcf is None or not self.feet:
+            raise ConfigurationError(
+                "--urdf, --mjcf, --foot",
+                "a robot of your own needs all three, --foot for each foot",
+            )
+        named = [foot if "=" in foot else f"{foot}={foot}" for foot in self.feet]
+        feet = dict(assignment("foot", foot) for foot in named)
+        return [load_robot(urdf=self.urdf, mjcf=self.mjcf, feet=feet)]
+
+    def task(self) -> StandTask:
+        """Returns the task of the stance."""
+        from pupper_analysis.robot.ground import Ground
+        from pupper_analysis.stance.task import StandTask
+
+        return StandTask(
+            height=self.height,
+            roll=self.roll,
+            pitch=self.pitch,
+            yaw=self.yaw,
+            offset=None if self.offset is None else _place("offset", self.offset),
+            com=self.com if self.com in ("centre", "inside") else _place("com", self.com),
+            com_margin=self.com_margin,
+            joint_margin=self.joint_margin,
+            ground_clearance=self.ground_clearance,
+            self_clearance=self.self_clearance,
+            foot_offsets={
+                foot: _place("move", place)
+                for foot, place in (assignment("move", text) for text in self.moves)
+            },
+            swing=dict(length("swing", text) for text in self.swings),
+            ground=Ground(
+                self.slope, self.uphill, dict(length("step", text) for text in self.steps)
+            ),
+        )
+
+
+def robot_and_task(command: Command) -> Command:
+    """Gives a command the options of robot, stance and servos, as one ``RobotAndTask``."""
+    names = [field.name for field in fields(RobotAndTask)]
+
+    @wraps(command)
+    def gathered(**values: Any) -> None:
+        asked = RobotAndTask(**{name: values.pop(name) for name in names})
+        command(asked, **values)
+
+    return options(OWN, VARIANT, BASE, TASK, SERVOS)(gathered)
+
+
+def derived_variant(
+    base: str | None, leg_scale: float | None, torso_mass_scale: float | None
+) -> VariantSpec | None:
+    """Returns the variant of a base that the options give, or None if they give none."""
+    from pupper_analysis.pupper.variants import VariantSpec
+
+    if base is None and leg_scale is None and torso_mass_scale is None:
+        return None
+    return VariantSpec(
+        base="skeleton" if base is None else base,
+        leg_scale=1.0 if leg_scale is None else leg_scale,
+        torso_mass_scale=1.0 if torso_mass_scale is None else torso_mass_scale,
+    )
+
+
+def _place(option: str, text: str) -> tuple[float, float]:
+    x, y = point(option, text)
+    return x, y

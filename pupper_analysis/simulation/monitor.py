@@ -1,0 +1,141 @@
+"""What a simulation's states say: has it fallen, what touches the ground, has it come to rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.robot import contact
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.rollout import STATE
+
+Array = NDArray[np.float64]
+
+FALLEN_TILT = 0.5
+"""A base that leans by more than this against its task has fallen over (rad)."""
+
+FALLEN_HEIGHT = 0.5
+"""A base that is lower than this share of the height that it should have has fallen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What is seen at one state.
+
+    Attributes:
+        time: s.
+        forces: {foot that touches: (3,)} of the ground on it, in world axes (N).
+        bodies: Names of the other bodies that touch the ground.
+    """
+
+    time: float
+    forces: dict[str, Array]
+    bodies: set[str]
+
+    def idle(self, feet: Iterable[str]) -> list[str]:
+        """Returns those of the feet that carry nothing."""
+        forces = self.forces
+        return [foot for foot in feet if foot not in forces or forces[foot][2] <= 0]
+
+
+class Watcher:
+    """Looks at single states of a robot's rollouts.
+
+    Args:
+        robot: The robot.
+        model: What was simulated.
+
+    Attributes:
+        data: MuJoCo's, of the state last looked at.
+    """
+
+    def __init__(self, robot: Robot, model: mujoco.MjModel):
+        self._robot, self._model = robot, model
+        self.data = mujoco.MjData(model)
+
+    def look(self, state: Array, ctrl: Array) -> Sight:
+        """Looks at a state (mjSTATE_FULLPHYSICS) under a command, with all its forces."""
+        mujoco.mj_setState(self._model, self.data, state, STATE)
+        self.data.ctrl[:] = ctrl
+        mujoco.mj_forward(self._model, self.data)
+        forces, bodies = contact.ground_forces(self._model, self.data, self._robot.foot_geoms)
+        return Sight(float(self.data.time), forces, bodies)
+
+    def touching(self, state: Array) -> set[str]:
+        """Returns the bodies that touch the ground, but for the feet: quicker than ``look``."""
+        mujoco.mj_setState(self._model, self.data, state, STATE)
+        mujoco.mj_kinematics(self._model, self.data)
+        mujoco.mj_collision(self._model, self.data)
+        return contact.bodies_on_ground(self._model, self.data, self._robot.foot_geoms)
+
+    def foot_centres(self) -> dict[str, Array]:
+        """Returns {foot: (3,)} where the feet's centres are at the state last looked at (m)."""
+        return foot_centres(self._robot, self.data)
+
+
+def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
+    """Returns {foot: (3,)} where MuJoCo has the centres of the feet (m)."""
+    return {
+        foot: data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+        for foot, (body, position) in robot.foot_places.items()
+    }
+
+
+def base_heights(robot: Robot, states: Array) -> Array:
+    """Returns the base's height in every state of a rollout."""
+    heights: Array = states[..., 1 + robot.mj_convention.qpos_index[2]]
+    return heights
+
+
+def turned_by(robot: Robot, rotation: Array, state: Array) -> float:
+    """Returns the angle of the base's rotation against the given one (rad)."""
+    quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
+    return float(np.linalg.norm(pin.log3(rotation.T @ rotation_from_quaternion(quaternion))))
+
+
+def lean(robot: Robot, rotation: Array, state: Array) -> float:
+    """Returns how far the base of a state leans off a rotation's vertical (rad); yaw is no lean."""
+    quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
+    cosine = float(rotation_from_quaternion(quaternion)[2] @ rotation[2])
+    return math.acos(min(1.0, max(-1.0, cosine)))
+
+
+def diverged(states: Array, timestep: float) -> bool:
+    """Tells whether a rollout broke down: MuJoCo resets the state, and so the time, if it does."""
+    times = states[..., 0]
+    return not bool(np.isfinite(states).all() and (np.diff(times) > timestep / 2).all())
+
+
+def divergence(integrator: str, timestep: float) -> str:
+    """Says that a rollout broke down."""
+    return f"the simulation diverged ({integrator}, {1e3 * timestep:g} ms)"
+
+
+def has_fallen(leaning: float, height: float, upright: float) -> bool:
+    """Tells whether a robot has fallen over, by its lean (rad) and its base's height (m).
+
+    Args:
+        leaning: How far it leans; see ``lean``.
+        height: Its base's.
+        upright: What that should be.
+    """
+    return leaning > FALLEN_TILT or height < FALLEN_HEIGHT * upright
+
+
+def fall(leaning: float, height: float) -> str:
+    """Says that a robot has fallen over."""
+    return f"it fell over: tilt {math.degrees(leaning):.0f} deg, height {height:.3f} m"
+
+
+def base_speed(robot: Robot, model: mujoco.MjModel, states: Array, lever: float) -> float:
+    """Returns the greatest speed of the base in some states: linear, plus angular x lever (m/s)."""
+    rates = states[:, 1 + model.nq :][:, robot.mj_convention.qvel_index[:6]]
+    linear, angular = (np.linalg.norm(part, axis=1) for part in (rates[:, :3], rates[:, 3:]))
+    return float((linear + lever * angular).max())
