@@ -161,10 +161,11 @@ def test_motors_too_weak_are_said_so() -> None:
 BAD = {
     "name and files": (["v3", "--urdf", "a.urdf"], "give a variant's name, or"),
     "name and base": (["v3", "--base", "v3"], "give a variant's name, or --base and its scales"),
-    "base and files": (["--base", "v3", "--urdf", "a.urdf"], "or --urdf, --mjcf, --foot"),
+    "base and files": (["--base", "v3", "--urdf", "a.urdf"], "or --urdf and --mjcf"),
     "no such base": (["--base", "v4"], "valid: skeleton, v3"),
     "no scale": (["--leg-scale", "0"], "greater than 0"),
-    "no feet": (["--urdf", "a.urdf", "--mjcf", "a.xml"], "needs all three"),
+    "no MJCF": (["--urdf", "a.urdf"], "needs both"),
+    "a map alone": (["--map", "a=b"], "needs both"),
     "no such file": (["--urdf", "a.urdf", "--mjcf", "a.xml", "--foot", "a=b"], "a.urdf"),
     "no damping": (["v3", "--kp", "-3"], "kp"),
     "too near": (["v3", "--self-clearance", "0.05"], "Possible with all else as asked: self_"),

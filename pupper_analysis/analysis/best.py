@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from numpy.typing import ArrayLike
+
 from pupper_analysis.analysis.payload import LoadedStance, try_payload
 from pupper_analysis.analysis.stance import Stance, study_stance
 from pupper_analysis.results import Result
@@ -39,8 +41,8 @@ def study_best(
     task: StandTask,
     point: tuple[float, float, float] = (0.0, 0.0, 0.0),
     *,
-    kp: float | None = None,
-    kd: float | None = None,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
 ) -> BestStudy:
     """Searches for the best stance, and finds out what it costs and whether it holds.
 
@@ -49,8 +51,8 @@ def study_best(
         objective: What shall be best.
         task: Where the search begins, and all that is not searched over.
         point: Where the payload is, in the base's frame (m).
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
 
     Raises:
         StanceUnreachableError: If the task itself is out of reach.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from numpy.typing import ArrayLike
+
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -45,8 +47,8 @@ def study_path(
     task: StandTask,
     seconds: float | None,
     *,
-    kp: float | None = None,
-    kd: float | None = None,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
 ) -> PathThere:
     """Moves from the nominal stand to a stance, and simulates that.
 
@@ -54,8 +56,8 @@ def study_path(
         robot: The robot.
         task: The stance.
         seconds: How long it takes (s); the least time if None.
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
 
     Raises:
         StanceUnreachableError: If a sample is out of reach; says where.

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from numpy.typing import ArrayLike
+
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.payload import PayloadTrial, payload_trial
@@ -45,8 +47,8 @@ def study_payload(
     task: StandTask,
     point: tuple[float, float, float] = (0.0, 0.0, 0.0),
     *,
-    kp: float | None = None,
-    kd: float | None = None,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
 ) -> LoadedStance:
     """Solves a stance, and finds out what it can carry.
 
@@ -54,8 +56,8 @@ def study_payload(
         robot: The robot.
         task: The stance.
         point: Where the payload is, in the base's frame (m).
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
 
     Raises:
         StanceUnreachableError: If it is out of reach.
@@ -72,8 +74,8 @@ def try_payload(
     stand: Stand,
     payload: PayloadLimit,
     *,
-    kp: float | None = None,
-    kd: float | None = None,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
 ) -> LoadedStance:
     """Simulates a stand with almost the greatest payload on it; see ``study_payload``."""
     trial = None

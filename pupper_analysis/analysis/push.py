@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from numpy.typing import ArrayLike
+
 from pupper_analysis.errors import StanceUnreachableError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -39,8 +41,8 @@ def study_pushes(
     robots: Sequence[Robot],
     task: StandTask,
     *,
-    kp: float | None = None,
-    kd: float | None = None,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
     directions: int = 12,
     resolution: float = 0.02,
 ) -> dict[str, PushedStance]:
@@ -49,8 +51,8 @@ def study_pushes(
     Args:
         robots: The robots, of different names; all are solved before the first is pushed.
         task: The stance of each.
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
         directions: How many, evenly spaced, the first one forward; 3 to 360.
         resolution: Of the impulses (N s).
 

@@ -6,7 +6,7 @@ import contextlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.errors import (
     NoEquilibriumError,
@@ -76,8 +76,8 @@ def study_stance(
     robot: Robot,
     stance: StandTask | Stand,
     *,
-    kp: float | None = None,
-    kd: float | None = None,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
     stiffness: bool = False,
 ) -> Stance:
     """Solves a stance, and finds out what it costs and whether it holds.
@@ -85,8 +85,8 @@ def study_stance(
     Args:
         robot: The robot.
         stance: The stance, or a stand, which is taken as it is.
-        kp: Servo stiffness (N m/rad); the model's own by default.
-        kd: Servo damping (N m s/rad); the model's own by default.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
         stiffness: Also find the minimum stiffness of the servos (a second or two).
 
     Raises:

@@ -57,7 +57,9 @@ def path(
         raise ConfigurationError("--seconds, --fastest", "give one of them: how long it shall take")
     task = asked.task()
     check_outputs(csv, npz, json_path)
-    result = study_path(asked.robot(name), task, seconds, kp=asked.kp, kd=asked.kd)
+    robot = asked.robot(name)
+    kp, kd = asked.gains(robot)
+    result = study_path(robot, task, seconds, kp=kp, kd=kd)
     print_path(console(), result)
     if csv is not None:
         result.path.to_csv(csv)
@@ -108,11 +110,13 @@ def push(
 
     task = asked.task()
     check_outputs(figure, json_path)
+    robots = asked.robots(names, default=tuple(VARIANTS))
+    kp, kd = asked.gains(robots[0])
     results = study_pushes(
-        asked.robots(names, default=tuple(VARIANTS)),
+        robots,
         task,
-        kp=asked.kp,
-        kd=asked.kd,
+        kp=kp,
+        kd=kd,
         directions=directions,
         resolution=resolution,
     )

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pupper_analysis.cli.shared import ANGLE, LENGTH, assignment, length, point
+from pupper_analysis.cli.shared import ANGLE, LENGTH, assignment, length, number, point
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.stance.task import StandTask
@@ -29,14 +31,22 @@ VARIANT = (
 )
 OWN = (
     click.option("--urdf", type=click.Path(path_type=Path), help="A robot of your own: its URDF,"),
-    click.option("--mjcf", type=click.Path(path_type=Path), help="its MJCF,"),
+    click.option("--mjcf", type=click.Path(path_type=Path), help="and its MJCF."),
     click.option(
         "--foot",
         "feet",
         multiple=True,
         metavar="[NAME=]FRAME",
-        help="and the frame of a foot. Repeatable.",
+        help="A foot: a link, geom, site or body, or LINK:FRAME. Repeatable; else they are found.",
     ),
+    click.option(
+        "--map",
+        "pairs",
+        multiple=True,
+        metavar="URDF=MJCF",
+        help="A joint's names. Repeatable.",
+    ),
+    click.option("--keyframe", metavar="NAME", help="The MJCF's keyframe to start from."),
 )
 BASE = (
     click.option("--height", type=LENGTH, help="Base above the contact points (m)."),
@@ -65,9 +75,19 @@ TASK = (
 )
 SERVOS = (
     click.option(
-        "--kp", type=float, metavar="NM", help="Servo stiffness (N m/rad), not the model's."
+        "--kp",
+        multiple=True,
+        metavar="[JOINTS=]NM",
+        help="Servo stiffness (N m/rad), not the model's; of joints by pattern: '*knee*=50'.",
     ),
-    click.option("--kd", type=float, metavar="NMS", help="Servo damping (N m s/rad), likewise."),
+    click.option(
+        "--kd", multiple=True, metavar="[JOINTS=]NMS", help="Servo damping (N m s/rad), likewise."
+    ),
+    click.option(
+        "--integrator",
+        type=click.Choice(["Euler", "implicitfast", "implicit", "RK4"]),
+        help="MuJoCo's, not the model's.",
+    ),
 )
 
 name_argument = click.argument("name", required=False)
@@ -91,6 +111,8 @@ class RobotAndTask:
     urdf: Path | None
     mjcf: Path | None
     feet: tuple[str, ...]
+    pairs: tuple[str, ...]
+    keyframe: str | None
     base: str | None
     leg_scale: float | None
     torso_mass_scale: float | None
@@ -109,8 +131,9 @@ class RobotAndTask:
     steps: tuple[str, ...]
     slope: float
     uphill: float
-    kp: float | None
-    kd: float | None
+    kp: tuple[str, ...]
+    kd: tuple[str, ...]
+    integrator: str | None
 
     def robot(self, name: str | None) -> Robot:
         """Returns the variant of that name or of a base (v3 by default), or the files' robot."""
@@ -122,26 +145,53 @@ class RobotAndTask:
     def robots(self, names: tuple[str, ...], *, default: tuple[str, ...]) -> list[Robot]:
         """Returns the variants of these names and of a base, or the robot of the two files."""
         from pupper_analysis.pupper.load import load_variant
-        from pupper_analysis.robot.build import load_robot
+        from pupper_analysis.robot.servos import with_integrator
 
         derived = derived_variant(self.base, self.leg_scale, self.torso_mass_scale)
         variants: list[str | VariantSpec] = [*dict.fromkeys(names)]
         if derived is not None:
             variants.append(derived)
-        if self.urdf is None and self.mjcf is None and not self.feet:
-            return [load_variant(variant) for variant in variants or default]
+        if not self.own:
+            robots = [load_variant(variant) for variant in variants or default]
+            return [with_integrator(robot, self.integrator) for robot in robots]
         if variants:
             raise ConfigurationError(
-                "NAME", "give a variant's name, or --base and its scales, or --urdf, --mjcf, --foot"
+                "NAME", "give a variant's name, or --base and its scales, or --urdf and --mjcf"
             )
-        if self.urdf is None or self.mjcf is None or not self.feet:
-            raise ConfigurationError(
-                "--urdf, --mjcf, --foot",
-                "a robot of your own needs all three, --foot for each foot",
-            )
+        if self.urdf is None or self.mjcf is None:
+            raise ConfigurationError("--urdf, --mjcf", "a robot of your own needs both")
+        return [with_integrator(self._own_robot(self.urdf, self.mjcf), self.integrator)]
+
+    @property
+    def own(self) -> bool:
+        """Whether the robot is given by files."""
+        return bool(self.urdf or self.mjcf or self.feet or self.pairs or self.keyframe)
+
+    def _own_robot(self, urdf: Path, mjcf: Path) -> Robot:
+        """Loads the robot of two files, and prints what was assumed."""
+        from pupper_analysis.prepare.load import load_robot
+        from pupper_analysis.report.console import console
+
         named = [foot if "=" in foot else f"{foot}={foot}" for foot in self.feet]
-        feet = dict(assignment("foot", foot) for foot in named)
-        return [load_robot(urdf=self.urdf, mjcf=self.mjcf, feet=feet)]
+        frames: dict[str, str | tuple[str, str]] = {}
+        for foot, frame in (assignment("foot", text) for text in named):
+            link, colon, place = frame.partition(":")
+            frames[foot] = (link, place) if colon else frame
+        robot = load_robot(
+            urdf=urdf,
+            mjcf=mjcf,
+            feet=frames or None,
+            joints=dict(assignment("map", text) for text in self.pairs),
+            keyframe=self.keyframe,
+        )
+        out = console()
+        for note in robot.notes:
+            out.print(f"note: {note}", soft_wrap=True, markup=False)
+        return robot
+
+    def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
+        """Returns the servos' stiffness and damping at a robot's joints; None: the model's own."""
+        return _gain("kp", self.kp, robot), _gain("kd", self.kd, robot)
 
     def task(self) -> StandTask:
         """Returns the task of the stance."""
@@ -200,3 +250,26 @@ def derived_variant(
 def _place(option: str, text: str) -> tuple[float, float]:
     x, y = point(option, text)
     return x, y
+
+
+def _gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:
+    """Returns a gain for all joints, or (nu,) one each; the model's own where none is given."""
+    from fnmatch import fnmatchcase
+
+    from pupper_analysis.errors import UnknownNameError
+    from pupper_analysis.robot.servos import servos
+
+    values = [number(option, text if "=" in text else f"*={text}") for text in texts]
+    if not values:
+        return None
+    if values[-1][0] == "*":
+        return values[-1][1]
+    gains = None
+    for pattern, value in values:
+        chosen = [fnmatchcase(name, pattern) for name in robot.joint_names]
+        if not any(chosen):
+            raise UnknownNameError(robot.name, f"joint (of --{option})", pattern, robot.joint_names)
+        if gains is None:
+            gains = [value] * robot.nu if all(chosen) else list(getattr(servos(robot), option))
+        gains = [value if this else gain for this, gain in zip(chosen, gains, strict=True)]
+    return gains

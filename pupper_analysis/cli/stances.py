@@ -42,8 +42,8 @@ def stand(
     """Solve a stance; print joint angles, what the motors hold, and whether it lasts.
 
     NAME is a variant (v3 by default); --base, --leg-scale and --torso-mass-scale make others. A
-    robot of your own is a URDF, an MJCF, and the frames at the centres of its feet, which both
-    files name; if it has no position servos, give --kp and --kd.
+    robot of your own is a URDF and an MJCF: feet, floor, servos and start pose are found or made
+    up for where the files lack them, and every such thing is printed as a note.
 
     Lengths are in m and angles in rad, or have a unit: 20mm, 2cm, 5deg.
 
@@ -61,8 +61,9 @@ def stand(
       pupper-analysis stand long-leg --slope 5deg --uphill 90deg --pitch 0.05
       pupper-analysis stand v3 --step FR=0.02 --move RL=-0.01,0.02 --figure stance.png
       pupper-analysis stand --base v3 --leg-scale 1.2 --minimum-stiffness
-      pupper-analysis stand --urdf go1.urdf --mjcf go1.xml --foot FR=FR_foot --foot FL=FL_foot \\
-        --foot RR=RR_foot --foot RL=RL_foot --kp 100 --kd 3
+      pupper-analysis stand --urdf g1.urdf --mjcf g1.xml --height 0.7
+      pupper-analysis stand --urdf go1.urdf --mjcf go1.xml --foot FL=FL_foot --foot FR=FR_foot \\
+        --foot RL=RL_foot --foot RR=RR_foot --kp 100 --kd 3 --kp '*calf*=150'
 
     \b
     Exit status: 0 it holds, 1 it fails in simulation, 2 out of reach, not holdable or bad input.
@@ -74,7 +75,8 @@ def stand(
     task = asked.task()
     check_outputs(figure, json_path)
     robot = asked.robot(name)
-    result = study_stance(robot, task, kp=asked.kp, kd=asked.kd, stiffness=minimum_stiffness)
+    kp, kd = asked.gains(robot)
+    result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)
     print_stance(console(), result)
     _draw(robot, result, figure)
     finish(json_path, result, passed=result.passed)
@@ -146,7 +148,9 @@ def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | No
 
     task, place = asked.task(), _at(at)
     check_outputs(json_path)
-    result = study_payload(asked.robot(name), task, place, kp=asked.kp, kd=asked.kd)
+    robot = asked.robot(name)
+    kp, kd = asked.gains(robot)
+    result = study_payload(robot, task, place, kp=kp, kd=kd)
     print_payload(console(), result)
     finish(json_path, result, passed=result.passed)
 
@@ -191,7 +195,8 @@ def best(
     task, place = asked.task(), _at(at)
     check_outputs(figure, json_path)
     robot = asked.robot(name)
-    result = study_best(robot, Objective(objective), task, place, kp=asked.kp, kd=asked.kd)
+    kp, kd = asked.gains(robot)
+    result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)
     print_best(console(), result)
     _draw(robot, result.stance, figure)
     finish(json_path, result, passed=result.passed)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import mujoco.rollout
@@ -131,3 +131,21 @@ def _gain(name: str, value: ArrayLike, size: int) -> Array:
     if not np.isfinite(gain).all() or (gain < 0).any():
         raise ConfigurationError(name, f"{value!r} is not finite and >= 0")
     return gain
+
+
+def with_integrator(robot: Robot, integrator: str | None) -> Robot:
+    """Returns the robot with another integrator of MuJoCo's; as it is without one.
+
+    Raises:
+        ConfigurationError: If the integrator is unknown.
+    """
+    if integrator is None:
+        return robot
+    if integrator not in INTEGRATORS:
+        raise ConfigurationError(
+            "integrator", f"{integrator!r} is unknown; there are: {', '.join(INTEGRATORS)}"
+        )
+    kind = INTEGRATORS[integrator]
+    spec, model = robot.description.mjcf.copy(), copy.copy(robot.mj_model)
+    spec.option.integrator = model.opt.integrator = kind.value
+    return replace(robot, description=replace(robot.description, mjcf=spec), mj_model=model)

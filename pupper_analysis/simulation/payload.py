@@ -226,7 +226,8 @@ def _first_event(
             Failure.TIPPING: [
                 foot
                 for foot in stand.stance_feet
-                if robot.foot_of(foot) not in seen.forces and (feet[foot] - places[foot])[2] > LIFTED
+                if robot.foot_of(foot) not in seen.forces
+                and (feet[foot] - places[foot])[2] > LIFTED
             ],
             Failure.SLIDING: [foot for foot, way in moved.items() if way > SLIPPED],
             Failure.BUCKLING: names[np.abs(angles - qpos[7:]) > LEFT].tolist(),
