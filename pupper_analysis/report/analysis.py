@@ -191,6 +191,7 @@ def print_loads(
         f"{minimum_peak.motor_utilisation.max():.1%}" + explanation,
         style="dim",
     )
+    flat = len(statics.foot_loads) < len(statics.contact_forces)
     table = titled_table(
         out,
         "Contact forces on the feet (N, world axes)",
@@ -200,15 +201,17 @@ def print_loads(
         "simulated",
         "minimum peak",
     )
-    for foot, force in statics.contact_forces.items():
+    for foot, load in statics.foot_loads.items():
         table.add_row(
             foot,
-            _vector(force, 3),
-            f"{statics.friction_utilisation[foot]:.1%}",
+            _vector(load.force, 3),
+            f"{load.friction_utilisation:.1%}",
             _vector(verification.foot_forces[foot], 3),
-            _vector(minimum_peak.contact_forces[foot], 3),
+            _vector(minimum_peak.foot_loads[foot].force, 3),
         )
     out.print(table)
+    for foot, load in statics.foot_loads.items() if flat else ():
+        out.print(f"centre of pressure of {foot}: {_vector(load.centre_of_pressure, 4)} m")
     margin = "-" if statics.com_margin is None else f"{1e3 * statics.com_margin:.1f} mm"
     out.print(
         f"balance residual {statics.residual_force:.1e} N, {statics.residual_torque:.1e} N m "

@@ -16,6 +16,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance
+from pupper_analysis.statics.foot_load import FootLoad, foot_load, sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]
@@ -64,6 +65,7 @@ class GravityCompensation(Result):
         contact_forces: {foot: (3,)} force of the ground on the foot, in world axes (N).
         contact_points: {foot: (3,)} where it acts, in the world (m).
         friction_utilisation: {foot: tangential force / (friction coefficient x normal force)}.
+        foot_loads: {foot: its load}; of a flat foot, the sum over its contact points.
         base_wrench: (6,) what holds the base from outside: force in world axes (N), torque in base
             axes (N m). Zero for a standing robot.
         center_of_mass: (3,) in the world (m).
@@ -79,6 +81,7 @@ class GravityCompensation(Result):
     contact_forces: dict[str, Array]
     contact_points: dict[str, Array]
     friction_utilisation: dict[str, float]
+    foot_loads: dict[str, FootLoad]
     base_wrench: Array
     center_of_mass: Array
     com_margin: float | None
@@ -325,14 +328,11 @@ def _result(
     remainder[:base_rows] -= base_wrench
     with np.errstate(divide="ignore", invalid="ignore"):
         utilisation = np.abs(torques) / robot.effort_limits
-    sliding: dict[str, float] = {}
-    for foot, force in forces.items():
-        normal = float(force @ normals[foot])
-        tangential = float(np.linalg.norm(force - normal * normals[foot]))
-        if tangential < BALANCE_TOLERANCE * np.linalg.norm(load[:3]):
-            sliding[foot] = 0.0
-        else:
-            sliding[foot] = tangential / (friction[foot] * normal)
+    tiny = BALANCE_TOLERANCE * float(np.linalg.norm(load[:3]))
+    sliding = {
+        foot: sliding_share(force, normals[foot], friction[foot], tiny)
+        for foot, force in forces.items()
+    }
     return GravityCompensation(
         joint_names=robot.joint_names,
         joint_torques=torques,
@@ -340,6 +340,17 @@ def _result(
         contact_forces=forces,
         contact_points=points,
         friction_utilisation=sliding,
+        foot_loads={
+            foot: foot_load(
+                [point for point in robot.soles[foot] if point in forces],
+                forces,
+                points,
+                normals,
+                friction,
+                tiny,
+            )
+            for foot in robot.feet_with(forces)
+        },
         base_wrench=base_wrench,
         center_of_mass=config.center_of_mass(),
         com_margin=com_margin(point, points) if points else None,
