@@ -162,11 +162,26 @@ def collect(robot: pa.Robot, count: int, seed: int) -> Tally:
     return tally
 
 
+def chosen(folder: Path | None, names: tuple[str, ...]) -> list[pa.Robot]:
+    """The robots of some names, or all: variants, and other people's if their folder is given."""
+    known = [*pa.VARIANTS, *(OTHERS if folder else ())]
+    for name in names:
+        if name not in known:
+            hint = ", and with --robots FOLDER: " + ", ".join(OTHERS) if folder is None else ""
+            raise click.BadParameter(f"no robot {name!r}; there are: {', '.join(known)}{hint}")
+    return [
+        other_robot(folder, name) if folder and name in OTHERS else pa.load_variant(name)
+        for name in names or known
+    ]
+
+
 @click.command()
 @click.option("--count", default=75, show_default=True, help="Refusals per robot.")
 @click.option("--seed", default=0, show_default=True)
 @click.option("--robots", type=click.Path(path_type=Path), help="Other people's: see stances.py.")
-@click.option("--only", multiple=True, help="Names of variants; all by default.")
+@click.option(
+    "--only", multiple=True, help="Names of variants and of other people's; all by default."
+)
 def main(count: int, seed: int, robots: Path | None, only: tuple[str, ...]) -> None:
     """Looks for refused stances that are in reach, and for limits that are not true."""
     out = Console(width=150)
@@ -174,8 +189,7 @@ def main(count: int, seed: int, robots: Path | None, only: tuple[str, ...]) -> N
         "robot", "refusals", "near reach", "in reach after all", "no limit stated",
         "limits", "not true as printed", "in reach 2 % beyond", "time (s): median, worst",
     )  # fmt: skip
-    everyone = [pa.load_variant(name) for name in only or pa.VARIANTS]
-    everyone += [other_robot(robots, name) for name in OTHERS] if robots else []
+    everyone = chosen(robots, only)
     remarks: Counter[str] = Counter()
     for robot in everyone:
         tally = collect(robot, count, seed)
