@@ -99,12 +99,12 @@ def check_limits(
     for name, limits in error.limits.items():
         tally.limits += 1
         end = replace(task, **limits)
-        typed = as_printed(end, error.possible[name], limits)
-        for asked in (end, typed):
+        typed = [as_printed(end, error.possible[name], limits, unit) for unit in ("deg", "rad")]
+        for asked in (end, *typed):
             try:
                 pa.solve_stand(robot, asked, explain=False)
             except pa.StanceUnreachableError:
-                tally.untrue.append(f"{robot.name}: {error.possible[name]}; {task}")
+                tally.untrue.append(f"{robot.name}: {error.possible[name]}; {task!r}")
                 break
         fields = list(limits)
         nominal = shrunk(robot, end, fields, 0.0)
@@ -115,18 +115,19 @@ def check_limits(
             pa.solve_stand(robot, beyond, explain=False)
         except (pa.StanceUnreachableError, pa.ConfigurationError):
             continue
-        tally.beyond.append(f"{robot.name}: {error.possible[name]}; {task}")
+        tally.beyond.append(f"{robot.name}: {error.possible[name]}; {task!r}")
 
 
-def as_printed(task: pa.StandTask, text: str, limits: dict[str, object]) -> pa.StandTask:
-    """The task with single numbers of a limit read back from its words."""
+def as_printed(task: pa.StandTask, text: str, limits: dict[str, object], unit: str) -> pa.StandTask:
+    """The task with single numbers of a limit read back from its words, angles in one unit."""
+    text = text.removesuffix(" (was that in metres, or radians?)")
     for part, (name, value) in zip(text.split(" and "), limits.items(), strict=True):
         number = float(re.findall(r"[-+]?\d+\.?\d*", part)[0]) if isinstance(value, float) else None
         if number is None:
             continue
         if part.endswith("rad)"):
-            task = replace(task, **{name: float(re.findall(r"\((.*) rad\)", part)[0])})
-            task = task if name == "joint_margin" else replace(task, **{name: math.radians(number)})
+            angle = float(re.findall(r"\((.*) rad\)", part)[0])
+            task = replace(task, **{name: math.radians(number) if unit == "deg" else angle})
         else:
             task = replace(task, **{name: number * (1e-3 if part.endswith("mm") else 1.0)})
     return task

@@ -204,7 +204,7 @@ def pushed_inside(place: Array, goal: Goal) -> Array:
 def _room(stand: Stand) -> float:
     """How much nearer than allowed anything is, negative (m)."""
     ground, links = stand.ground_clearance, stand.self_clearance
-    room = 0.0
+    room = -stand.com_short
     if ground is not None:
         room = min(room, ground.distance - stand.task.ground_clearance)
     if links is not None:

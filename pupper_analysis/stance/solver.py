@@ -17,7 +17,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Clearance, Shapes
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.support_polygon import support_polygon
+from pupper_analysis.statics.support_polygon import com_margin, support_polygon
 
 Array = NDArray[np.float64]
 
@@ -74,6 +74,8 @@ class Stand(Result):
         height_error: Of the base frame (m).
         com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
             base frame.
+        com_margin: Distance of the com's projection from the support polygon's edge (m); negative
+            outside.
         ground_clearance: How high the lowest part other than the feet is above the ground, by the
             URDF's shapes; None if it has none.
         self_clearance: The least distance between links that are not neighbours; None if it was
@@ -93,6 +95,7 @@ class Stand(Result):
     orientation_error: float
     height_error: float
     com_error: float
+    com_margin: float
     ground_clearance: Clearance | None
     self_clearance: Clearance | None
     iterations: int
@@ -100,8 +103,13 @@ class Stand(Result):
 
     @property
     def blocked(self) -> tuple[str, ...]:
-        """What comes nearer to the ground, or to another link, than the task allows."""
+        """What comes nearer to the ground, to another link or to tipping than the task allows."""
         found = []
+        if self.com_short > TASK_TOLERANCE:
+            inside = (
+                f"{1e3 * abs(self.com_margin):.1f} mm {'in' if self.com_margin >= 0 else 'out'}side"
+            )
+            found.append(f"the com is {inside} the support polygon")
         near, least = self.ground_clearance, self.task.ground_clearance
         if near is not None and near.distance < least - TOUCHING:
             found.append(f"{near.links[0]} is {_distance(near, 'above', 'in')} the ground")
@@ -109,6 +117,17 @@ class Stand(Result):
         if near is not None and near.distance < least - TOUCHING:
             found.append(f"{near.links[0]} is {_distance(near, 'from', 'in')} {near.links[1]}")
         return tuple(found)
+
+    @property
+    def com_short(self) -> float:
+        """How much nearer than asked the com is to the support polygon's edge (m).
+
+        With an offset only, and a margin that was asked for: the com is then a result. Otherwise it
+        is where it was asked to be.
+        """
+        if self.task.offset is None or self.task.com_margin == 0.0:
+            return 0.0
+        return max(0.0, self.task.com_margin - self.com_margin)
 
     @property
     def solved(self) -> bool:
@@ -257,6 +276,7 @@ def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
     at = config.qpos[:2] if goal.by_base else config.center_of_mass()[:2]
     errors = [float(np.linalg.norm(feet[foot] - target)) for foot, target in goal.targets.items()]
     normal = goal.task.ground.normal()
+    contacts = dict(zip(goal.stance_feet, goal.contacts, strict=True))
     return Stand(
         task=goal.task,
         qpos=config.qpos.copy(),
@@ -264,11 +284,12 @@ def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
         depths=goal.depths,
         stance_feet=goal.stance_feet,
         normals=dict.fromkeys(goal.stance_feet, normal),
-        contact_points=dict(zip(goal.stance_feet, goal.contacts, strict=True)),
+        contact_points=contacts,
         foot_error=max(errors),
         orientation_error=float(np.linalg.norm(pin.log3(turn))),
         height_error=abs(float(config.qpos[2]) - goal.height),
         com_error=float(np.linalg.norm(at - goal.place)),
+        com_margin=com_margin(config.center_of_mass(), contacts),
         ground_clearance=shapes.above_ground(
             config.qpos, goal.task.ground, goal.targets, goal.depths
         ),

@@ -153,5 +153,5 @@ def stand_at(robot: Robot, start: Stand, direction: str, value: float) -> Stand:
     if direction in ("x", "y"):
         x, y = _offset(start)
         place = (value, float(y)) if direction == "x" else (float(x), value)
-        changes = {"com": "centre", "com_margin": 0.0, "offset": place}
+        changes = {"com": "centre", "offset": place}
     return solve_stand(robot, replace(start.task, **changes), explain=False)
