@@ -22,11 +22,18 @@ Array = NDArray[np.float64]
 
 _NEAR_MISS = 1e-3  # m: feet that miss by less may be in reach with the com's last micrometres
 
-_ATTEMPTS = 64
-"""The most choices of branches that are tried in full for one place of the com."""
+_ATTEMPTS = 256
+"""The most choices of branches that are tried in full for one place of the com: four legs whose
+joints turn all the way round, with four branches each."""
+
+_ROUNDS = 4
+"""How often the branches are looked for anew from where the feet have come much nearer."""
 
 _CLEARED = 4
 """Stands with a part in the ground that are tried once more with it kept out (SLSQP, slow)."""
+
+_CLOSE = 5e-3
+"""Where feet miss by less (m), every branch is tried from there; the com may have gone far."""
 
 _ALMOST = 1e-3
 """Where feet miss by less (m), starts are scattered too: at the end of reach, with the com on the
@@ -85,16 +92,24 @@ class _At:
         solver = Solver(self.shapes, goal)
         if self._any(solver, (*hints, *starts(robot, goal))):
             return self.result()
-        base = min(self.points, key=lambda point: point.miss).qpos
-        self.found = branches(robot, base, goal.targets, goal.lower, goal.upper)
-        reach = 0.0 if goal.by_base else _shift(robot, base, self.found)
-        bent = tuple(choices(robot, goal, self.found, reach, _ATTEMPTS))
-        if self._any(solver, bent):
-            return self.result()
+        bent: list[Array] = []
+        for _ in range(_ROUNDS):
+            nearest = self._nearest()
+            self.found = branches(robot, nearest.qpos, goal.targets, goal.lower, goal.upper)
+            reach = 0.0 if goal.by_base else _shift(robot, nearest.qpos, self.found)
+            bent += (new := tuple(choices(robot, goal, self.found, reach, _ATTEMPTS)))
+            if self._any(solver, new):
+                return self.result()
+            # Much nearer, the base may be where legs have branches that they had not before.
+            if self.reached or self._nearest().miss > nearest.miss / 2:
+                break
         if goal.task.self_clearance is not None:  # without the avoidance they may be apart as well
             solver = Solver(self.shapes, goal, apart=False)
             self._any(solver, (*starts(robot, goal), *bent))
         return self.result()
+
+    def _nearest(self) -> Point:
+        return min(self.points, key=lambda point: point.miss)
 
     def _any(self, solver: Solver, joints: Iterable[Array]) -> bool:
         return any(self.add(solver.run(start)) for start in joints)
@@ -111,7 +126,7 @@ class _At:
         """Returns the solved stand; or that with the least in the way; or what misses least."""
         if self.reached:
             return max(self.reached, key=lambda stand: (stand.solved, _room(stand)))
-        return self._measure(min(self.points, key=lambda point: point.miss))
+        return self._measure(self._nearest())
 
     def _measure(self, point: Point) -> Stand:
         iterations = sum(tried.iterations for tried in self.points)
@@ -156,6 +171,17 @@ def _search_inside(
     for place in _places(goal):
         if any(solves(start, place) for start in candidates):
             return found[-1]
+    for _ in range(_ROUNDS):
+        near = min(found, key=lambda stand: stand.foot_error)
+        if near.foot_error > _CLOSE:
+            break
+        bent = branches(robot, near.qpos, goal.targets, goal.lower, goal.upper)
+        reach = _shift(robot, near.qpos, bent)
+        place = Configuration(robot, near.qpos).center_of_mass()[:2]
+        if any(solves(start, place) for start in choices(robot, goal, bent, reach, _ATTEMPTS)):
+            return found[-1]
+        if min(stand.foot_error for stand in found) > near.foot_error / 2:
+            break
     if any(TASK_TOLERANCE <= stand.foot_error < _ALMOST for stand in found):
         random = np.random.default_rng(0)
         low, high = np.maximum(goal.lower, -np.pi), np.minimum(goal.upper, np.pi)

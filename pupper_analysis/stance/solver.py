@@ -57,6 +57,15 @@ _INSIDE_WEIGHT = 1e3  # of the com staying inside the support polygon, likewise
 _TRUST_RADIUS = 0.5  # rad per joint and iteration
 
 
+_SIZE = 10.0  # of the robot, in heights of its stand: no foot moves by more for a radian per joint
+
+
+_SETTLED = 1e-11  # m: feet that are off by less twice are in place, though the com may drift
+
+
+_SLOW = 2  # iterations in a row at a pace that leads nowhere
+
+
 @dataclass(frozen=True, eq=False)
 class Stand(Result):
     """A solved stand. Its errors are Pinocchio's, computed anew from ``qpos``.
@@ -174,6 +183,7 @@ class Solver:
         self, shapes: Shapes, goal: Goal, *, inside: bool = False, apart: bool = True
     ) -> None:
         self.shapes, self.goal, self.inside = shapes, goal, inside
+        self._size = _SIZE * shapes.robot.stand_height
         apart = apart and goal.task.self_clearance is not None
         if apart:
             shapes.pair()  # before the state is set: it moves the robot
@@ -226,10 +236,13 @@ class Solver:
         wrapper, convention = self.shapes.wrapper, self.shapes.robot.pin_convention
         self._begin(joints, self.goal.place if place is None else place)
         # A trust region: where a step makes things worse it is undone, and the next one is shorter.
-        radius, iterations = _TRUST_RADIUS, 0
+        radius, iterations, slow = _TRUST_RADIUS, 0, 0
         q, error = np.array(wrapper.state.q), math.inf
-        while iterations < _MAX_ITERATIONS and radius > _STEP_TOLERANCE:
+        while iterations < _MAX_ITERATIONS and radius > _STEP_TOLERANCE and slow < _SLOW:
             iterations += 1
+            left = _MAX_ITERATIONS - iterations
+            if radius * self._size * left < math.sqrt(error) / 2 < math.inf:
+                break  # too far for all steps that are left, though the feet are not in place
             self._solver.dt = radius
             try:
                 step = self._solver.solve(True)
@@ -248,8 +261,12 @@ class Solver:
                 wrapper.state.q = q
                 wrapper.update_kinematics()
                 continue
+            nearer = math.sqrt(error) - math.sqrt(new_error)
+            settled = self.inside and max(error, new_error) < _SETTLED**2
+            hopeless = new_error > TASK_TOLERANCE**2 and nearer * left < math.sqrt(new_error) / 2
+            slow = slow + 1 if hopeless else 0
             error, q = new_error, np.array(wrapper.state.q)
-            if np.abs(step).max() < _STEP_TOLERANCE:
+            if settled or np.abs(step).max() < _STEP_TOLERANCE:
                 break
         miss = max(foot.error_norm() for foot in self._feet)
         return Point(convention.qpos(np.array(wrapper.state.q)), float(miss), iterations)
