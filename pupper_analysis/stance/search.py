@@ -74,6 +74,28 @@ def search(shapes: Shapes, goal: Goal, hints: Sequence[Array] = ()) -> Stand:
     return _search_inside(shapes, goal, best, there.found, hints)
 
 
+def follow(shapes: Shapes, goal: Goal, near: Stand) -> Stand | None:
+    """Looks for a stand near another one, from that alone: quick, and no proof that there is none.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: The goal.
+        near: A stand of a goal that is almost the same.
+    """
+    joints = near.joint_positions(shapes.robot)
+    there = _At(shapes, goal)
+    if there.add(Solver(shapes, goal).run(joints)):
+        return there.result()
+    if goal.task.com != "inside" or goal.by_base:
+        return None
+    com = Configuration(shapes.robot, near.qpos).center_of_mass()[:2]
+    point = Solver(shapes, goal, inside=True).run(joints, com)
+    if point.miss >= _NEAR_MISS:
+        return None
+    stand = _exactly(shapes, goal, point)
+    return stand if stand.solved else None
+
+
 class _At:
     """The search with the com, or the base, at the goal's place.
 
