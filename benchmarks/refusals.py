@@ -157,7 +157,8 @@ def collect(robot: pa.Robot, count: int, seed: int) -> Tally:
         tally.refusals += 1
         tally.unexplained += not error.limits
         off = Demand(robot, task).nearest(random)
-        if off < REACHED:
+        # Other people's URDFs have shapes that their MJCFs, by which it is checked, do not have.
+        if off < REACHED and not (error.blocked and robot.name in OTHERS):
             tally.wrong.append(f"{robot.name}: in reach to {off:.1e} m; {task!r}")
         check_limits(robot, task, error, tally)
     return tally
