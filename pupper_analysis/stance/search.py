@@ -341,13 +341,21 @@ def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) ->
 
     constraints = [_com_constraint(goal, at, columns)]
     if clear:
+        ground = goal.task.ground, goal.targets, goal.depths
 
         def room(values: Array) -> Array:
-            heights = shapes.heights(at(values).qpos, goal.task.ground, goal.targets, goal.depths)
+            heights = shapes.heights(at(values).qpos, *ground)
             finite: Array = heights[np.isfinite(heights)]
             return finite - (goal.task.ground_clearance + TOUCHING)
 
-        constraints.append({"type": "ineq", "fun": room})
+        def room_rates(values: Array) -> Array:
+            qpos = at(values).qpos
+            finite: Array = shapes.height_rates(qpos, *ground)[
+                np.isfinite(shapes.heights(qpos, *ground))
+            ]
+            return finite
+
+        constraints.append({"type": "ineq", "fun": room, "jac": room_rates})
     outcome = optimize.minimize(
         distances,
         start[free],
