@@ -93,21 +93,21 @@ def furthest(shapes: Shapes, goal: Goal, demands: Sequence[str]) -> Stand | None
     way = _Way(shapes, goal, demands)
     if not way.solves(0.0):
         return None
-    low, refused = 0.0, 1.0  # by the search everywhere
+    low, refused, leads = 0.0, 1.0, True  # refused by the search everywhere
     while True:
         high = refused
         while high - low > RESOLUTION * low and high > _LEAST:
             middle = (low + high) / 2
-            if way.follows(middle):
+            if leads and way.follows(middle):
                 low = middle
-            elif high - low <= _COARSE:
+            elif leads and high - low <= _COARSE:
                 high = middle
             elif way.solves(middle):
                 low = middle
             else:
                 high = refused = middle
         if high < refused and way.solves(high):
-            low = high  # by another way: on from there
+            low, leads = high, False  # there is more than the last stand leads to
             continue
         refused, again = high, min(_BEYOND * low, 1.0)
         if low == 0.0 or again == 1.0 or not way.solves(again):

@@ -113,6 +113,7 @@ def _limit(robot: Robot, start: Stand, direction: str, sign: float) -> float:
     """
     begin, first, most = _value(start, direction), _STEP[direction], _MOST.get(direction, math.inf)
     extent, step, least, last = 0.0, first, RESOLUTION * first, start
+    shortest = _COARSE * first  # of the steps that are searched for everywhere
 
     def goes(further: float, near: Stand | None = None) -> bool:
         nonlocal extent, last
@@ -123,14 +124,14 @@ def _limit(robot: Robot, start: Stand, direction: str, sign: float) -> float:
         return found is not None
 
     while step > least:
-        if goes(extent + step, last) or (step > _COARSE * first and goes(extent + step)):
+        if goes(extent + step, last) or (step > shortest and goes(extent + step)):
             continue
-        if step <= 2 * least and (goes(extent + step) or goes(extent + _GAP * first)):
-            step = _COARSE * first  # by another way: on from there
+        if step <= 2 * least < shortest and (goes(extent + step) or goes(extent + _GAP * first)):
+            step, shortest = _COARSE * first, 0.0  # there is more than the last stand leads to
         else:
             step /= 2
-    while extent > 0 and not goes(extent):
-        extent = max(0.0, extent - least)
+    while extent > 0 and not goes(extent):  # it must be in reach of who asks for that alone
+        extent, least = max(0.0, extent - least), 2 * least
     return begin + sign * extent
 
 
