@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 RESOLUTION = 1e-3
 """To what part of the step first tried a limit is found."""
 
-_COARSE = 0.2
+_COARSE = 0.4
 """Longer parts of the step first tried are searched for everywhere."""
 
 _GAP = 8e-3
