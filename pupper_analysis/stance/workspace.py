@@ -27,6 +27,9 @@ RESOLUTION = 1e-3
 _COARSE = 0.4
 """Longer parts of the step first tried are searched for everywhere."""
 
+_RESTART = 0.2
+"""The step, in parts of the first, with which it goes on where there was more than expected."""
+
 _GAP = 8e-3
 """Where a stand is out of reach, one further on by this part of the step first tried may not be:
 with the legs bent another way. v3's pitch has such a gap of 1.3 mrad."""
@@ -111,28 +114,30 @@ def _limit(robot: Robot, start: Stand, direction: str, sign: float) -> float:
     Short steps are tried from the last stand alone, which is quick; where that ends, the search
     everywhere has the last word.
     """
-    begin, first, most = _value(start, direction), _STEP[direction], _MOST.get(direction, math.inf)
-    extent, step, least, last = 0.0, first, RESOLUTION * first, start
+    first, most = _STEP[direction], _MOST.get(direction, math.inf)
+    begin = value = _value(start, direction)
+    step, least, last = first, RESOLUTION * first, start
     shortest = _COARSE * first  # of the steps that are searched for everywhere
 
     def goes(further: float, near: Stand | None = None) -> bool:
-        nonlocal extent, last
-        value = begin + sign * further
-        found = _reached(robot, start, direction, value, near) if abs(value) <= most else None
+        nonlocal value, last
+        found = _reached(robot, start, direction, further, near) if abs(further) <= most else None
         if found is not None:
-            extent, last = further, found
+            value, last = further, found
         return found is not None
 
     while step > least:
-        if goes(extent + step, last) or (step > shortest and goes(extent + step)):
+        further, gap = value + sign * step, value + sign * _GAP * first
+        if goes(further, last) or (step > shortest and goes(further)):
             continue
-        if step <= 2 * least < shortest and (goes(extent + step) or goes(extent + _GAP * first)):
-            step, shortest = _COARSE * first, 0.0  # there is more than the last stand leads to
+        if step <= 2 * least < shortest and (goes(further) or goes(gap)):
+            step, shortest = _RESTART * first, 0.0  # there is more than the last stand leads to
         else:
             step /= 2
-    while extent > 0 and not goes(extent):  # it must be in reach of who asks for that alone
-        extent, least = max(0.0, extent - least), 2 * least
-    return begin + sign * extent
+    while value != begin and not goes(value):  # it must be in reach of who asks for that alone
+        value = begin + sign * max(0.0, abs(value - begin) - least)
+        least *= 2
+    return value
 
 
 def _value(start: Stand, direction: str) -> float:
