@@ -109,8 +109,8 @@ class StanceUnreachableError(PupperAnalysisError):
             ``replace(task, **limits["roll"])`` is in reach.
         nearest: A stand that is in reach, with all demands shrunk alike towards the nominal stand;
             None if there is none, or it was not asked for.
-        blocked: What is in the way where the feet could be planted: a part in the ground, or parts
-            too near to each other, in words.
+        blocked: What is in the way where the feet could be planted: a part in the ground, parts
+            too near to each other, or a com too near to tipping, in words.
     """
 
     def __init__(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -11,6 +12,7 @@ from conftest import load, mujoco_at
 from scipy import optimize
 
 import pupper_analysis as pa
+from pupper_analysis.robot.build import build_robot
 from pupper_analysis.stance.branches import Branch, branches, combinations, limbs
 
 QPOS = {
@@ -78,6 +80,27 @@ def test_branches_reach_by_mujocos_kinematics_and_are_as_many_as_others_find(
                 others += 1
                 assert min(np.abs(way.positions - other.x).max() for way in reached) < 0.05
     assert others, "no start led to a way to bend a leg"
+
+
+def test_a_whole_turn_is_no_other_branch() -> None:
+    """Knee and hip of a leg that turns all the way round: two choices each, and nothing more."""
+    bounded = load("original")
+    urdf = bounded.description.urdf.replace('type="revolute"', 'type="continuous"')
+    robot = build_robot(replace(bounded.description, urdf=urdf))
+    assert np.isinf(robot.upper_limits).all()
+    qpos = QPOS["original"].copy()
+    qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    bent = qpos.copy()
+    bent[7:] = np.tile([0.2, 0.7, -1.4], 4)
+    targets = pa.Configuration(robot, bent).foot_positions()
+    found = branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
+    for limb, ways in found.items():
+        reached = [way.positions for way in ways if way.miss < 1e-5]
+        assert len(reached) == 4
+        assert all((np.abs(positions) <= np.pi).all() for positions in reached)
+        assert min(np.abs(positions - bent[7 + limb.joints]).max() for positions in reached) < 1e-3
+        for one, two in itertools.combinations(reached, 2):
+            assert np.abs(np.exp(1j * one) - np.exp(1j * two)).max() > 0.05
 
 
 def test_combinations_begin_with_what_is_in_reach_and_near() -> None:

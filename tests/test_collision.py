@@ -237,3 +237,28 @@ def test_links_that_would_touch_are_kept_apart() -> None:
     assert nearest is not None
     assert nearest.self_clearance.distance > nearest.task.self_clearance - 1e-6
     assert "foot_offsets" in caught.value.possible
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+@pytest.mark.parametrize("ground", [pa.Ground(), pa.Ground(0.3, 0.7, {"FL": 0.05, "RR": 0.03})])
+def test_heights_change_by_their_derivatives(name: str, ground: pa.Ground) -> None:
+    """By central differences; near steps coal's distances are found by iteration, less exact."""
+    robot = load(name)
+    shapes, random = Shapes(robot), np.random.default_rng(0)
+    places = pa.Configuration(robot, robot.neutral()).foot_positions()
+    for _ in range(3):
+        qpos = robot.home.copy()
+        qpos[3:7] += random.uniform(-0.2, 0.2, 4)
+        qpos[3:7] /= np.linalg.norm(qpos[3:7])
+        qpos[7:] = random.uniform(robot.lower_limits, robot.upper_limits)
+        rates = shapes.height_rates(qpos, ground, places, {})
+        there = np.isfinite(shapes.heights(qpos, ground, places, {}))
+        assert not rates[~there].any()
+        for column, index in enumerate((0, 1, *range(7, robot.nq))):
+            ends = []
+            for step in (1e-4, -1e-4):
+                moved = qpos.copy()
+                moved[index] += step
+                ends.append(shapes.heights(moved, ground, places, {})[there])
+            slopes = (ends[0] - ends[1]) / 2e-4
+            np.testing.assert_allclose(rates[there, column], slopes, atol=2e-3)

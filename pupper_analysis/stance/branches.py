@@ -108,7 +108,8 @@ def branches(
         starts: (k, nu) joint positions to start from; by default evenly spread ones.
 
     Returns:
-        {limb: its branches}, those that miss least first. A target that is out of reach has
+        {limb: its branches}, those that miss least first; a whole turn of a joint without limits
+        makes no other one. A target that is out of reach has
         branches too: where the foot comes nearest to it.
     """
     low = np.where(np.isfinite(lower), lower, -math.pi)
@@ -117,17 +118,25 @@ def branches(
         starts = np.random.default_rng(0).uniform(low, high, (_SAMPLES, robot.nu))
     solver = _Solver(robot, qpos, targets, lower, upper)
     positions, misses = solver.run(starts)
+    turning = robot.pin_convention.unbounded
+    positions[:, turning] = _turned(positions[:, turning])
     found = {}
     for limb, missed in misses.items():
         kept: list[Branch] = []
         for index in np.argsort(missed, kind="stable"):
-            place = positions[index, limb.joints]
-            if all(np.abs(place - branch.positions).max() > _SAME for branch in kept):
+            place, turns = positions[index, limb.joints], turning[limb.joints]
+            away = [place - branch.positions for branch in kept]
+            if all(np.abs(np.where(turns, _turned(a), a)).max() > _SAME for a in away):
                 kept.append(Branch(place, float(missed[index])))
             if len(kept) == _MOST:
                 break
         found[limb] = tuple(kept)
     return found
+
+
+def _turned(angle: Array) -> Array:
+    """Returns angles less whole turns: in [-pi, pi)."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import functools
 import json
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -139,8 +139,41 @@ class Shapes:
             places: {foot: (3,) of its centre (m)}, for the steps.
             depths: {foot: how deep it is in the ground (m)}.
         """
+        data = self.wrapper.model.createData()
+        heights = np.full(len(self._objects), np.inf)
+        for index, near, depth in self._above(data, qpos, ground, places, depths):
+            heights[index] = near.min_distance + depth
+        return heights
+
+    def height_rates(
+        self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
+    ) -> Array:
+        """Returns how ``heights`` change (n, 2 + nu) with the base's x and y and the joints.
+
+        Zero for the feet. What is nearest moves as the part of the shape that is there.
+        """
         robot, model = self.robot, self.wrapper.model
-        data, shapes = model.createData(), self.wrapper.collision_model
+        data = model.createData()
+        pin.computeJointJacobians(model, data, robot.pin_convention.q(qpos))
+        rates = np.zeros((len(self._objects), 2 + robot.nu))
+        for index, near, _ in self._above(data, qpos, ground, places, depths):
+            out, joint = -near.normal, int(self._objects[index].parentJoint)
+            jacobian = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
+            jacobian = jacobian[:, robot.pin_convention.v_index]
+            turning = np.cross(near.getNearestPoint1() - data.oMi[joint].translation, out)
+            rates[index] = [*out[:2], *(out @ jacobian[:3] + turning @ jacobian[3:])]
+        return rates
+
+    def _above(
+        self,
+        data: pin.Data,
+        qpos: Array,
+        ground: Ground,
+        places: Mapping[str, Array],
+        depths: Mapping[str, float],
+    ) -> Iterator[tuple[int, coal.DistanceResult, float]]:
+        """Yields each shape's number, what of the ground is nearest, and how deep it may be."""
+        robot, model, shapes = self.robot, self.wrapper.model, self.wrapper.collision_model
         placed = pin.GeometryData(shapes)
         pin.updateGeometryPlacements(model, data, shapes, placed, robot.pin_convention.q(qpos))
         at = [coal.Transform3s(where.rotation, where.translation) for where in placed.oMg]
@@ -163,7 +196,6 @@ class Shapes:
                 centre, half = ground.step(foot, places[foot], STEP_HALF_WIDTH)
                 box = coal.Box(2 * half)
                 obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
-        heights = np.full(len(self._objects), np.inf)
         for index, (shape, where) in enumerate(zip(self._objects, at, strict=True)):
             depth = 0.0
             if int(shape.parentJoint) in flat:
@@ -173,23 +205,22 @@ class Shapes:
                 other = foot in robot.description.foot_geoms
                 if _is_sole(shape.geometry, where, ball, there, other=other):
                     continue
-                if _apart(shape.geometry, where, ball, there) < 0:
+                if _nearest(shape.geometry, where, ball, there).min_distance < 0:
                     depth = depths.get(foot, 0.0)
-            distance = min(_apart(shape.geometry, where, *obstacle) for obstacle in obstacles)
-            heights[index] = distance + depth
-        return heights
+            near = [_nearest(shape.geometry, where, *obstacle) for obstacle in obstacles]
+            yield index, min(near, key=lambda found: float(found.min_distance)), depth
 
 
-def _apart(
+def _nearest(
     one: coal.CollisionGeometry,
     at: coal.Transform3s,
     other: coal.CollisionGeometry,
     there: coal.Transform3s,
-) -> float:
-    """Returns the distance between two shapes (m); negative if they overlap."""
-    return float(
-        coal.distance(one, at, other, there, coal.DistanceRequest(), coal.DistanceResult())
-    )
+) -> coal.DistanceResult:
+    """Returns the distance, where it is, and the direction from one shape to the other."""
+    result = coal.DistanceResult()
+    coal.distance(one, at, other, there, coal.DistanceRequest(), result)
+    return result
 
 
 def _is_sole(

@@ -27,7 +27,9 @@ _DOUBTFUL = 50.0
 """Degrees are 57 radians, a centimetre is a hundredth of a metre: more is no slip of a finger."""
 
 _MOST_DIGITS = 12
-_LEAST_SHARE = 1e-9  # of a lifted foot's height: a foot that is not lifted would carry
+_LEAST_SHARE = 1e-9
+"""Of a lifted foot's height, as a foot that is not lifted would carry; and of the com's margin, as
+with an offset none at all would let the com leave the support polygon."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ def shrunk(robot: Robot, task: StandTask, demands: Sequence[str], share: float) 
 
 
 def _share(demand: str, share: float) -> float:
-    return max(share, _LEAST_SHARE) if demand == "swing" else share
+    return max(share, _LEAST_SHARE) if demand in ("swing", "com_margin") else share
 
 
 def rounded(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:

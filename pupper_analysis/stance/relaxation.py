@@ -13,7 +13,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.demands import DEMANDS, differ, far_off, in_words, rounded, shrunk
 from pupper_analysis.stance.problem import Goal, goal_of
-from pupper_analysis.stance.search import search
+from pupper_analysis.stance.search import follow, search
 from pupper_analysis.stance.solver import TASK_TOLERANCE, Stand
 
 Array = NDArray[np.float64]
@@ -23,6 +23,9 @@ RESOLUTION = 1e-3
 
 _BEYOND = 1.02
 """Where beyond a limit it is looked whether the stance is in reach again, in parts of the limit."""
+
+_COARSE = 0.2
+"""Shares further apart than this are searched for everywhere between."""
 
 _LEAST = 1e-7
 """A share of what is asked that is as good as none: 1e7 times too much."""
@@ -76,49 +79,85 @@ def unreachable(
 def furthest(shapes: Shapes, goal: Goal, demands: Sequence[str]) -> Stand | None:
     """Finds how far demands can go from the nominal stand's towards the task's.
 
-    Bisection between a share that is in reach and one that is not. Demands are rounded, towards the
-    nominal stand's, to what is printed: that is in reach when it is typed.
+    Bisection between a share that is in reach and one that is not. Most shares are tried from the
+    last stand alone (``follow``), which is quick; where that ends, the search everywhere has the
+    last word. Demands are rounded, towards the nominal stand's, to what is printed: that is in
+    reach when it is typed.
 
     Returns:
         The stand there; None if the demands do not differ from the nominal stand's, or giving them
         up altogether does not help.
     """
-    robot, task = shapes.robot, goal.task
-    if not differ(robot, task, demands):
+    if not differ(shapes.robot, goal.task, demands):
         return None
-    hints: list[Array] = []
-
-    def at(share: float, *, round_off: bool = False) -> Stand | None:
-        smaller = shrunk(robot, task, demands, share)
-        if round_off:
-            smaller = rounded(robot, smaller, demands)
-        try:
-            stand = search(shapes, goal_of(robot, smaller, goal.depths), hints)
-        except ConfigurationError:
-            return None
-        if not stand.solved:
-            return None
-        hints[:] = [stand.joint_positions(robot)]
-        return stand
-
-    best = at(0.0)
-    if best is None:
+    way = _Way(shapes, goal, demands)
+    if not way.solves(0.0):
         return None
-    low, high = 0.0, 1.0
+    low, refused, leads = 0.0, 1.0, True  # refused by the search everywhere
     while True:
+        high = refused
         while high - low > RESOLUTION * low and high > _LEAST:
             middle = (low + high) / 2
-            stand = at(middle)
-            if stand is None:
+            if leads and way.follows(middle):
+                low = middle
+            elif leads and high - low <= _COARSE:
                 high = middle
+            elif way.solves(middle):
+                low = middle
             else:
-                best, low = stand, middle
-        again = min(_BEYOND * low, 1.0)
-        if low == 0.0 or again == 1.0 or at(again) is None:
+                high = refused = middle
+        if high < refused and way.solves(high):
+            low, leads = high, False  # there is more than the last stand leads to
+            continue
+        refused, again = high, min(_BEYOND * low, 1.0)
+        if low == 0.0 or again == 1.0 or not way.solves(again):
             break
-        low, high = again, 1.0
-    for less in (0.0, 1.0, 2.0, 4.0, 8.0):
-        stand = at(low * (1 - less * RESOLUTION), round_off=True)
-        if stand is not None:
-            return stand
-    return best
+        low, refused = again, 1.0
+    for less in (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0):
+        if way.solves(low * (1 - less * RESOLUTION), as_typed=True):
+            break
+    return way.stand
+
+
+class _Way:
+    """Demands on their way from the nominal stand's to the task's; ``stand`` is the last one."""
+
+    def __init__(self, shapes: Shapes, goal: Goal, demands: Sequence[str]) -> None:
+        self.shapes, self.goal, self.demands = shapes, goal, demands
+        self.stand: Stand | None = None
+
+    def solves(self, share: float, *, as_typed: bool = False) -> bool:
+        """Tells whether there is a stand at a share, by the search everywhere.
+
+        Args:
+            share: From 0, the nominal stand's, to 1, the task's.
+            as_typed: Round off, and search as for someone who types it: without a hint.
+        """
+        goal = self._goal(share, as_typed)
+        hints = []
+        if self.stand is not None and not as_typed:
+            hints.append(self.stand.joint_positions(self.shapes.robot))
+        return goal is not None and self._found(search(self.shapes, goal, hints))
+
+    def follows(self, share: float) -> bool:
+        """Tells whether there is a stand at a share, as the last one leads to."""
+        goal = self._goal(share)
+        if goal is None or self.stand is None:
+            return False
+        return self._found(follow(self.shapes, goal, self.stand))
+
+    def _goal(self, share: float, round_off: bool = False) -> Goal | None:
+        robot = self.shapes.robot
+        task = shrunk(robot, self.goal.task, self.demands, share)
+        if round_off:
+            task = rounded(robot, task, self.demands)
+        try:
+            return goal_of(robot, task, self.goal.depths)
+        except ConfigurationError:
+            return None
+
+    def _found(self, stand: Stand | None) -> bool:
+        if stand is None or not stand.solved:
+            return False
+        self.stand = stand
+        return True

@@ -22,11 +22,18 @@ Array = NDArray[np.float64]
 
 _NEAR_MISS = 1e-3  # m: feet that miss by less may be in reach with the com's last micrometres
 
-_ATTEMPTS = 64
-"""The most choices of branches that are tried in full for one place of the com."""
+_ATTEMPTS = 256
+"""The most choices of branches that are tried in full for one place of the com: four legs whose
+joints turn all the way round, with four branches each."""
+
+_ROUNDS = 4
+"""How often the branches are looked for anew from where the feet have come much nearer."""
 
 _CLEARED = 4
 """Stands with a part in the ground that are tried once more with it kept out (SLSQP, slow)."""
+
+_CLOSE = 5e-3
+"""Where feet miss by less (m), every branch is tried from there; the com may have gone far."""
 
 _ALMOST = 1e-3
 """Where feet miss by less (m), starts are scattered too: at the end of reach, with the com on the
@@ -67,6 +74,28 @@ def search(shapes: Shapes, goal: Goal, hints: Sequence[Array] = ()) -> Stand:
     return _search_inside(shapes, goal, best, there.found, hints)
 
 
+def follow(shapes: Shapes, goal: Goal, near: Stand) -> Stand | None:
+    """Looks for a stand near another one, from that alone: quick, and no proof that there is none.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: The goal.
+        near: A stand of a goal that is almost the same.
+    """
+    joints = near.joint_positions(shapes.robot)
+    there = _At(shapes, goal)
+    if there.add(Solver(shapes, goal).run(joints)):
+        return there.result()
+    if goal.task.com != "inside" or goal.by_base:
+        return None
+    com = Configuration(shapes.robot, near.qpos).center_of_mass()[:2]
+    point = Solver(shapes, goal, inside=True).run(joints, com)
+    if point.miss >= _NEAR_MISS:
+        return None
+    stand = _exactly(shapes, goal, point)
+    return stand if stand.solved else None
+
+
 class _At:
     """The search with the com, or the base, at the goal's place.
 
@@ -85,16 +114,24 @@ class _At:
         solver = Solver(self.shapes, goal)
         if self._any(solver, (*hints, *starts(robot, goal))):
             return self.result()
-        base = min(self.points, key=lambda point: point.miss).qpos
-        self.found = branches(robot, base, goal.targets, goal.lower, goal.upper)
-        reach = 0.0 if goal.by_base else _shift(robot, base, self.found)
-        bent = tuple(choices(robot, goal, self.found, reach, _ATTEMPTS))
-        if self._any(solver, bent):
-            return self.result()
+        bent: list[Array] = []
+        for _ in range(_ROUNDS):
+            nearest = self._nearest()
+            self.found = branches(robot, nearest.qpos, goal.targets, goal.lower, goal.upper)
+            reach = 0.0 if goal.by_base else _shift(robot, nearest.qpos, self.found)
+            bent += (new := tuple(choices(robot, goal, self.found, reach, _ATTEMPTS)))
+            if self._any(solver, new):
+                return self.result()
+            # Much nearer, the base may be where legs have branches that they had not before.
+            if self.reached or self._nearest().miss > nearest.miss / 2:
+                break
         if goal.task.self_clearance is not None:  # without the avoidance they may be apart as well
             solver = Solver(self.shapes, goal, apart=False)
             self._any(solver, (*starts(robot, goal), *bent))
         return self.result()
+
+    def _nearest(self) -> Point:
+        return min(self.points, key=lambda point: point.miss)
 
     def _any(self, solver: Solver, joints: Iterable[Array]) -> bool:
         return any(self.add(solver.run(start)) for start in joints)
@@ -111,7 +148,7 @@ class _At:
         """Returns the solved stand; or that with the least in the way; or what misses least."""
         if self.reached:
             return max(self.reached, key=lambda stand: (stand.solved, _room(stand)))
-        return self._measure(min(self.points, key=lambda point: point.miss))
+        return self._measure(self._nearest())
 
     def _measure(self, point: Point) -> Stand:
         iterations = sum(tried.iterations for tried in self.points)
@@ -156,6 +193,17 @@ def _search_inside(
     for place in _places(goal):
         if any(solves(start, place) for start in candidates):
             return found[-1]
+    for _ in range(_ROUNDS):
+        near = min(found, key=lambda stand: stand.foot_error)
+        if near.foot_error > _CLOSE:
+            break
+        bent = branches(robot, near.qpos, goal.targets, goal.lower, goal.upper)
+        reach = _shift(robot, near.qpos, bent)
+        place = Configuration(robot, near.qpos).center_of_mass()[:2]
+        if any(solves(start, place) for start in choices(robot, goal, bent, reach, _ATTEMPTS)):
+            return found[-1]
+        if min(stand.foot_error for stand in found) > near.foot_error / 2:
+            break
     if any(TASK_TOLERANCE <= stand.foot_error < _ALMOST for stand in found):
         random = np.random.default_rng(0)
         low, high = np.maximum(goal.lower, -np.pi), np.minimum(goal.upper, np.pi)
@@ -204,7 +252,7 @@ def pushed_inside(place: Array, goal: Goal) -> Array:
 def _room(stand: Stand) -> float:
     """How much nearer than allowed anything is, negative (m)."""
     ground, links = stand.ground_clearance, stand.self_clearance
-    room = 0.0
+    room = -stand.com_short
     if ground is not None:
         room = min(room, ground.distance - stand.task.ground_clearance)
     if links is not None:
@@ -293,13 +341,21 @@ def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) ->
 
     constraints = [_com_constraint(goal, at, columns)]
     if clear:
+        ground = goal.task.ground, goal.targets, goal.depths
 
         def room(values: Array) -> Array:
-            heights = shapes.heights(at(values).qpos, goal.task.ground, goal.targets, goal.depths)
+            heights = shapes.heights(at(values).qpos, *ground)
             finite: Array = heights[np.isfinite(heights)]
             return finite - (goal.task.ground_clearance + TOUCHING)
 
-        constraints.append({"type": "ineq", "fun": room})
+        def room_rates(values: Array) -> Array:
+            qpos = at(values).qpos
+            finite: Array = shapes.height_rates(qpos, *ground)[
+                np.isfinite(shapes.heights(qpos, *ground))
+            ]
+            return finite
+
+        constraints.append({"type": "ineq", "fun": room, "jac": room_rates})
     outcome = optimize.minimize(
         distances,
         start[free],

@@ -18,7 +18,7 @@ from pupper_analysis.stance.clearance import Clearance, Shapes
 from pupper_analysis.stance.footholds import fixing
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.support_polygon import support_polygon
+from pupper_analysis.statics.support_polygon import com_margin, support_polygon
 
 Array = NDArray[np.float64]
 
@@ -58,6 +58,15 @@ _INSIDE_WEIGHT = 1e3  # of the com staying inside the support polygon, likewise
 _TRUST_RADIUS = 0.5  # rad per joint and iteration
 
 
+_SIZE = 10.0  # of the robot, in heights of its stand: no foot moves by more for a radian per joint
+
+
+_SETTLED = 1e-11  # m: feet that are off by less twice are in place, though the com may drift
+
+
+_SLOW = 2  # iterations in a row at a pace that leads nowhere
+
+
 @dataclass(frozen=True, eq=False)
 class Stand(Result):
     """A solved stand. Its errors are Pinocchio's, computed anew from ``qpos``.
@@ -75,6 +84,8 @@ class Stand(Result):
         height_error: Of the base frame (m).
         com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
             base frame.
+        com_margin: Distance of the com's projection from the support polygon's edge (m); negative
+            outside.
         ground_clearance: How high the lowest part other than the feet is above the ground, by the
             URDF's shapes; None if it has none.
         self_clearance: The least distance between links that are not neighbours; None if it was
@@ -94,6 +105,7 @@ class Stand(Result):
     orientation_error: float
     height_error: float
     com_error: float
+    com_margin: float
     ground_clearance: Clearance | None
     self_clearance: Clearance | None
     iterations: int
@@ -101,8 +113,13 @@ class Stand(Result):
 
     @property
     def blocked(self) -> tuple[str, ...]:
-        """What comes nearer to the ground, or to another link, than the task allows."""
+        """What comes nearer to the ground, to another link or to tipping than the task allows."""
         found = []
+        if self.com_short > TASK_TOLERANCE:
+            inside = (
+                f"{1e3 * abs(self.com_margin):.1f} mm {'in' if self.com_margin >= 0 else 'out'}side"
+            )
+            found.append(f"the com is {inside} the support polygon")
         near, least = self.ground_clearance, self.task.ground_clearance
         if near is not None and near.distance < least - TOUCHING:
             found.append(f"{near.links[0]} is {_distance(near, 'above', 'in')} the ground")
@@ -110,6 +127,17 @@ class Stand(Result):
         if near is not None and near.distance < least - TOUCHING:
             found.append(f"{near.links[0]} is {_distance(near, 'from', 'in')} {near.links[1]}")
         return tuple(found)
+
+    @property
+    def com_short(self) -> float:
+        """How much nearer than asked the com is to the support polygon's edge (m).
+
+        With an offset only, and a margin that was asked for: the com is then a result. Otherwise it
+        is where it was asked to be.
+        """
+        if self.task.offset is None or self.task.com_margin == 0.0:
+            return 0.0
+        return max(0.0, self.task.com_margin - self.com_margin)
 
     @property
     def solved(self) -> bool:
@@ -156,6 +184,7 @@ class Solver:
         self, shapes: Shapes, goal: Goal, *, inside: bool = False, apart: bool = True
     ) -> None:
         self.shapes, self.goal, self.inside = shapes, goal, inside
+        self._size = _SIZE * shapes.robot.stand_height
         apart = apart and goal.task.self_clearance is not None
         if apart:
             shapes.pair()  # before the state is set: it moves the robot
@@ -215,10 +244,13 @@ class Solver:
         wrapper, convention = self.shapes.wrapper, self.shapes.robot.pin_convention
         self._begin(joints, self.goal.place if place is None else place)
         # A trust region: where a step makes things worse it is undone, and the next one is shorter.
-        radius, iterations = _TRUST_RADIUS, 0
+        radius, iterations, slow = _TRUST_RADIUS, 0, 0
         q, error = np.array(wrapper.state.q), math.inf
-        while iterations < _MAX_ITERATIONS and radius > _STEP_TOLERANCE:
+        while iterations < _MAX_ITERATIONS and radius > _STEP_TOLERANCE and slow < _SLOW:
             iterations += 1
+            left = _MAX_ITERATIONS - iterations
+            if radius * self._size * left < math.sqrt(error) / 2 < math.inf:
+                break  # too far for all steps that are left, though the feet are not in place
             self._solver.dt = radius
             try:
                 step = self._solver.solve(True)
@@ -237,8 +269,12 @@ class Solver:
                 wrapper.state.q = q
                 wrapper.update_kinematics()
                 continue
+            nearer = math.sqrt(error) - math.sqrt(new_error)
+            settled = self.inside and max(error, new_error) < _SETTLED**2
+            hopeless = new_error > TASK_TOLERANCE**2 and nearer * left < math.sqrt(new_error) / 2
+            slow = slow + 1 if hopeless else 0
             error, q = new_error, np.array(wrapper.state.q)
-            if np.abs(step).max() < _STEP_TOLERANCE:
+            if settled or np.abs(step).max() < _STEP_TOLERANCE:
                 break
         miss = max(foot.error_norm() for foot in self._feet)
         return Point(convention.qpos(np.array(wrapper.state.q)), float(miss), iterations)
@@ -265,6 +301,7 @@ def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
     at = config.qpos[:2] if goal.by_base else config.center_of_mass()[:2]
     errors = [float(np.linalg.norm(feet[foot] - target)) for foot, target in goal.targets.items()]
     normal = goal.task.ground.normal()
+    contacts = dict(zip(goal.stance_feet, goal.contacts, strict=True))
     return Stand(
         task=goal.task,
         qpos=config.qpos.copy(),
@@ -272,11 +309,12 @@ def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
         depths=goal.depths,
         stance_feet=goal.stance_feet,
         normals=dict.fromkeys(goal.stance_feet, normal),
-        contact_points=dict(zip(goal.stance_feet, goal.contacts, strict=True)),
+        contact_points=contacts,
         foot_error=max(errors),
         orientation_error=float(np.linalg.norm(pin.log3(turn))),
         height_error=abs(float(config.qpos[2]) - goal.height),
         com_error=float(np.linalg.norm(at - goal.place)),
+        com_margin=com_margin(config.center_of_mass(), contacts),
         ground_clearance=shapes.above_ground(
             config.qpos, goal.task.ground, goal.targets, goal.depths
         ),

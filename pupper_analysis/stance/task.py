@@ -33,7 +33,8 @@ class StandTask:
         pitch: About y, left (rad); positive looks down.
         yaw: About z, up (rad), against the feet.
         offset: (x, y) of the base from the centre of the feet, in world axes (m). With an offset
-            the com is where it then is; without one, ``com`` decides where the base is.
+            the com is where it then is, and must have ``com_margin`` if that is not 0; without one,
+            ``com`` decides where the base is.
         feet: {foot: (x, y) in the world (m)}, instead of its nominal place.
         foot_offsets: {foot: (x, y) from its nominal place (m)}.
         swing: {foot that does not carry: height of its sphere above the ground (m)}.
@@ -131,7 +132,7 @@ class StandTask:
                 f"{math.degrees(self.ground.uphill):.0f} deg"
             )
         parts += [f"{foot} on {1e3 * h:.0f} mm" for foot, h in self.ground.heights.items()]
-        if self.com == "inside":
+        if self.com == "inside" or (self.offset is not None and self.com_margin):
             parts.append(f"com inside by {1e3 * self.com_margin:.0f} mm")
         elif not isinstance(self.com, str):
             parts.append(f"com at {_millimetres(self.com)}")

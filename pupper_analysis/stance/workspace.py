@@ -13,14 +13,26 @@ from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.clearance import Shapes, shapes_of
+from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.search import follow
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]
 
 RESOLUTION = 1e-3
 """To what part of the step first tried a limit is found."""
+
+_COARSE = 0.4
+"""Longer parts of the step first tried are searched for everywhere."""
+
+_RESTART = 0.2
+"""The step, in parts of the first, with which it goes on where there was more than expected."""
+
+_GAP = 8e-3
+"""Where a stand is out of reach, one further on by this part of the step first tried may not be:
+with the legs bent another way. v3's pitch has such a gap of 1.3 mrad."""
 
 DIRECTIONS = ("height", "roll", "pitch", "yaw", "x", "y")
 _STEP = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05, "y": 0.05}
@@ -97,17 +109,34 @@ def _interval(robot: Robot, start: Stand, direction: str) -> Interval:
 
 
 def _limit(robot: Robot, start: Stand, direction: str, sign: float) -> float:
-    """Steps outwards until a stand is out of reach, then halves the step."""
-    value, step = _value(start, direction), _STEP[direction]
-    least = RESOLUTION * step
+    """Steps outwards until a stand is out of reach, then halves the step.
+
+    Short steps are tried from the last stand alone, which is quick; where that ends, the search
+    everywhere has the last word.
+    """
+    first, most = _STEP[direction], _MOST.get(direction, math.inf)
+    begin = value = _value(start, direction)
+    step, least, last = first, RESOLUTION * first, start
+    shortest = _COARSE * first  # of the steps that are searched for everywhere
+
+    def goes(further: float, near: Stand | None = None) -> bool:
+        nonlocal value, last
+        found = _reached(robot, start, direction, further, near) if abs(further) <= most else None
+        if found is not None:
+            value, last = further, found
+        return found is not None
+
     while step > least:
-        further = value + sign * step
-        if abs(further) <= _MOST.get(direction, math.inf) and _reached(
-            robot, start, direction, further
-        ):
-            value = further
+        further, gap = value + sign * step, value + sign * _GAP * first
+        if goes(further, last) or (step > shortest and goes(further)):
+            continue
+        if step <= 2 * least < shortest and (goes(further) or goes(gap)):
+            step, shortest = _RESTART * first, 0.0  # there is more than the last stand leads to
         else:
             step /= 2
+    while value != begin and not goes(value):  # it must be in reach of who asks for that alone
+        value = begin + sign * max(0.0, abs(value - begin) - least)
+        least *= 2
     return value
 
 
@@ -124,14 +153,25 @@ def _offset(start: Stand) -> Array:
     return offset
 
 
-def _reached(robot: Robot, start: Stand, direction: str, value: float) -> bool:
+def _reached(
+    robot: Robot, start: Stand, direction: str, value: float, near: Stand | None
+) -> Stand | None:
+    """Returns a stand that is reached, and can be held: from another one near it, or from all."""
     try:
-        stand = stand_at(robot, start, direction, value)
+        if near is None:
+            stand = stand_at(robot, start, direction, value)
+        else:
+            goal = goal_of(robot, _task_at(robot, start, direction, value), {})
+            shapes = shapes_of(robot) if start.task.self_clearance is None else Shapes(robot)
+            found = follow(shapes, goal, near)
+            if found is None:
+                return None
+            stand = found
     except (StanceUnreachableError, ConfigurationError):
-        return False
-    com = Configuration(robot, stand.qpos).center_of_mass()
-    margin = com_margin(com, stand.contact_points)
-    return direction not in ("x", "y") or margin >= start.task.com_margin
+        return None
+    if direction in ("x", "y") and stand.com_margin < start.task.com_margin:
+        return None
+    return stand
 
 
 def stand_at(robot: Robot, start: Stand, direction: str, value: float) -> Stand:
@@ -146,12 +186,16 @@ def stand_at(robot: Robot, start: Stand, direction: str, value: float) -> Stand:
     Raises:
         StanceUnreachableError: If it is out of reach.
     """
+    return solve_stand(robot, _task_at(robot, start, direction, value), explain=False)
+
+
+def _task_at(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
     changes: dict[str, Any] = {direction: value}
     if start.task.com == "inside":
-        x, y, _ = Configuration(robot, start.qpos).center_of_mass()
-        changes |= {"com": (float(x), float(y)), "com_margin": 0.0}
+        x, y, _ = Configuration(robot, start.qpos).center_of_mass().tolist()
+        changes |= {"com": (x, y), "com_margin": 0.0}
     if direction in ("x", "y"):
-        x, y = _offset(start)
-        place = (value, float(y)) if direction == "x" else (float(x), value)
-        changes = {"com": "centre", "com_margin": 0.0, "offset": place}
-    return solve_stand(robot, replace(start.task, **changes), explain=False)
+        x, y = _offset(start).tolist()
+        place = (value, y) if direction == "x" else (x, value)
+        changes = {"com": "centre", "offset": place}
+    return replace(start.task, **changes)

@@ -20,7 +20,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.optimize.space import JOINT_RESERVE, Room, StanceSpace
 from pupper_analysis.stance.payload.first_order import FirstOrder
-from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
@@ -126,8 +126,7 @@ class StanceSearch:
         if key not in self.known:
             self.evaluations += 1
             try:
-                stand = solve_stand(self.robot, self.space.task(coordinates), explain=False)
-                self.known[key] = self.stance(coordinates, stand)
+                self.known[key] = self.stance(coordinates, self.space.stand(coordinates))
             except (
                 StanceUnreachableError,
                 StaticsInfeasibleError,

@@ -183,6 +183,19 @@ class StanceSpace:
             com="centre",
         )
 
+    def stand(self, coordinates: Array) -> Stand:
+        """Returns the stand of a vector of coordinates; its com may lack the task's margin.
+
+        How much it has of that is in its ``room``: a search goes by it.
+
+        Raises:
+            StanceUnreachableError: If it is out of reach.
+            ConfigurationError: If it cannot be asked for.
+        """
+        task = self.task(coordinates)
+        stand = solve_stand(self.robot, replace(task, com_margin=0.0), explain=False)
+        return replace(stand, task=task)
+
     def room(self, stand: Stand) -> Room:
         """Returns what a stand leaves of what it may not use up."""
         config, task = Configuration(self.robot, stand.qpos), self.nominal.task

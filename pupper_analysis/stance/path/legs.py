@@ -185,6 +185,7 @@ def task_between(
         swing={f: max(TOUCHING, h) for f, h in heights.items() if f not in carrying},
         ground=ground,
         com="centre" if by_base else (float(com[0]), float(com[1])),
+        com_margin=max(0.0, between(one.com_margin, two.com_margin) - 1e-9) if by_base else 0.0,
         joint_margin=between(one.joint_margin, two.joint_margin),
         ground_clearance=between(one.ground_clearance, two.ground_clearance),
         self_clearance=apart,
