@@ -48,6 +48,8 @@ ORDER = (
     "name",
     "type",
     "parent",
+    "base frame",
+    "zero",
     "gravity",
     "mass",
     "com",

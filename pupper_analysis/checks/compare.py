@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.checks.attribution import EXPLAINED, explain
+from pupper_analysis.checks.attribution import EXPLAINED, align, explain
 from pupper_analysis.checks.differences import Difference, Effect, Explanation
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
@@ -104,20 +104,27 @@ def compare_models(
     """
     tolerances = tolerances or Tolerances()
     urdf_file, mjcf_file = read_urdf(urdf, packages), read_mjcf(mjcf)
-    matched = match(urdf_file, mjcf_file, names=names, feet=feet)
+    matched = match(urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances)
     robot = matched.robot
     if not robot.total_mass > 0:
         problem = f"its links weigh {robot.total_mass:.6g} kg together; give them <inertial>s"
         raise ModelError(urdf_file.path, problem)
+    alignment = align(robot, tolerances)
     check = cross_check(
         robot,
         configurations=configurations,
         tolerance=tolerances.dynamics,
         seed=seed,
         mimics=matched.mimics,
+        moved=alignment.moved,
     )
     explanation = explain(
-        robot, tolerances=tolerances, reference=matched.reference, mimics=matched.mimics
+        robot,
+        tolerances=tolerances,
+        reference=matched.reference,
+        mimics=matched.mimics,
+        alignment=alignment,
+        conventions=matched.conventions,
     )
     found = list(explanation.differences)
     if strict_names:
@@ -225,6 +232,7 @@ _URDF_CHILD = {
     "mass": "inertial/mass",
     "com": "inertial/origin",
     "inertia": "inertial/inertia",
+    "zero": "origin",
     "position": "origin",
     "rotation": "origin",
     "axis": "axis",
@@ -296,11 +304,13 @@ def _mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> Place
         return next(stated, Place(file.path))
     if kind in ("gravity compensation", "plugin"):
         return file.place("body", element)
+    if difference.kind == "base frame":
+        return file.place("body", matched.mjcf_body[element])
     if difference.kind in ("mass", "com", "inertia"):
         return file.place("body", matched.mjcf_body[element], "inertial")
     if element == matched.robot.base:
         return file.place("body", matched.mjcf_body[element], "joint")
-    if difference.kind in ("position", "rotation", "parent"):
+    if difference.kind in ("zero", "position", "rotation", "parent"):
         return file.place("body", matched.mjcf_body[element])
     body = matched.mjcf_body.get(element, "")
     tries = [("joint", element, None), ("body", body, "joint")]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Collection, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 from lxml import etree
 
+from pupper_analysis.checks.alignment import with_base
+from pupper_analysis.checks.conventions import Conventions, conventions, pose_in_words, rewrite
 from pupper_analysis.checks.matching_mjcf import (
     bodies_of,
     delete_joint,
@@ -28,6 +30,8 @@ from pupper_analysis.checks.matching_urdf import (
 )
 from pupper_analysis.checks.passive.mimics import Mimics, urdf_mimics
 from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.checks.trees import base_pose, trees
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import compile_spec
@@ -53,6 +57,7 @@ class Match:
         reference: The MJCF as it is, with all else in its scene. Where it has joints that the URDF
             lacks, these are fixed at zero.
         mimics: The joints that follow others in the URDF.
+        conventions: What the URDF was given of the MJCF's: the base's frame, zeros of joints.
     """
 
     robot: Robot
@@ -65,6 +70,7 @@ class Match:
     notes: tuple[str, ...]
     reference: Reference
     mimics: Mimics
+    conventions: Conventions
 
 
 def read_mapping(path: Path) -> dict[str, str]:
@@ -89,6 +95,7 @@ def match(
     *,
     names: Mapping[str, str] | None = None,
     feet: Sequence[str] = (),
+    tolerances: Tolerances | None = None,
 ) -> Match:
     """Matches joints and frames by name, then by ``names``, and the rest by structure.
 
@@ -100,6 +107,7 @@ def match(
         mjcf: The MJCF.
         names: {name in the URDF: name in the MJCF} of joints or frames.
         feet: Frames, by their names in the MJCF, to be compared as feet.
+        tolerances: What counts as a difference.
 
     Raises:
         ModelError: If the two have no joint in common, or one cannot be analysed.
@@ -148,6 +156,12 @@ def match(
         frames={name: frames[name] for name in (feet or frames)},
     )
     robot = build_robot(description)
+    found = _conventions(robot, tolerances or Tolerances(), notes)
+    if found.base is not None or found.zeros:
+        rewrite(root, robot.base, found, trees(robot)[0])
+        description = replace(description, urdf=etree.tostring(root, encoding="unicode"))
+        robot = build_robot(description)
+        mimics = _with_zeros(mimics, found)
     return Match(
         robot=robot,
         urdf_joint={new: old for old, new in pairs.items()},
@@ -164,7 +178,42 @@ def match(
             robot.mj_base,
         ),
         mimics=mimics,
+        conventions=found,
     )
+
+
+def _conventions(robot: Robot, tolerances: Tolerances, notes: list[str]) -> Conventions:
+    """Finds how the files' conventions differ, and says where a fixed base stands."""
+    urdf, mjcf = trees(robot)
+    if robot.floating:
+        return conventions(urdf, mjcf, tolerances, fixed=False)
+    pose = base_pose(robot)
+    if not pose.isIdentity(1e-9):
+        notes.append(
+            f"the MJCF's fixed base {robot.mj_base!r} stands {pose_in_words(pose)}, in the world; "
+            "the URDF's was put there"
+        )
+    one, two = (with_base(tree, pose.inverse()) for tree in (urdf, mjcf))
+    found = conventions(one, two, tolerances, fixed=True)
+    if found.base is not None:
+        notes.append(
+            f"the frame of the fixed base of the URDF is {pose_in_words(found.base)}, in that of "
+            f"the MJCF's {robot.mj_base!r}; it was put to the MJCF's"
+        )
+    return found
+
+
+def _with_zeros(mimics: Mimics, found: Conventions) -> Mimics:
+    """Returns the couplings q = m q' + c in coordinates with other zeros."""
+    zeros = found.zeros
+    return {
+        name: (
+            leader,
+            multiplier,
+            offset + multiplier * zeros.get(leader, 0.0) - zeros.get(name, 0.0),
+        )
+        for name, (leader, multiplier, offset) in mimics.items()
+    }
 
 
 def _check_names(
