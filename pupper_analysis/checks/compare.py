@@ -31,9 +31,12 @@ class Comparison(Result):
         mjcf: The MJCF's path.
         base: The base's name.
         joints: The joints that both have, by the MJCF's names.
-        guessed: {joint in the URDF: joint in the MJCF} matched by structure, not by name.
+        guessed: {joint in the URDF: joint in the MJCF} matched by structure, or by names that are
+            the same but for prefixes and suffixes.
         only_urdf: Joints of the URDF alone, fixed at zero for the comparison.
         only_mjcf: Joints of the MJCF alone, likewise.
+        parts: What one file has and the other lacks, as a whole with its joints, in words; it was
+            taken off to compare the rest.
         notes: What was assumed or left out.
         check: The cross-check: both models in both engines.
         differences: Of the files, the one with the greatest effect first.
@@ -55,6 +58,7 @@ class Comparison(Result):
     guessed: dict[str, str]
     only_urdf: tuple[str, ...]
     only_mjcf: tuple[str, ...]
+    parts: tuple[str, ...]
     notes: tuple[str, ...]
     check: CrossCheck
     differences: tuple[Difference, ...]
@@ -158,6 +162,7 @@ def compare_models(
         guessed=dict(matched.guessed),
         only_urdf=matched.only_urdf,
         only_mjcf=matched.only_mjcf,
+        parts=matched.parts,
         notes=(*matched.notes, *_armature_notes(explanation)),
         check=check,
         differences=differences,

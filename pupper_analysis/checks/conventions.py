@@ -33,6 +33,8 @@ from pupper_analysis.models.parameters import Parameters
 
 Array = NDArray[np.float64]
 
+_GAIN = 3.0  # bits that another frame of the base must save
+
 _TRIED = 6  # joints on the base whose frames are tried as a hint to where its own is
 
 
@@ -147,7 +149,7 @@ def _base(
         # What it explains must be more than what it takes to state it, and most of what there is.
         said = cost + own
         turned = fixed and apart <= tolerances.position and _is_quarter(pose.rotation)
-        enough = said < 0.6 * least or (turned and cost == 0)
+        enough = said < 0.6 * least or (cost == 0 and said < least - _GAIN)
         if enough and said < still:
             best, still = pose, said
         elif turned and cost == 0 and best is None:
@@ -181,7 +183,7 @@ def _poses(first: Parameters, second: Parameters) -> Iterator[pin.SE3]:
     if first.bodies[first.base].mass and second.bodies[second.base].mass:
         here = np.vstack([here, first.bodies[first.base].com])
         there = np.vstack([there, second.bodies[second.base].com])
-    turns = [np.array(rotation) for rotation in _quarters()]
+    turns = [np.array(rotation) for rotation in quarters()]
     if len(here) >= 3:
         centred = here - here.mean(axis=0), there - there.mean(axis=0)
         if np.linalg.matrix_rank(centred[0], tol=1e-6) >= 2:
@@ -191,7 +193,7 @@ def _poses(first: Parameters, second: Parameters) -> Iterator[pin.SE3]:
         yield pin.SE3(turn, there.mean(axis=0) - turn @ here.mean(axis=0))
 
 
-def _quarters() -> Iterator[Array]:
+def quarters() -> Iterator[Array]:
     """Yields the 24 rotations that map the axes onto each other."""
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):

@@ -135,6 +135,7 @@ class Judge:
             relative = self.relative(name, values, before[name])
             if relative > 1e-12:  # rounding
                 total = self.relative(name, self.urdf[name], self.mjcf[name])
-                share = relative / total if 0 < total < math.inf else math.inf
+                # Of what is rounding, nothing is a share.
+                share = relative / total if 1e-9 < total < math.inf else math.inf
                 found[name] = Effect(relative * self.scale(name), relative, share)
         return found

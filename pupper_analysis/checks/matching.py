@@ -20,12 +20,24 @@ from pupper_analysis.checks.matching_mjcf import (
     mjcf_tree,
     name_all,
 )
-from pupper_analysis.checks.matching_structure import common_frames, guess
+from pupper_analysis.checks.matching_names import without_affixes
+from pupper_analysis.checks.matching_structure import common_frames
+from pupper_analysis.checks.matching_structure import guess as guess_by_structure
+from pupper_analysis.checks.matching_subtrees import (
+    Part,
+    best_parts,
+    in_words,
+    mjcf_parts,
+    take_off_mjcf,
+    take_off_urdf,
+    urdf_parts,
+)
 from pupper_analysis.checks.matching_urdf import (
     fix_joints,
     links_of,
     moving_joints,
     strip_roots,
+    urdf_tree,
     without_shapes,
 )
 from pupper_analysis.checks.passive.mimics import Mimics, urdf_mimics
@@ -50,7 +62,8 @@ class Match:
         urdf_joint: {joint: its name in the URDF}.
         urdf_link: {base or joint: the URDF's link that it moves}.
         mjcf_body: {base or joint: the MJCF's body that it moves}.
-        guessed: {joint in the URDF: joint in the MJCF} matched by structure.
+        guessed: {joint in the URDF: joint in the MJCF} matched by structure, or by names that are
+            the same but for prefixes and suffixes.
         only_urdf: Joints that the MJCF does not have; fixed at zero for the comparison.
         only_mjcf: Joints that the URDF does not have; likewise.
         notes: What was assumed or left out, in plain words.
@@ -58,6 +71,7 @@ class Match:
             lacks, these are fixed at zero.
         mimics: The joints that follow others in the URDF.
         conventions: What the URDF was given of the MJCF's: the base's frame, zeros of joints.
+        parts: What one file has and the other lacks, and was taken off, in words.
     """
 
     robot: Robot
@@ -71,6 +85,7 @@ class Match:
     reference: Reference
     mimics: Mimics
     conventions: Conventions
+    parts: tuple[str, ...]
 
 
 def read_mapping(path: Path) -> dict[str, str]:
@@ -126,26 +141,23 @@ def match(
     links = {str(link.get("name")) for link in root.findall("link")}
     places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
     _check_names(wanted, (mine, links, urdf.path), (theirs, places, mjcf.path))
-    pairs = {old: new for old, new in wanted.items() if old in mine and new in theirs}
-    taken = set(pairs.values())
-    pairs |= {name: name for name in mine if name in theirs and name not in {*pairs, *taken}}
-    guessed = guess(root, spec, urdf.path, mjcf.path, pairs)
-    pairs |= guessed
-    if not pairs:
-        raise ModelError(
-            urdf.path,
-            f"no joint in common with {mjcf.path}: {', '.join(mine[:6])} … against "
-            f"{', '.join(theirs[:6])} …; name the pairs with a mapping",
-        )
+    found = _pair_up(root, spec, (urdf.path, mjcf.path), (mine, theirs), wanted)
+    pairs, guessed = found.pairs, found.guessed
+    notes += found.notes
     only_urdf = tuple(name for name in mine if name not in pairs)
     only_mjcf = tuple(name for name in theirs if name not in pairs.values())
+    for key in list(spec.keys):
+        spec.delete(key)  # its size may no longer fit
+    ways = (
+        urdf_parts(root, only_urdf),
+        mjcf_parts(spec, spec.copy().compile(), only_mjcf) if only_mjcf else {},
+    )
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
+    parts = _take_off(root, spec, (urdf.path, mjcf.path), ways, pairs)
     frames = common_frames(root, spec, wanted)
     for foot in feet:
         if foot not in frames:
             raise UnknownNameError(urdf.path, "frame of both files (for a foot)", foot, frames)
-    for key in list(spec.keys):
-        spec.delete(key)  # its size may no longer fit
     description = Description(
         name=spec.modelname,
         urdf=etree.tostring(root, encoding="unicode"),
@@ -156,12 +168,12 @@ def match(
         frames={name: frames[name] for name in (feet or frames)},
     )
     robot = build_robot(description)
-    found = _conventions(robot, tolerances or Tolerances(), notes)
-    if found.base is not None or found.zeros:
-        rewrite(root, robot.base, found, trees(robot)[0])
+    meant = _conventions(robot, tolerances or Tolerances(), notes)
+    if meant.base is not None or meant.zeros:
+        rewrite(root, robot.base, meant, trees(robot)[0])
         description = replace(description, urdf=etree.tostring(root, encoding="unicode"))
         robot = build_robot(description)
-        mimics = _with_zeros(mimics, found)
+        mimics = _with_zeros(mimics, meant)
     return Match(
         robot=robot,
         urdf_joint={new: old for old, new in pairs.items()},
@@ -178,8 +190,100 @@ def match(
             robot.mj_base,
         ),
         mimics=mimics,
-        conventions=found,
+        conventions=meant,
+        parts=tuple(parts),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Which joints are the same, which of them were matched otherwise than by name, and notes."""
+
+    pairs: dict[str, str]
+    guessed: dict[str, str]
+    notes: list[str]
+
+
+def _pair_up(
+    root: etree._Element,
+    spec: mujoco.MjSpec,
+    files: tuple[Path, Path],
+    joints: tuple[Sequence[str], Sequence[str]],
+    wanted: Mapping[str, str],
+) -> _Pairs:
+    """Matches the joints: by ``wanted``, by name, by name without affixes, and by structure.
+
+    Raises:
+        ModelError: If fewer than half of the joints have a partner.
+    """
+    mine, theirs = joints
+    pairs = {old: new for old, new in wanted.items() if old in mine and new in theirs}
+    told = len(pairs)
+    taken = set(pairs.values())
+    pairs |= {name: name for name in mine if name in theirs and name not in {*pairs, *taken}}
+    guessed = without_affixes(mine, theirs, pairs)
+    pairs |= guessed
+    guess = guess_by_structure(root, spec, *files, pairs)
+    guessed |= guess.pairs
+    pairs |= guess.pairs
+    choices = {one: others for one, others in guess.choices.items() if one not in pairs}
+    lines = [
+        " or ".join(f"--map {one}={other}" for other in others) for one, others in choices.items()
+    ]
+    fewer = min(len(mine), len(theirs))
+    if not pairs and not choices:
+        raise ModelError(
+            files[0],
+            f"no joint in common with {files[1]}: {', '.join(mine[:6])} … against "
+            f"{', '.join(theirs[:6])} …; name the pairs with a mapping",
+        )
+    if (2 * len(pairs) < fewer and len(pairs) > told) or not pairs:
+        free = [name for name in theirs if name not in pairs.values()]
+        hints = [f"--map {name}=..." for name in mine if name not in {*pairs, *choices}]
+        raise ModelError(
+            files[0],
+            f"only {len(pairs)} of {fewer} joints have a partner in {files[1]}, too few to call it "
+            f"the same robot; say which are the same: {'; '.join([*lines, *hints])} "
+            f"(the MJCF's are {', '.join(free)})",
+        )
+    notes = [
+        f"joint {one} of the URDF may be {' or '.join(choices[one])} of the MJCF; say which: {line}"
+        for one, line in zip(choices, lines, strict=True)
+    ]
+    return _Pairs(pairs, guessed, notes)
+
+
+_Ways = Mapping[str, list[list[Part]]]
+
+
+def _take_off(
+    root: etree._Element,
+    spec: mujoco.MjSpec,
+    files: tuple[Path, Path],
+    ways: tuple[_Ways, _Ways],
+    pairs: Mapping[str, str],
+) -> list[str]:
+    """Takes off what one file has and the other lacks, where masses say so; returns what it is."""
+    if not any(ways):
+        return []
+    one, two = urdf_tree(root, files[0]), mjcf_tree(spec, files[1])
+    said = []
+    for candidates, here, there, words in (
+        (ways[0], one, two, ("URDF", "MJCF")),
+        (ways[1], two, one, ("MJCF", "URDF")),
+    ):
+        for carrier, way in candidates.items():
+            name = pairs.get(carrier, carrier) if words[0] == "URDF" else carrier
+            if name not in here.bodies or name not in there.bodies:
+                continue
+            short = here.bodies[name].mass - there.bodies[name].mass
+            for part in best_parts(way, short):
+                said.append(in_words(part, *words))
+                if words[0] == "URDF":
+                    take_off_urdf(root, part.root)
+                else:
+                    take_off_mjcf(spec, part.root)
+    return said
 
 
 def _conventions(robot: Robot, tolerances: Tolerances, notes: list[str]) -> Conventions:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import mujoco
+import numpy as np
+import pinocchio as pin
 
+from pupper_analysis.checks.alignment import with_base
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
@@ -103,7 +106,7 @@ def bodies_of(robot: Robot) -> dict[str, str]:
 
 
 def mjcf_tree(spec: mujoco.MjSpec, source: Path) -> parameters.Parameters:
-    """Returns the parameters of an MJCF's joints and bodies.
+    """Returns the parameters of an MJCF's joints and bodies, in the frame of its base.
 
     Raises:
         ModelError: If MuJoCo cannot compile it.
@@ -115,4 +118,13 @@ def mjcf_tree(spec: mujoco.MjSpec, source: Path) -> parameters.Parameters:
         raise ModelError(source, f"MuJoCo cannot compile it: {message}") from error
     model = pinocchio_from_mujoco(compiled)
     names = [joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
-    return parameters.from_pinocchio(model, "", names, {})
+    tree = parameters.from_pinocchio(model, "", names, {})
+    if tree.floating or not names:
+        return tree
+    base = int(compiled.jnt_bodyid[compiled.joint(names[0]).id])
+    while compiled.body_weldid[base] != 0:
+        base = int(compiled.body_parentid[base])
+    data = mujoco.MjData(compiled)
+    mujoco.mj_kinematics(compiled, data)
+    pose = pin.SE3(data.xmat[base].reshape(3, 3).copy(), np.array(data.xpos[base]))
+    return with_base(tree, pose.inverse())

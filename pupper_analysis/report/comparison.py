@@ -32,11 +32,17 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
     groups = _groups(comparison.differences)
     verdict = "[bold green]AGREE[/]" if comparison.agree else "[bold red]DISAGREE[/]"
     first = groups[0][0].message if groups else "no difference within the tolerances"
-    if not groups and comparison.objections:
+    if comparison.parts:
+        first = comparison.parts[0]
+    elif not groups and comparison.objections:
         first = comparison.objections[0]
     elif not groups and not comparison.agree:
         first = "they do not have the same joints"
     out.print(f"{verdict}: {escape(first)}", soft_wrap=True)
+    for part in comparison.parts:
+        out.print(
+            f"\n[bold]-[/] {escape(part)}; it was taken off to compare the rest", soft_wrap=True
+        )
     shown = groups if everything else groups[:SHOWN]
     for number, group in enumerate(shown, start=1):
         _print_group(out, number, group, everything)
@@ -61,7 +67,7 @@ def _matching_notes(comparison: Comparison) -> Iterable[str]:
     yield from comparison.notes
     if comparison.guessed:
         pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
-        yield f"matched by structure, not by name (confirm with --map): {pairs}"
+        yield f"matched by structure or by part of the name (confirm with --map): {pairs}"
     for joints, file in (
         (comparison.only_urdf, comparison.urdf),
         (comparison.only_mjcf, comparison.mjcf),
