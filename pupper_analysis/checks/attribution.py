@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 
@@ -41,6 +42,7 @@ def explain(
     mimics: Mimics | None = None,
     alignment: Alignment | None = None,
     conventions: Conventions | None = None,
+    undamped: Collection[str] = (),
 ) -> Explanation:
     """Finds every number in which a robot's URDF and MJCF differ, and proves that none is missing.
 
@@ -57,6 +59,7 @@ def explain(
         mimics: The joints that follow others in the URDF.
         alignment: The MJCF's tree in the URDF's link frames, if known.
         conventions: In what the URDF's coordinates were, before it was given the MJCF's.
+        undamped: The joints whose damping the URDF does not state, and was given the MJCF's.
     """
     tolerances = tolerances or Tolerances()
     reference = reference or Reference(
@@ -96,7 +99,9 @@ def explain(
     differences += [_mimic(name, (mimics or {})[name]) for name in uncoupled]
     patched = behaviour(robot, _patched(first, second), states)
     left = {name: judge.relative(name, patched[name], stripped[name]) for name in patched}
-    differences.sort(key=lambda item: (-item.weight[0], -item.weight[1], ORDER.index(item.kind)))
+    differences.sort(
+        key=lambda d: (d.tier, -d.weight[0], -d.weight[1], ORDER.index(d.kind)),
+    )
     return Explanation(
         differences=tuple(differences),
         deviations={name: judge.relative(name, urdf[name], mjcf[name]) for name in urdf},
@@ -104,7 +109,13 @@ def explain(
         complete=all(value <= EXPLAINED for value in left.values()),
         remains=tuple(still_acting(reference, bare, states)),
         armature=armature_of(robot, first, states, judge),
+        damping=judge.effects(urdf, behaviour(robot, _undamped(first, undamped), states)),
     )
+
+
+def _undamped(values: Parameters, names: Collection[str]) -> Parameters:
+    bare = {name: replace(values.joints[name], damping=0.0) for name in names}
+    return replace(values, joints={**values.joints, **bare})
 
 
 def align(robot: Robot, tolerances: Tolerances) -> Alignment:

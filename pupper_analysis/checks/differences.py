@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
+_STRUCTURE = ("name", "type", "parent", "base frame", "zero", "gravity")
+_LIMITS = ("lower limit", "upper limit", "effort")
+_FELT = 1e-3  # least relative effect that goes before limits and efforts
 _MAIN = ("mass matrix", "gravity", "foot positions", "joint positions")
 
 
@@ -65,7 +68,7 @@ class Difference(Result):
 
     @property
     def weight(self) -> tuple[float, float]:
-        """What differences are sorted by.
+        """How much the dynamics feel it.
 
         The greatest relative effect on mass matrix, gravity and positions; then on any quantity.
         Both are 0 for what the dynamics do not feel.
@@ -73,6 +76,22 @@ class Difference(Result):
         main = [self.effects[name].relative for name in _MAIN if name in self.effects]
         every = [effect.relative for effect in self.effects.values()]
         return max(main, default=0.0), max(every, default=0.0)
+
+    @property
+    def tier(self) -> int:
+        """What differences are sorted by first: what a user must mend.
+
+        0 is a structure or a convention that is another; then what makes the robot another one by a
+        thousandth or more, and masses; what accelerations feel; limits and efforts; the rest.
+        """
+        main, every = self.weight
+        if self.kind in _STRUCTURE:
+            return 0
+        if main >= _FELT or self.kind == "mass":
+            return 1
+        if every >= _FELT:
+            return 2
+        return 3 if self.kind in _LIMITS else 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +112,7 @@ class Explanation(Result):
     """Why two models disagree.
 
     Attributes:
-        differences: Sorted by effect, the greatest first.
+        differences: What a user must mend first, first: by tier, then by effect.
         deviations: {quantity: relative deviation between the two models}.
         left: {quantity: relative deviation that is left when the URDF's model is given the MJCF's
             value for every difference, and what the MJCF alone has is taken out of it}.
@@ -101,6 +120,7 @@ class Explanation(Result):
         remains: What acts in MuJoCo when all that was found is taken away, and has no part in a
             tree of joints, by MuJoCo's names, in words.
         armature: What the armature does; both models were given the MJCF's.
+        damping: What leaving out the damping that the URDF does not state does to it.
     """
 
     differences: tuple[Difference, ...]
@@ -109,6 +129,7 @@ class Explanation(Result):
     complete: bool
     remains: tuple[str, ...]
     armature: Armature
+    damping: dict[str, Effect]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +140,15 @@ class Judge:
     mjcf: Mapping[str, Array]
 
     def scale(self, name: str) -> float:
-        """Returns the greatest absolute value of a quantity."""
-        return max(float(np.abs(self.urdf[name]).max()), 1e-300)
+        """Returns the greatest absolute value of a quantity.
+
+        Gravity may be nearly zero (of joints that are all upright): then it is what a thousandth of
+        the robot would weigh.
+        """
+        least = 1e-300
+        if name in ("gravity", "bias forces"):
+            least = 1e-3 * 9.81 * self.scale("mass matrix")
+        return max(float(np.abs(self.urdf[name]).max()), least)
 
     def relative(self, name: str, one: Array, two: Array) -> float:
         """Returns the worst deviation, relative to the scale; infinite if it is no number."""

@@ -250,12 +250,13 @@ def _evaluations(
 def _compare(name: str, evaluations: Mapping[str, Evaluation], tolerance: float) -> QuantityCheck:
     """Compares one quantity along every edge."""
     edges: dict[str, float] = {}
+    least = _least_scale(name, evaluations[URDF_PINOCCHIO])
     worst: tuple[float, float, float, tuple[str, str], str] | None = None
     for pair, whose in EDGES.items():
         if any(name not in evaluations.get(evaluation, {}) for evaluation in pair):
             continue
         one, two = (evaluations[evaluation][name] for evaluation in pair)
-        found = _deviation(one, two)
+        found = _deviation(one, two, least)
         edges[whose] = found[0]
         if worst is None or found[0] > worst[0]:
             worst = (*found[:3], pair, found[3])
@@ -275,7 +276,14 @@ def _compare(name: str, evaluations: Mapping[str, Evaluation], tolerance: float)
     )
 
 
-def _deviation(one: Quantity, two: Quantity) -> tuple[float, float, float, str]:
+def _least_scale(name: str, evaluation: Evaluation) -> float:
+    """Returns below what a quantity is rounding alone: a ratio of that is no deviation."""
+    if name in ("gravity", "bias forces"):  # a millionth of what the robot weighs
+        return 1e-6 * 9.81 * float(np.abs(evaluation["mass matrix"].values).max())
+    return {"body masses": 1e-12, "body inertias": 1e-15, "mass matrix": 1e-15}.get(name, 1e-6)
+
+
+def _deviation(one: Quantity, two: Quantity, least: float) -> tuple[float, float, float, str]:
     """Returns the worst relative and absolute deviation, the scale, and the place."""
     same = one.values == two.values  # infinite limits, too
     with np.errstate(invalid="ignore"):
@@ -287,6 +295,7 @@ def _deviation(one: Quantity, two: Quantity) -> tuple[float, float, float, str]:
         scale = greatest.max(axis=-1, keepdims=True) + np.zeros_like(difference)
     else:
         scale = np.full_like(difference, greatest.max())
+    scale = np.maximum(scale, least)
     with np.errstate(over="ignore", invalid="ignore"):
         relative = np.divide(
             difference, scale, out=np.where(difference > 0, np.inf, 0.0), where=scale > 0

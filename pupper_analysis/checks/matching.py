@@ -20,24 +20,14 @@ from pupper_analysis.checks.matching_mjcf import (
     mjcf_tree,
     name_all,
 )
-from pupper_analysis.checks.matching_names import without_affixes
+from pupper_analysis.checks.matching_pairs import pair_up
 from pupper_analysis.checks.matching_structure import common_frames
-from pupper_analysis.checks.matching_structure import guess as guess_by_structure
-from pupper_analysis.checks.matching_subtrees import (
-    Part,
-    best_parts,
-    in_words,
-    mjcf_parts,
-    take_off_mjcf,
-    take_off_urdf,
-    urdf_parts,
-)
+from pupper_analysis.checks.matching_subtrees import removable, take_off
 from pupper_analysis.checks.matching_urdf import (
     fix_joints,
     links_of,
     moving_joints,
     strip_roots,
-    urdf_tree,
     without_shapes,
 )
 from pupper_analysis.checks.passive.mimics import Mimics, urdf_mimics
@@ -48,6 +38,7 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
@@ -72,6 +63,7 @@ class Match:
         mimics: The joints that follow others in the URDF.
         conventions: What the URDF was given of the MJCF's: the base's frame, zeros of joints.
         parts: What one file has and the other lacks, and was taken off, in words.
+        undamped: Joints whose damping the URDF does not state, and was given the MJCF's.
     """
 
     robot: Robot
@@ -86,6 +78,7 @@ class Match:
     mimics: Mimics
     conventions: Conventions
     parts: tuple[str, ...]
+    undamped: tuple[str, ...]
 
 
 def read_mapping(path: Path) -> dict[str, str]:
@@ -111,6 +104,7 @@ def match(
     names: Mapping[str, str] | None = None,
     feet: Sequence[str] = (),
     tolerances: Tolerances | None = None,
+    strict: bool = False,
 ) -> Match:
     """Matches joints and frames by name, then by ``names``, and the rest by structure.
 
@@ -123,6 +117,7 @@ def match(
         names: {name in the URDF: name in the MJCF} of joints or frames.
         feet: Frames, by their names in the MJCF, to be compared as feet.
         tolerances: What counts as a difference.
+        strict: Damping that the URDF does not state is 0; else it is the MJCF's.
 
     Raises:
         ModelError: If the two have no joint in common, or one cannot be analysed.
@@ -141,19 +136,17 @@ def match(
     links = {str(link.get("name")) for link in root.findall("link")}
     places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
     _check_names(wanted, (mine, links, urdf.path), (theirs, places, mjcf.path))
-    found = _pair_up(root, spec, (urdf.path, mjcf.path), (mine, theirs), wanted)
+    found = pair_up(root, spec, (urdf.path, mjcf.path), (mine, theirs), wanted)
     pairs, guessed = found.pairs, found.guessed
     notes += found.notes
     only_urdf = tuple(name for name in mine if name not in pairs)
     only_mjcf = tuple(name for name in theirs if name not in pairs.values())
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
-    ways = (
-        urdf_parts(root, only_urdf),
-        mjcf_parts(spec, spec.copy().compile(), only_mjcf) if only_mjcf else {},
-    )
+    ways = removable(root, spec, only_urdf, only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
-    parts = _take_off(root, spec, (urdf.path, mjcf.path), ways, pairs)
+    parts = take_off(root, spec, (urdf.path, mjcf.path), ways, pairs)
+    undamped = () if strict else _take_damping(root, mjcf_tree(spec, mjcf.path))
     frames = common_frames(root, spec, wanted)
     for foot in feet:
         if foot not in frames:
@@ -167,13 +160,7 @@ def match(
         feet={},
         frames={name: frames[name] for name in (feet or frames)},
     )
-    robot = build_robot(description)
-    meant = _conventions(robot, tolerances or Tolerances(), notes)
-    if meant.base is not None or meant.zeros:
-        rewrite(root, robot.base, meant, trees(robot)[0])
-        description = replace(description, urdf=etree.tostring(root, encoding="unicode"))
-        robot = build_robot(description)
-        mimics = _with_zeros(mimics, meant)
+    robot, meant = _in_one_convention(root, description, tolerances or Tolerances(), notes)
     return Match(
         robot=robot,
         urdf_joint={new: old for old, new in pairs.items()},
@@ -189,101 +176,24 @@ def match(
             robot.joint_names,
             robot.mj_base,
         ),
-        mimics=mimics,
+        mimics=_with_zeros(mimics, meant),
         conventions=meant,
         parts=tuple(parts),
+        undamped=undamped,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Pairs:
-    """Which joints are the same, which of them were matched otherwise than by name, and notes."""
-
-    pairs: dict[str, str]
-    guessed: dict[str, str]
-    notes: list[str]
-
-
-def _pair_up(
-    root: etree._Element,
-    spec: mujoco.MjSpec,
-    files: tuple[Path, Path],
-    joints: tuple[Sequence[str], Sequence[str]],
-    wanted: Mapping[str, str],
-) -> _Pairs:
-    """Matches the joints: by ``wanted``, by name, by name without affixes, and by structure.
-
-    Raises:
-        ModelError: If fewer than half of the joints have a partner.
-    """
-    mine, theirs = joints
-    pairs = {old: new for old, new in wanted.items() if old in mine and new in theirs}
-    told = len(pairs)
-    taken = set(pairs.values())
-    pairs |= {name: name for name in mine if name in theirs and name not in {*pairs, *taken}}
-    guessed = without_affixes(mine, theirs, pairs)
-    pairs |= guessed
-    guess = guess_by_structure(root, spec, *files, pairs)
-    guessed |= guess.pairs
-    pairs |= guess.pairs
-    choices = {one: others for one, others in guess.choices.items() if one not in pairs}
-    lines = [
-        " or ".join(f"--map {one}={other}" for other in others) for one, others in choices.items()
-    ]
-    fewer = min(len(mine), len(theirs))
-    if not pairs and not choices:
-        raise ModelError(
-            files[0],
-            f"no joint in common with {files[1]}: {', '.join(mine[:6])} … against "
-            f"{', '.join(theirs[:6])} …; name the pairs with a mapping",
-        )
-    if (2 * len(pairs) < fewer and len(pairs) > told) or not pairs:
-        free = [name for name in theirs if name not in pairs.values()]
-        hints = [f"--map {name}=..." for name in mine if name not in {*pairs, *choices}]
-        raise ModelError(
-            files[0],
-            f"only {len(pairs)} of {fewer} joints have a partner in {files[1]}, too few to call it "
-            f"the same robot; say which are the same: {'; '.join([*lines, *hints])} "
-            f"(the MJCF's are {', '.join(free)})",
-        )
-    notes = [
-        f"joint {one} of the URDF may be {' or '.join(choices[one])} of the MJCF; say which: {line}"
-        for one, line in zip(choices, lines, strict=True)
-    ]
-    return _Pairs(pairs, guessed, notes)
-
-
-_Ways = Mapping[str, list[list[Part]]]
-
-
-def _take_off(
-    root: etree._Element,
-    spec: mujoco.MjSpec,
-    files: tuple[Path, Path],
-    ways: tuple[_Ways, _Ways],
-    pairs: Mapping[str, str],
-) -> list[str]:
-    """Takes off what one file has and the other lacks, where masses say so; returns what it is."""
-    if not any(ways):
-        return []
-    one, two = urdf_tree(root, files[0]), mjcf_tree(spec, files[1])
-    said = []
-    for candidates, here, there, words in (
-        (ways[0], one, two, ("URDF", "MJCF")),
-        (ways[1], two, one, ("MJCF", "URDF")),
-    ):
-        for carrier, way in candidates.items():
-            name = pairs.get(carrier, carrier) if words[0] == "URDF" else carrier
-            if name not in here.bodies or name not in there.bodies:
-                continue
-            short = here.bodies[name].mass - there.bodies[name].mass
-            for part in best_parts(way, short):
-                said.append(in_words(part, *words))
-                if words[0] == "URDF":
-                    take_off_urdf(root, part.root)
-                else:
-                    take_off_mjcf(spec, part.root)
-    return said
+def _in_one_convention(
+    root: etree._Element, description: Description, tolerances: Tolerances, notes: list[str]
+) -> tuple[Robot, Conventions]:
+    """Builds the robot, with the URDF in the MJCF's conventions; and says how they differed."""
+    robot = build_robot(description)
+    meant = _conventions(robot, tolerances, notes)
+    if meant.base is not None or meant.zeros:
+        rewrite(root, robot.base, meant, trees(robot)[0])
+        text = etree.tostring(root, encoding="unicode")
+        robot = build_robot(replace(description, urdf=text))
+    return robot, meant
 
 
 def _conventions(robot: Robot, tolerances: Tolerances, notes: list[str]) -> Conventions:
@@ -318,6 +228,22 @@ def _with_zeros(mimics: Mimics, found: Conventions) -> Mimics:
         )
         for name, (leader, multiplier, offset) in mimics.items()
     }
+
+
+def _take_damping(root: etree._Element, mjcf: Parameters) -> tuple[str, ...]:
+    """Gives a URDF's joints that state no damping that of the MJCF's, in place; returns which."""
+    given = []
+    for joint in root.findall("joint"):
+        name = str(joint.get("name"))
+        dynamics = joint.find("dynamics")
+        stated = dynamics is not None and dynamics.get("damping") is not None
+        if stated or name not in mjcf.joints or not mjcf.joints[name].damping:
+            continue
+        if dynamics is None:
+            dynamics = etree.SubElement(joint, "dynamics")
+        dynamics.set("damping", repr(mjcf.joints[name].damping))
+        given.append(name)
+    return tuple(given)
 
 
 def _check_names(

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 from lxml import etree
 
-from pupper_analysis.checks.matching_mjcf import delete_joint
-from pupper_analysis.checks.matching_urdf import end_link
+from pupper_analysis.checks.matching_mjcf import delete_joint, mjcf_tree
+from pupper_analysis.checks.matching_urdf import end_link, urdf_tree
 
 _KINDS = (
     ("gripper", re.compile(r"finger|grip|jaw|claw|pinch", re.IGNORECASE)),
@@ -216,3 +217,47 @@ def _ways(
             ]
             ways[carrier].append(level)
     return ways
+
+
+Ways = Mapping[str, list[list[Part]]]
+
+
+def removable(
+    root: etree._Element,
+    spec: mujoco.MjSpec,
+    only_urdf: Collection[str],
+    only_mjcf: Collection[str],
+) -> tuple[Ways, Ways]:
+    """Returns the ways to take off the joints that one file lacks, of the URDF and of the MJCF."""
+    mjcf = mjcf_parts(spec, spec.copy().compile(), only_mjcf) if only_mjcf else {}
+    return urdf_parts(root, only_urdf), mjcf
+
+
+def take_off(
+    root: etree._Element,
+    spec: mujoco.MjSpec,
+    files: tuple[Path, Path],
+    ways: tuple[Ways, Ways],
+    pairs: Mapping[str, str],
+) -> list[str]:
+    """Takes off what one file has and the other lacks, where masses say so; returns what it is."""
+    if not any(ways):
+        return []
+    one, two = urdf_tree(root, files[0]), mjcf_tree(spec, files[1])
+    said = []
+    for candidates, here, there, words in (
+        (ways[0], one, two, ("URDF", "MJCF")),
+        (ways[1], two, one, ("MJCF", "URDF")),
+    ):
+        for carrier, way in candidates.items():
+            name = pairs.get(carrier, carrier) if words[0] == "URDF" else carrier
+            if name not in here.bodies or name not in there.bodies:
+                continue
+            short = here.bodies[name].mass - there.bodies[name].mass
+            for part in best_parts(way, short):
+                said.append(in_words(part, *words))
+                if words[0] == "URDF":
+                    take_off_urdf(root, part.root)
+                else:
+                    take_off_mjcf(spec, part.root)
+    return said

@@ -14,7 +14,7 @@ from lxml import etree
 
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.missing import leave_out_missing
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import quiet, spec_of
 from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, walk
 from pupper_analysis.models.places import Place, one_line, refusal_at, source_name
 from pupper_analysis.models.xml import parse
@@ -162,11 +162,8 @@ def _spec(tree: Tree, index: Mapping[tuple[str, str], Node]) -> tuple[mujoco.MjS
     """Returns what MuJoCo reads, without what needs files that are missing, and what that is."""
     try:
         with quiet():
-            spec = mujoco.MjSpec.from_file(str(tree.path))
+            spec = spec_of(tree.path)
     except _MUJOCO_ERRORS as error:
-        if "could not find decoder" in str(error):
-            problem = "MuJoCo reads files *.xml only; rename it"
-            raise ModelError(source_name(tree.path), problem) from error
         message, place = _mujoco_refusal(tree, index, "not a valid MJCF", error)
         raise ModelError(source_name(place.file, place.line), message) from error
     return spec, leave_out_missing(spec, tree, index)

@@ -48,7 +48,7 @@ def mujoco_evaluation(
     mujoco.mj_forward(model, data)
     dofs = convention.qvel_index[robot.nv - robot.nu :]
     evaluation = _at_rest(robot, model, data, base, dofs, moved)
-    sensors = _imu_sensors(model)
+    sensors = _imu_sensors(model, robot.imu)
     places = [foot_site(model, frame, robot.name) for frame in frames.values()]
     root = model.body(base).id
     public = convention.qvel_index
@@ -140,12 +140,16 @@ def _lumped(
     return [total[carrier] for carrier in carriers]
 
 
-def _imu_sensors(model: mujoco.MjModel) -> tuple[int, int] | None:
-    """Returns the addresses of gyro and accelerometer in sensordata."""
+def _imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int] | None:
+    """Returns the addresses of the gyro and the accelerometer at a site, in sensordata."""
     addresses = []
     for kind in (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER):
-        found = np.flatnonzero(model.sensor_type == kind.value)
-        if not len(found):
+        found = [
+            int(model.sensor_adr[sensor])
+            for sensor in np.flatnonzero(model.sensor_type == kind.value)
+            if model.site(int(model.sensor_objid[sensor])).name == site
+        ]
+        if not found:
             return None
-        addresses.append(int(model.sensor_adr[found[0]]))
+        addresses.append(found[0])
     return addresses[0], addresses[1]
