@@ -85,12 +85,7 @@ def test_gyro_and_accelerometer_are_those_of_one_site(tmp_path: Path) -> None:
     order = [("a", "gyro"), ("imu", "accelerometer"), ("a", "accelerometer"), ("imu", "gyro")]
     sensors = "".join(
         f'<{kind} site="{site}"/>'
-        for site, kind in (
-            ("a", "gyro"),
-            ("imu", "accelerometer"),
-            ("a", "accelerometer"),
-            ("imu", "gyro"),
-        )
+        for site, kind in order
     )
     mjcf = MJCF.replace("<freejoint/>", "<freejoint/>" + sites)
     mjcf = mjcf.replace("</mujoco>", f"<sensor>{sensors}</sensor></mujoco>")
