@@ -83,10 +83,7 @@ def test_gyro_and_accelerometer_are_those_of_one_site(tmp_path: Path) -> None:
     )
     sites = '<site name="a" pos="-0.2 0 0"/><site name="imu" pos="0.1 0.02 0.03"/>'
     order = [("a", "gyro"), ("imu", "accelerometer"), ("a", "accelerometer"), ("imu", "gyro")]
-    sensors = "".join(
-        f'<{kind} site="{site}"/>'
-        for site, kind in order
-    )
+    sensors = "".join(f'<{kind} site="{site}"/>' for site, kind in order)
     mjcf = MJCF.replace("<freejoint/>", "<freejoint/>" + sites)
     mjcf = mjcf.replace("</mujoco>", f"<sensor>{sensors}</sensor></mujoco>")
     comparison = compared(write(tmp_path, urdf, mjcf))
