@@ -196,16 +196,41 @@ def test_a_fixed_child_that_is_missing_is_a_mass(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["floating", "planar"])
 def test_a_joint_of_several_degrees_of_freedom_in_the_urdf(tmp_path: Path, kind: str) -> None:
     text = URDF.replace('<joint name="hip1" type="revolute">', f'<joint name="hip1" type="{kind}">')
-    with pytest.raises(ModelError, match=f"joint 'hip1' is {kind}; revolute, continuous,"):
-        compare_texts(tmp_path, text, MJCF)
+    comparison = compare_texts(tmp_path, text, MJCF)
+    assert comparison.only_urdf == comparison.only_mjcf == ("hip1",)
+    assert found(comparison) == []  # all else is compared, with the leg at rest
+    assert not comparison.agree
+    (note,) = [note for note in comparison.notes if "hip1" in note]
+    assert note.startswith(f"joint 'hip1' of the URDF is {kind} and was fixed at rest;")
 
 
 def test_a_ball_joint_in_the_mjcf(tmp_path: Path) -> None:
     text = MJCF.replace('name="hip1" type="hinge"', 'name="hip1" type="ball" limited="false"')
     motor = next(line for line in text.splitlines() if 'joint="hip1"' in line)
     text = text.replace(motor, "")
-    with pytest.raises(ModelError, match="joint 'hip1' is a ball joint; hinge and slide joints"):
-        compare_texts(tmp_path, URDF, text)
+    comparison = compare_texts(tmp_path, URDF, text)
+    assert comparison.only_urdf == comparison.only_mjcf == ("hip1",)
+    assert found(comparison) == []
+    assert not comparison.agree
+    (note,) = [note for note in comparison.notes if "ball" in note]
+    assert note.startswith("ball joints, which a URDF cannot state, were fixed at rest: hip1;")
+
+
+def test_what_else_differs_beside_a_ball_joint_is_found(tmp_path: Path) -> None:
+    text = mjcf_text(changed(quadruped(), "shank1", mass=0.4))
+    text = text.replace('name="hip1" type="hinge"', 'name="hip1" type="ball" limited="false"')
+    motor = next(line for line in text.splitlines() if 'joint="hip1"' in line)
+    comparison = compare_texts(tmp_path, URDF, text.replace(motor, ""))
+    assert found(comparison) == [("mass", "knee1")]
+    assert comparison.complete
+
+
+def test_a_closed_loop_is_compared_as_the_tree_that_it_is(tmp_path: Path) -> None:
+    loop = '<equality><connect body1="shank0" body2="shank1" anchor="0 0 0"/></equality>'
+    mjcf = mjcf_text(changed(quadruped(), "shank1", mass=0.4), extra=loop)
+    comparison = compare_texts(tmp_path, URDF, mjcf)
+    assert sorted(kind for kind, _ in found(comparison)) == ["equality", "mass"]
+    assert comparison.complete
 
 
 def test_an_mjcf_without_joints(tmp_path: Path) -> None:

@@ -129,9 +129,9 @@ def match(
     name_all(spec, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
     drop_other_objects(spec, mjcf.path, {str(e.get("name")) for e in root.iter("link")}, notes)
-    theirs = hinges(spec, mjcf.path)
+    theirs, balls = hinges(spec, mjcf.path, notes)
     root = strip_roots(root, urdf.path, mjcf_tree(spec, mjcf.path), notes)
-    mine = moving_joints(root, urdf.path)
+    mine, others = moving_joints(root, notes)
     wanted = dict(names or {})
     links = {str(link.get("name")) for link in root.findall("link")}
     places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
@@ -139,8 +139,8 @@ def match(
     found = pair_up(root, spec, (urdf.path, mjcf.path), (mine, theirs), wanted)
     pairs, guessed = found.pairs, found.guessed
     notes += found.notes
-    only_urdf = tuple(name for name in mine if name not in pairs)
-    only_mjcf = tuple(name for name in theirs if name not in pairs.values())
+    only_urdf = (*others, *(name for name in mine if name not in pairs))
+    only_mjcf = (*balls, *(name for name in theirs if name not in pairs.values()))
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
     ways = removable(root, spec, only_urdf, only_mjcf)

@@ -35,23 +35,28 @@ def name_all(spec: mujoco.MjSpec, taken: set[str], notes: list[str]) -> None:
             notes.append(f"a joint without a name in the MJCF is called {joint.name!r}")
 
 
-def hinges(spec: mujoco.MjSpec, source: Path) -> list[str]:
-    """Returns the names of the joints, but for free ones.
+def hinges(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> tuple[list[str], list[str]]:
+    """Returns the names of the hinges and slides, and of the ball joints, which are taken out.
 
-    Raises:
-        ModelError: If one is a ball joint.
+    A URDF has no ball joints: what they carry is compared as it is at rest.
     """
-    names = []
-    for joint in spec.joints:
+    names, balls = [], []
+    for joint in list(spec.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_BALL:
-            raise ModelError(
-                source,
-                f"joint {joint.name!r} is a ball joint; hinge and slide joints, and one free joint "
-                "at the base, can be analysed",
-            )
-        if joint.type != mujoco.mjtJoint.mjJNT_FREE:
+            balls.append(joint.name)
+            delete_joint(spec, joint)
+        elif joint.type != mujoco.mjtJoint.mjJNT_FREE:
             names.append(joint.name)
-    return names
+    if balls and not names:
+        raise ModelError(source, "it has ball joints alone; give a robot with hinges or slides")
+    if balls:
+        for key in list(spec.keys):
+            spec.delete(key)  # its size no longer fits
+        notes.append(
+            f"ball joints, which a URDF cannot state, were fixed at rest: {', '.join(balls)}; what "
+            "they carry is compared there, and how it moves is not"
+        )
+    return names, balls
 
 
 def drop_other_objects(

@@ -79,6 +79,8 @@ def triangle_inequality(view: View) -> Iterator[Found]:
                 f"its principal moments {least:.4g} + {middle:.4g} < {greatest:.4g} kg m^2, "
                 f"by {excess:.2g} kg m^2 ({100 * excess / greatest:.2g} %)"
             )
+            if np.allclose(inertial.inertia, inertial.inertia[0, 0], rtol=1e-6):
+                text += ": all six values are equal, so it is that of a rod without width"
             yield Found(view.body_tag, body.name, text, _child(view))
 
 
