@@ -12,6 +12,7 @@ from pupper_analysis.checks.differences import Difference, Explanation
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
 from pupper_analysis.checks.notes import armature_notes, damping_notes
+from pupper_analysis.checks.patterns import Cause, causes
 from pupper_analysis.checks.places import mjcf_place, path_of, urdf_place
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ModelError
@@ -41,6 +42,7 @@ class Comparison(Result):
         notes: What was assumed or left out.
         check: The cross-check: both models in both engines.
         differences: Of the files, the one with the greatest effect first.
+        causes: Slips that explain several differences each.
         deviations: {quantity: relative deviation between the models}.
         left: {quantity: relative deviation that is left when all differences are taken away}.
         explained: Share of the worst deviation that the differences explain (1 is all).
@@ -63,6 +65,7 @@ class Comparison(Result):
     notes: tuple[str, ...]
     check: CrossCheck
     differences: tuple[Difference, ...]
+    causes: tuple[Cause, ...]
     deviations: dict[str, float]
     left: dict[str, float]
     explained: float
@@ -157,6 +160,7 @@ def compare_models(
         ),
         check=check,
         differences=differences,
+        causes=causes(robot, alignment.values, differences, tolerances),
         deviations=explanation.deviations,
         left=explanation.left,
         explained=_explained(worst, left),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -13,6 +13,7 @@ from rich.table import Table
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.engines import EDGES, EXTRAS
+from pupper_analysis.checks.patterns import Cause
 from pupper_analysis.report.formats import Annotation, Case
 
 SHOWN = 20
@@ -29,26 +30,29 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
         comparison: The comparison.
         everything: Print all differences, however many.
     """
-    groups = _groups(comparison.differences)
+    causes, groups = _by_cause(comparison, everything)
     verdict = "[bold green]AGREE[/]" if comparison.agree else "[bold red]DISAGREE[/]"
-    first = groups[0][0].message if groups else "no difference within the tolerances"
-    if comparison.parts:
-        first = comparison.parts[0]
-    elif not groups and comparison.objections:
-        first = comparison.objections[0]
-    elif not groups and not comparison.agree:
-        first = "they do not have the same joints"
+    first = _first(comparison, causes, groups)
     out.print(f"{verdict}: {escape(first)}", soft_wrap=True)
     for part in comparison.parts:
         out.print(
             f"\n[bold]-[/] {escape(part)}; it was taken off to compare the rest", soft_wrap=True
+        )
+    for cause in causes:
+        count = len(cause.differences)
+        more = "" if everything else "; --all prints each"
+        said = f"{cause.message} (this alone makes {count} differences{more})"
+        out.print(f"\n[bold]-[/] {escape(said)}", soft_wrap=True)
+        place = comparison.differences[cause.differences[0]]
+        out.print(
+            escape(f"   {place.urdf_place}   {place.mjcf_place}"), style="dim", soft_wrap=True
         )
     shown = groups if everything else groups[:SHOWN]
     for number, group in enumerate(shown, start=1):
         _print_group(out, number, group, everything)
     if len(shown) < len(groups):
         out.print(f"… and {len(groups) - len(shown)} more with less effect; --all prints them")
-    if groups:
+    if comparison.differences:
         left = max(comparison.left.values())
         complete = "" if comparison.complete else ", [red]so something is missing in this list[/]"
         out.print(
@@ -61,6 +65,36 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
     _print_quantities(out, comparison)
     for note in _matching_notes(comparison):
         out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+
+
+def _by_cause(
+    comparison: Comparison, everything: bool
+) -> tuple[tuple[Cause, ...], list[list[Difference]]]:
+    """Returns the causes, and the differences that none explains, or all, in groups."""
+    explained = {number for cause in comparison.causes for number in cause.differences}
+    rest = [
+        difference
+        for number, difference in enumerate(comparison.differences)
+        if everything or number not in explained
+    ]
+    return comparison.causes, _groups(rest)
+
+
+def _first(
+    comparison: Comparison, causes: Sequence[Cause], groups: Sequence[Sequence[Difference]]
+) -> str:
+    """Returns what is to be mended first, in a line."""
+    if comparison.parts:
+        return comparison.parts[0]
+    if causes and (causes[0].differences[0] == 0 or not groups):
+        return causes[0].message
+    if groups:
+        return groups[0][0].message
+    if comparison.objections:
+        return comparison.objections[0]
+    if comparison.agree:
+        return "no difference within the tolerances"
+    return "they do not have the same joints"
 
 
 def _matching_notes(comparison: Comparison) -> Iterable[str]:
