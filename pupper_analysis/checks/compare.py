@@ -13,7 +13,7 @@ from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
 from pupper_analysis.checks.notes import armature_notes, damping_notes
 from pupper_analysis.checks.patterns import Cause, causes
-from pupper_analysis.checks.places import mjcf_place, path_of, urdf_place
+from pupper_analysis.checks.places import mjcf_place, path_of, shares, urdf_place
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
@@ -184,6 +184,7 @@ def _placed(
             difference,
             urdf_place=path_of(urdf_place(difference, matched, urdf)),
             mjcf_place=path_of(mjcf_place(difference, matched, mjcf)),
+            made_of=shares(difference, matched, urdf, mjcf),
         )
 
 

@@ -54,6 +54,7 @@ class Difference(Result):
         effects: {quantity: what it does}.
         urdf_place: File and line, where known.
         mjcf_place: File and line, where known.
+        made_of: Of which links or bodies the value is made, where there are several, in words.
     """
 
     kind: str
@@ -65,6 +66,7 @@ class Difference(Result):
     effects: dict[str, Effect]
     urdf_place: str | None = None
     mjcf_place: str | None = None
+    made_of: tuple[str, ...] = ()
 
     @property
     def weight(self) -> tuple[float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -15,7 +15,7 @@ from lxml import etree
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.missing import leave_out_missing
 from pupper_analysis.models.mjcf import quiet, spec_of
-from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, walk
+from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating, walk
 from pupper_analysis.models.places import Place, one_line, refusal_at, source_name
 from pupper_analysis.models.xml import parse
 
@@ -66,6 +66,33 @@ class MjcfFile:
                 break
             node = below
         return node.place
+
+    def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
+        """Finds where an element's attributes are stated: in itself, or in a default class.
+
+        Args:
+            kind: Its tag or section, as in `place`.
+            name: Its name, as in `place`.
+            attributes: Any of them will do.
+
+        Returns:
+            The place; None where nothing states any of them.
+        """
+        node = self._index.get((kind, name))
+        if node is None or not self._roots:
+            return None
+        found = stating(self._roots[0], node, attributes)
+        return None if found is None else found.place
+
+    def weighing(self, body: str) -> Place:
+        """Finds where a body's mass is stated: its <inertial>, or the first geom that has one."""
+        node = self._index.get(("body", body))
+        if node is None:
+            return Place(self.path)
+        inertial = [child for child in node.children if child.tag == "inertial"]
+        geoms = [child for child in node.children if child.tag == "geom"]
+        stated = [geom for geom in geoms if {"mass", "density"} & set(geom.attributes)]
+        return (*inertial, *stated, *geoms, node)[0].place
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
         """Yields the attributes and the place of every element of a kind, as they are written.

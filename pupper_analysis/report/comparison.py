@@ -128,6 +128,8 @@ def _print_group(out: Console, number: int, group: list[Difference], everything:
         more = f"; likewise on {len(names)} more: {', '.join(names) if everything else listed}"
     out.print(f"\n[bold]{number}.[/] {escape(first.message + more)}", soft_wrap=True)
     out.print(escape(f"   {first.urdf_place}   {first.mjcf_place}"), style="dim", soft_wrap=True)
+    for said in first.made_of if first.kind == "mass" else ():
+        out.print(escape(f"   {said}"), style="dim", soft_wrap=True)
     if first.effects:
         effects = ", ".join(
             f"{name} {effect.share:.0%} ({effect.relative:.1e})"
