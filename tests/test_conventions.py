@@ -232,3 +232,14 @@ def test_a_fixed_base_that_is_turned_in_the_world_is_said_once(tmp_path: Path, n
         "in the world; the URDF's was put there"
     ]
     assert set(comparison.joints) == {"turn", "lift", "push"}
+
+
+def test_what_only_one_joint_shows_is_no_note(tmp_path: Path) -> None:
+    """A base without mass: is its frame turned by a quarter, or the zero of the joint on it?"""
+    bare = changed(arm(), "base", mass=0.0)
+    mjcf, _ = reframed(bare, [], "base", *POSES["turned"])
+    comparison = compared(pair(tmp_path, mjcf, urdf=bare))
+    assert not comparison.agree
+    assert found(comparison) == [("base frame", "base")]
+    assert "or the zero of the one joint on it is" in lines(comparison)[0]
+    assert comparison.complete

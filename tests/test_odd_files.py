@@ -134,6 +134,14 @@ def test_limits_go_before_a_gram(tmp_path: Path) -> None:
     assert [kind for kind, _ in found(comparison)] == ["upper limit", "effort", "com"]
 
 
+def test_a_gram_of_a_mass_comes_after_efforts(tmp_path: Path) -> None:
+    mjcf = changed(changed(quadruped(), "base", mass=6.001), "shank0", effort=7.0)
+    assert [kind for kind, _ in found(compared(write(tmp_path, URDF, mjcf_text(mjcf))))] == [
+        "effort",
+        "mass",
+    ]
+
+
 def test_gravity_that_is_rounding_is_no_deviation(tmp_path: Path) -> None:
     """A table with two upright axes: gravity does nothing, and its ratio means nothing."""
     from robots import Part

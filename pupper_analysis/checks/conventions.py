@@ -44,10 +44,13 @@ class Conventions:
 
     Attributes:
         base: Pose of the URDF's base frame in the MJCF's; None if they are the same.
+        shown: Whether the base's body, or several joints on it, show that its frame is elsewhere;
+            else it might as well be the one joint on it.
         zeros: {joint: q in the URDF less q in the MJCF (rad or m)} where that is not 0.
     """
 
     base: pin.SE3 | None = None
+    shown: bool = True
     zeros: Mapping[str, float] = field(default_factory=dict)
 
     def undone(self, values: Parameters) -> Parameters:
@@ -78,7 +81,9 @@ def conventions(
         offset = _zero(first, second, name, tolerances)
         if offset and joint.parent == second.joints[name].parent:
             zeros[name] = offset
-    return Conventions(base, zeros)
+    bodies = first.bodies[first.base], second.bodies[second.base]
+    several = len(first.children(first.base)) > 1
+    return Conventions(base, several or all(body.mass for body in bodies), zeros)
 
 
 def _zero(first: Parameters, second: Parameters, name: str, tolerances: Tolerances) -> float:
@@ -270,14 +275,16 @@ def convention_changes(
     """Yields each convention as a difference, and the URDF's robot without that change.
 
     Args:
-        found: The conventions; of a fixed base, where its frame is is no difference.
+        found: The conventions; of a fixed base that shows it, where its frame is is no difference.
         first: The URDF's robot, in the MJCF's conventions.
     """
-    if found.base is not None and first.floating:
+    if found.base is not None and (first.floating or not found.shown):
         message = (
             f"the base's frame is elsewhere: that of the URDF is {pose_in_words(found.base)}, in "
-            "that of the MJCF, so that the base's qpos means another pose; else it is compared "
-            "in the MJCF's frame"
+            "that of the MJCF"
+            + (", so that the base's qpos means another pose" if first.floating else "")
+            + ("" if found.shown else ", or the zero of the one joint on it is")
+            + "; all else is compared in the MJCF's frame"
         )
         pose = np.array(found.base.homogeneous)
         difference = Difference("base frame", first.base, pose, np.eye(4), "m", message, {})

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 _STRUCTURE = ("name", "type", "parent", "base frame", "zero", "gravity")
 _LIMITS = ("lower limit", "upper limit", "effort")
 _FELT = 1e-3  # least relative effect that goes before limits and efforts
+_SCREW = 0.01  # likewise of a body's mass
 _MAIN = ("mass matrix", "gravity", "foot positions", "joint positions")
 
 
@@ -80,16 +81,22 @@ class Difference(Result):
         return max(main, default=0.0), max(every, default=0.0)
 
     @property
+    def _share_of_mass(self) -> float:
+        one, two = (float(value) for value in (self.urdf, self.mjcf))  # type: ignore[arg-type]
+        return abs(two - one) / max(abs(one), abs(two), 1e-300)
+
+    @property
     def tier(self) -> int:
         """What differences are sorted by first: what a user must mend.
 
         0 is a structure or a convention that is another; then what makes the robot another one by a
-        thousandth or more, and masses; what accelerations feel; limits and efforts; the rest.
+        thousandth or more, and a body's mass by a hundredth; what accelerations feel; limits and
+        efforts; the rest.
         """
         main, every = self.weight
         if self.kind in _STRUCTURE:
             return 0
-        if main >= _FELT or self.kind == "mass":
+        if main >= _FELT or (self.kind == "mass" and self._share_of_mass >= _SCREW):
             return 1
         if every >= _FELT:
             return 2

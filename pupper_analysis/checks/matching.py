@@ -209,7 +209,7 @@ def _conventions(robot: Robot, tolerances: Tolerances, notes: list[str]) -> Conv
         )
     one, two = (with_base(tree, pose.inverse()) for tree in (urdf, mjcf))
     found = conventions(one, two, tolerances, fixed=True)
-    if found.base is not None:
+    if found.base is not None and found.shown:
         notes.append(
             f"the frame of the fixed base of the URDF is {pose_in_words(found.base)}, in that of "
             f"the MJCF's {robot.mj_base!r}; it was put to the MJCF's"

@@ -310,6 +310,8 @@ def _unit(factor: float, units: Mapping[float, str]) -> str:
 # ------------------------------------------------------------------------------------- inertials
 
 
+_MANY = 4  # bodies that are told in one line
+
 _OTHER = 0.1
 """How far a mass is off, at least, that is taken for another body's: not a screw more or less."""
 
@@ -350,13 +352,24 @@ def _is_diagonal(inertia: Array) -> bool:
 def _inertials(case: _Case) -> Found:
     """Finds bodies of which nothing is the other file's."""
     kinds = ("mass", "com", "inertia")
-    for name in case.first.bodies:
-        own = {(kind, name) for kind in kinds}
-        if not own <= set(case.keys):
+    others = []
+    for name, one in case.first.bodies.items():
+        two = case.second.bodies[name]
+        if not {(kind, name) for kind in kinds} <= set(case.keys):
             continue
+        if one.mass and two.mass and abs(two.mass - one.mass) >= _OTHER * one.mass:
+            others.append(name)
+    if len(others) >= _MANY:
+        listed = ", ".join(others[:_MANY]) + (" …" if len(others) > _MANY else "")
+        yield (
+            "inertial",
+            f"the inertials of {len(others)} bodies have nothing in common, neither mass nor com "
+            f"nor inertia: {listed} (another version of the robot?)",
+            {(kind, name) for kind in kinds for name in others},
+        )
+        return
+    for name in others:
         one, two = case.first.bodies[name], case.second.bodies[name]
-        if not (one.mass and two.mass) or abs(two.mass - one.mass) < _OTHER * one.mass:
-            continue
         twin = next(
             (
                 other
@@ -372,5 +385,5 @@ def _inertials(case: _Case) -> Found:
             "inertial",
             f"body of {name}: nothing of its inertial is the same: mass {one.mass:.6g} kg in the "
             f"URDF, {two.mass:.6g} kg in the MJCF, and another com and inertia ({whose})",
-            own,
+            {(kind, name) for kind in kinds},
         )
