@@ -130,16 +130,19 @@ def _print_group(out: Console, number: int, group: list[Difference], everything:
     out.print(escape(f"   {first.urdf_place}   {first.mjcf_place}"), style="dim", soft_wrap=True)
     for said in first.made_of if first.kind == "mass" else ():
         out.print(escape(f"   {said}"), style="dim", soft_wrap=True)
-    if first.effects:
-        effects = ", ".join(
-            f"{name} {effect.share:.0%} ({effect.relative:.1e})"
-            if math.isfinite(effect.share)
-            else f"{name} ({effect.relative:.1e})"
-            for name, effect in sorted(first.effects.items(), key=lambda item: -item[1].share)
-        )
-        out.print(f"   alone it makes, of the deviation in: {effects}", soft_wrap=True)
-    else:
-        out.print("   no effect on the dynamics", style="dim")
+    out.print(f"   {_effects(first)}", soft_wrap=True, style="" if first.effects else "dim")
+
+
+def _effects(difference: Difference) -> str:
+    if not difference.effects:
+        return "no effect on the dynamics"
+    effects = ", ".join(
+        f"{name} {effect.share:.0%} ({effect.relative:.1e})"
+        if math.isfinite(effect.share)
+        else f"{name} ({effect.relative:.1e})"
+        for name, effect in sorted(difference.effects.items(), key=lambda item: -item[1].share)
+    )
+    return f"alone it makes, of the deviation in: {effects}"
 
 
 def _print_quantities(out: Console, comparison: Comparison) -> None:
@@ -177,7 +180,12 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
 
 def remarks(comparison: Comparison) -> list[Annotation]:
     """Returns a remark per difference, at its place in the URDF, and one per joint left over."""
-    found = [
+    found = [Annotation("error", "part", part, comparison.urdf) for part in comparison.parts]
+    for cause in comparison.causes:
+        place = comparison.differences[cause.differences[0]]
+        text = f"{cause.message} [{place.mjcf_place}]"
+        found.append(Annotation("error", "cause", text, place.urdf_place))
+    found += [
         Annotation(
             "error",
             f"{difference.kind} of {difference.element}",
