@@ -67,7 +67,7 @@ def aligned(
         shift = np.zeros(3)
         for turn in _turns(first, result, name):
             turned = in_axes(result, name, turn)
-            for step in _steps(mine, turned.joints[name], still=name in fixed):
+            for step in _steps(first, turned, name, still=name in fixed):
                 candidate = with_origin(turned, name, step)
                 cost = digits_of(first, candidate, name, tolerances)
                 if cost < least - _GAIN:
@@ -152,13 +152,20 @@ def _turns(first: Parameters, second: Parameters, name: str) -> Iterator[Array]:
 
 def _points(first: Parameters, second: Parameters, name: str) -> Iterator[tuple[Array, Array]]:
     """Yields what is fixed to a body, in both: coms, children's places and axes, frames."""
-    yield first.bodies[name].com, second.bodies[name].com
+    yield from _places(first, second, name)
     for child in first.children(name):
         one, two = first.joints[child], second.joints[child]
         if two.parent == name:
-            yield one.position, two.position
             length = float(np.linalg.norm(one.position)) or 0.1  # m: as a direction weighs
             yield length * one.rotation @ one.axis, length * two.rotation @ two.axis
+
+
+def _places(first: Parameters, second: Parameters, name: str) -> Iterator[tuple[Array, Array]]:
+    """Yields places on a body, in both: coms, children's places, frames."""
+    yield first.bodies[name].com, second.bodies[name].com
+    for child in first.children(name):
+        if second.joints[child].parent == name:
+            yield first.joints[child].position, second.joints[child].position
     for frame, (owner, position) in first.frames.items():
         if owner == name == second.frames[frame][0]:
             yield position, second.frames[frame][1]
@@ -172,19 +179,23 @@ def offset_of_limits(one: Joint, two: Joint) -> float:
     return lower if math.isclose(lower, upper, rel_tol=1e-3, abs_tol=1e-4) else 0.0
 
 
-def _steps(one: Joint, two: Joint, *, still: bool) -> Iterator[Array]:
+def _steps(first: Parameters, second: Parameters, name: str, *, still: bool) -> Iterator[Array]:
     """Yields how far the origin of a joint may be moved, in the axes of its body.
 
-    That of a hinge along its own axis, that of a slide anywhere.
+    That of a hinge along its own axis, of a slide anywhere: to where the other's is, or so that
+    most of what is on the body is where it is on the other.
     """
     yield np.zeros(3)
+    one, two = first.joints[name], second.joints[name]
     apart = two.rotation.T @ (one.position - two.position)
-    along = float(two.axis @ apart) * two.axis
+    inside = np.median([there - here for here, there in _places(first, second, name)], axis=0)
     if not two.slides:
-        yield along
+        for step in (apart, inside):
+            yield float(two.axis @ step) * two.axis
     elif not still:
         yield apart
-        yield apart - along
+        yield inside
+        yield apart - float(two.axis @ apart) * two.axis
 
 
 def in_axes(values: Parameters, name: str, turn: Array) -> Parameters:

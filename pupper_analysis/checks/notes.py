@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from pupper_analysis.checks.differences import Effect, Explanation
 from pupper_analysis.checks.matching import Match
 
+_VALUES = 6
+"""Different values that are listed; of more, the least and the greatest."""
+
 
 def damping_notes(matched: Match, explanation: Explanation) -> list[str]:
     """Says what the damping does that the URDF does not state."""
@@ -30,6 +33,8 @@ def _by_value(values: Mapping[str, float]) -> str:
     found: dict[str, list[str]] = {}
     for name, value in values.items():
         found.setdefault(f"{value:.6g}", []).append(name)
+    if len(found) > _VALUES:
+        return f"{min(values.values()):.6g} to {max(values.values()):.6g} on {len(values)} joints"
     return ", ".join(
         f"{value} on {len(names)} joints" if len(names) > 3 else f"{value} on {' '.join(names)}"
         for value, names in found.items()
