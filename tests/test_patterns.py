@@ -24,6 +24,7 @@ from robots import (
 )
 from scipy.spatial.transform import Rotation
 from test_comparison_report import lines
+from test_mutations import sources
 
 
 def first_line(files: Files) -> str:
@@ -114,6 +115,26 @@ def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float 
 )
 def test_units(tmp_path: Path, factors: dict[str, float], words: str) -> None:
     assert words in first_line(pair(tmp_path, scaled(quadruped(), **factors)))
+
+
+def test_limits_in_degrees(tmp_path: Path) -> None:
+    urdf = {
+        name: replace(part, lower=math.degrees(part.lower), upper=math.degrees(part.upper))
+        for name, part in quadruped().items()
+    }
+    line = first_line(write(tmp_path, urdf_text(urdf), mjcf_text(quadruped())))
+    assert line.endswith("0.0174533 times those of the URDF: degrees for radians in the URDF?")
+
+
+def test_left_and_right_of_pupper_are_exchanged(tmp_path: Path) -> None:
+    urdf, mjcf = sources("v3")
+    for end in ("front", "back"):
+        for joint in (1, 2, 3):
+            left, right = (f'"leg_{end}_{side}_{joint}"' for side in "lr")
+            urdf = urdf.replace(left, "@").replace(right, left).replace("@", right)
+    line = first_line(write(tmp_path, urdf, mjcf))
+    assert "leg_back_l_1 and leg_back_r_1, leg_front_l_1 and leg_front_r_1" in line
+    assert line.endswith("44 of the 44 differences are gone")
 
 
 def test_one_mass_ten_times_too_large(tmp_path: Path) -> None:

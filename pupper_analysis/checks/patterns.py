@@ -246,6 +246,7 @@ def _renamed(values: Parameters, names: Mapping[str, str]) -> Parameters:
 # ------------------------------------------------------------------------------------- units
 
 _MASS = {1e3: "g for kg", 1e-3: "kg for g", 2.20462: "pounds for kg", 0.453592: "kg for pounds"}
+_ANGLE = {math.degrees(1.0): "degrees for radians"}
 _LENGTH = {1e3: "mm for m", 1e2: "cm for m", 39.3701: "inches for m"}
 _INERTIA = {
     1e3: "g m^2 for kg m^2",
@@ -266,7 +267,11 @@ def _units(case: _Case) -> Found:
     )
     places = [(one.position, raw.joints[name].position) for name, one in first.joints.items()]
     lengths = _factor(places)
+    hinges = [(one, raw.joints[name]) for name, one in first.joints.items() if not one.slides]
+    bounds = [tuple(np.array([j.lower, j.upper]) for j in pair) for pair in hinges]
+    limits = _factor((a, b) for a, b in bounds if np.isfinite(a).all() and np.isfinite(b).all())
     for what, factor, units, kinds in (
+        ("limits", limits, _ANGLE, ("lower limit", "upper limit")),
         ("masses", masses, _MASS, ("mass",)),
         ("lengths", lengths, _LENGTH, ("position", "com", "frame")),
         ("inertias", inertias, _INERTIA, ("inertia",)),
