@@ -107,7 +107,8 @@ def _matching_notes(comparison: Comparison) -> Iterable[str]:
         (comparison.only_mjcf, comparison.mjcf),
     ):
         if joints:
-            yield f"only in {file}, fixed at zero to compare the rest: {', '.join(joints)}"
+            how = "fixed at zero or taken off" if comparison.parts else "fixed at zero"
+            yield f"only in {file}, {how} to compare the rest: {', '.join(joints)}"
 
 
 def _groups(differences: Iterable[Difference]) -> list[list[Difference]]:
