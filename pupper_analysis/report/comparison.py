@@ -34,19 +34,7 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
     verdict = "[bold green]AGREE[/]" if comparison.agree else "[bold red]DISAGREE[/]"
     first = _first(comparison, causes, groups)
     out.print(f"{verdict}: {escape(first)}", soft_wrap=True)
-    for part in comparison.parts:
-        out.print(
-            f"\n[bold]-[/] {escape(part)}; it was taken off to compare the rest", soft_wrap=True
-        )
-    for cause in causes:
-        count = len(cause.differences)
-        more = "" if everything else "; --all prints each"
-        said = f"{cause.message} (this alone makes {count} differences{more})"
-        out.print(f"\n[bold]-[/] {escape(said)}", soft_wrap=True)
-        place = comparison.differences[cause.differences[0]]
-        out.print(
-            escape(f"   {place.urdf_place}   {place.mjcf_place}"), style="dim", soft_wrap=True
-        )
+    _print_causes(out, comparison, causes, everything)
     shown = groups if everything else groups[:SHOWN]
     for number, group in enumerate(shown, start=1):
         _print_group(out, number, group, everything)
@@ -65,6 +53,24 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
     _print_quantities(out, comparison)
     for note in _matching_notes(comparison):
         out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+
+
+def _print_causes(
+    out: Console, comparison: Comparison, causes: Iterable[Cause], everything: bool
+) -> None:
+    """Prints what one file lacks as a whole, and slips that explain several differences."""
+    for part in comparison.parts:
+        said = f"{part}; it was taken off to compare the rest"
+        out.print(f"\n[bold]-[/] {escape(said)}", soft_wrap=True)
+    for cause in causes:
+        more = "" if everything else "; --all prints each"
+        said = f"{cause.message} (this alone makes {len(cause.differences)} differences{more})"
+        out.print(f"\n[bold]-[/] {escape(said)}", soft_wrap=True)
+        first = comparison.differences[cause.differences[0]]
+        where = f"   {first.urdf_place}   {first.mjcf_place}"
+        out.print(escape(where), style="dim", soft_wrap=True)
+        does = f"   the {first.kind} of {first.element}: {_effects(first)}"
+        out.print(escape(does), soft_wrap=True)
 
 
 def _by_cause(
