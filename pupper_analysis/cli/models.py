@@ -58,7 +58,7 @@ _package_option = click.option(
 @click.option(
     "--strict",
     is_flag=True,
-    help="Tolerate rounding errors alone (1e-9): not digits, names, nor damping that the URDF lacks.",
+    help="Tolerate rounding errors alone (1e-9): not digits, names, or damping the URDF lacks.",
 )
 @click.option("--all", "everything", is_flag=True, help="Print every difference.")
 @json_option
