@@ -42,7 +42,8 @@ class Difference(Result):
     Attributes:
         kind: ``mass``, ``com``, ``inertia``, ``position``, ``rotation``, ``axis``, ``lower limit``,
             ``upper limit``, ``effort``, ``velocity``, ``damping``, ``friction``, ``frame``,
-            ``parent``, ``type``, ``gravity``, or ``armature`` (which a URDF cannot state: then it
+            ``parent``, ``type``, ``gravity``, ``base frame`` or ``zero`` (conventions, see
+            `conventions`), or ``armature`` (which a URDF cannot state: then it
             differs from that of the joints at the same place of other legs); ``mimic``, that the
             URDF alone has; ``name``, where names count; or what the MJCF alone has, the kinds of
             `passive.extra.Extra`.

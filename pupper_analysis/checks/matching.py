@@ -38,7 +38,6 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
@@ -146,7 +145,7 @@ def match(
     ways = removable(root, spec, only_urdf, only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     parts = take_off(root, spec, (urdf.path, mjcf.path), ways, pairs)
-    undamped = () if strict else _take_damping(root, mjcf_tree(spec, mjcf.path))
+    undamped = () if strict else _take_damping(root, spec, mjcf.path)
     frames = common_frames(root, spec, wanted)
     for foot in feet:
         if foot not in frames:
@@ -230,18 +229,24 @@ def _with_zeros(mimics: Mimics, found: Conventions) -> Mimics:
     }
 
 
-def _take_damping(root: etree._Element, mjcf: Parameters) -> tuple[str, ...]:
+def _take_damping(root: etree._Element, spec: mujoco.MjSpec, source: Path) -> tuple[str, ...]:
     """Gives a URDF's joints that state no damping that of the MJCF's, in place; returns which."""
+    silent = {
+        str(joint.get("name")): joint
+        for joint in root.findall("joint")
+        if joint.get("type") != "fixed" and joint.find("dynamics[@damping]") is None
+    }
+    if not silent:
+        return ()
+    joints = mjcf_tree(spec, source).joints
     given = []
-    for joint in root.findall("joint"):
-        name = str(joint.get("name"))
-        dynamics = joint.find("dynamics")
-        stated = dynamics is not None and dynamics.get("damping") is not None
-        if stated or name not in mjcf.joints or not mjcf.joints[name].damping:
+    for name, joint in silent.items():
+        if name not in joints or not joints[name].damping:
             continue
+        dynamics = joint.find("dynamics")
         if dynamics is None:
             dynamics = etree.SubElement(joint, "dynamics")
-        dynamics.set("damping", repr(mjcf.joints[name].damping))
+        dynamics.set("damping", repr(joints[name].damping))
         given.append(name)
     return tuple(given)
 
