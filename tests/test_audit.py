@@ -86,6 +86,33 @@ CASES = [
     ),
     urdf("com-outside-shapes", "link 'FL_calf'", FL_CALF, "<origin", "-0.055", "0.055"),
     urdf("total-mass-unusual", "link 'base_link'", '<link name="base_link">', "", "1.506", "1506"),
+    urdf(
+        "density-implausible", "link 'base_link'", '<link name="base_link">', "<mass", "1.506", "90"
+    ),
+    urdf(
+        "scale-unusual",
+        "link 'base_link'",
+        '<link name="base_link">',
+        "",
+        "0.2 0.11 0.05",
+        "200 110 50",
+    ),
+    urdf(
+        "scale-unusual",
+        "link 'base_link'",
+        '<link name="base_link">',
+        "",
+        '(?s)(<joint name="FL_HAA".*?<origin xyz=")0.075 0.0835 0',
+        r"\g<1>75 83.5 0",
+    ),
+    urdf(
+        "triangle-inequality",
+        "link 'FL_calf'",
+        FL_CALF,
+        "<inertia ",
+        r"<inertia [^>]*/>",
+        '<inertia ixx="1e-5" ixy="1e-5" ixz="1e-5" iyy="1e-5" iyz="1e-5" izz="1e-5"/>',
+    ),
     Case(
         "inertial-ignored",
         "mjcf",
@@ -205,7 +232,7 @@ CASES = [
     urdf("axis-zero", "joint 'FL_HAA'", FL_HAA, "<axis", '"1 0 0"', '"0 0 0"'),
     urdf("axis-not-unit", "joint 'FL_HAA'", FL_HAA, "<axis", '"1 0 0"', '"2 0 0"'),
     urdf("range-empty", "joint 'FL_HFE'", FL_HFE, "<limit", 'upper="1.2"', 'upper="-1.8"'),
-    urdf("limit-missing", "joint 'FL_HFE'", FL_HFE, "", "revolute", "continuous"),
+    urdf("limit-missing", "joint 'FL_HFE'", FL_HFE, "<limit", "revolute", "continuous"),
     urdf(
         "limits-in-wrong-unit",
         "joint 'FL_HFE'",
@@ -366,6 +393,28 @@ def test_a_slip_is_found_where_it_is(case: Case, tmp_path: Path, sound: dict[str
     assert (finding.why, finding.todo) == (rule.why, rule.todo)
     assert finding.severity.rank >= rule.severity.rank
     assert case.format in rule.formats
+
+
+def test_a_continuous_joint_that_states_limits_is_told_so(tmp_path: Path) -> None:
+    edit = Edit(FL_HAA, 'type="revolute"', 'type="continuous"')
+    (finding,) = found(audit_model(written(tmp_path, "urdf", (edit,))), "limit-missing")
+    assert "its limits [-0.8, 0.8] rad have no effect" in finding.message
+
+
+def test_masses_a_thousandth_are_lighter_than_foam(tmp_path: Path) -> None:
+    path = tmp_path / "light.urdf"
+    text = OWN["urdf"].read_text()
+    path.write_text(re.sub(r'<mass value="([^"]+)"', r'<mass value="\1e-3"', text))
+    assert "foam has 10 or more" in found(audit_model(path), "density-implausible")[0].message
+
+
+def test_six_equal_values_are_no_inertia(tmp_path: Path) -> None:
+    """MuJoCo refuses them, whether or not something is fixed to the link."""
+    equal = '<inertia ixx="0.01" ixy="0.01" ixz="0.01" iyy="0.01" iyz="0.01" izz="0.01"/>'
+    edit = Edit('<link name="base_link">', r"<inertia [^>]*/>", equal)
+    result = audit_model(written(tmp_path, "urdf", (edit,)))
+    assert not result.passed
+    assert found(result, "triangle-inequality", "link 'base_link'")
 
 
 def test_every_rule_has_a_test() -> None:

@@ -95,7 +95,7 @@ def test_strict_minds_names(models: Path, tmp_path: Path) -> None:
     pair = ("robot.urdf", str(models / "robot.xml"))
     loose = run(tmp_path, *pair)
     assert loose.returncode == 0
-    assert "matched by structure, not by name (confirm with --map): lh_kfe=knee2" in loose.stdout
+    assert "by part of the name (confirm with --map): lh_kfe=knee2" in loose.stdout
     strict = run(tmp_path, *pair, "--strict")
     assert strict.returncode == 1
     assert "DISAGREE: joint knee2: it is called lh_kfe in the URDF, knee2 in the" in strict.stdout
@@ -112,7 +112,7 @@ def test_tolerances_may_be_repeated(models: Path) -> None:
 def test_names_are_mapped(models: Path, option: tuple[str, str]) -> None:
     guessed = run(models, "renamed.urdf", "robot.xml")
     assert guessed.returncode == 0
-    assert "matched by structure, not by name (confirm with --map): lf kfe=knee1" in guessed.stdout
+    assert "by part of the name (confirm with --map): lf kfe=knee1" in guessed.stdout
     mapped = run(models, "renamed.urdf", "robot.xml", *option)
     assert mapped.returncode == 0
     assert "matched by structure" not in mapped.stdout
@@ -242,9 +242,8 @@ def test_an_unusual_urdf_is_no_crash(models: Path, tmp_path: Path, case: str) ->
     (tmp_path / "robot.urdf").write_text(changed_text)
     result = run(tmp_path, "robot.urdf", str(models / "robot.xml"))
     assert "Traceback" not in result.stderr
+    assert result.returncode == 1
     if "joint" in case:
-        assert result.returncode == 2
-        assert len(result.stderr.strip().splitlines()) == 1
+        assert "and was fixed at rest; what it carries is compared there" in result.stdout
     else:
-        assert result.returncode == 1
         assert "(degrees for radians?)" in result.stdout

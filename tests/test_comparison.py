@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import pytest
 from robots import (
     FEET,
     Files,
+    Part,
     all_changed,
     arm,
     changed,
@@ -83,6 +84,45 @@ def test_the_places_are_the_lines_where_the_numbers_stand(tmp_path: Path, kind: 
     # Lines alike stand for all four legs; it must be the third leg's.
     link = number_of(files.urdf.read_text(), '<link name="shank2">')
     assert link < int(str(difference.urdf_place).rpartition(":")[2]) < link + 15
+
+
+def test_the_place_of_what_a_default_class_states(tmp_path: Path) -> None:
+    """The innermost class that states it; of what none states, the joint."""
+    text = mjcf_text(quadruped())
+    for part in quadruped().values():
+        text = text.replace(f'range="{part.lower!r} {part.upper!r}" damping="0.1" ', "", 1)
+    classes = (
+        '<default>\n<joint damping="0.3"/>\n<default class="leg">\n<joint range="-1 1"/>\n'
+        "</default>\n</default>\n<worldbody>"
+    )
+    text = text.replace("<worldbody>", classes)
+    text = text.replace('<body name="thigh0"', '<body childclass="leg" name="thigh0"')
+    files = write(tmp_path, urdf_text(quadruped()), text)
+    differences = {(d.kind, d.element): d for d in compared(files).differences}
+    assert lines_of(differences["damping", "knee0"], files)[1] == '<joint damping="0.3"/>'
+    assert lines_of(differences["damping", "knee1"], files)[1] == '<joint damping="0.3"/>'
+    assert lines_of(differences["upper limit", "knee0"], files)[1] == '<joint range="-1 1"/>'
+    assert 'name="knee1"' in lines_of(differences["upper limit", "knee1"], files)[1]
+
+
+def test_links_that_are_merged_are_named_with_their_shares_and_lines(tmp_path: Path) -> None:
+    """The base has no mass itself: what stands where is the mass of what is fixed to it."""
+    base = quadruped()["base"]
+    parts = {
+        "base": replace(base, mass=0.0),
+        "trunk": replace(base, link="trunk", parent="base", joint="to_trunk", kind="fixed"),
+        "pack": Part("pack", "trunk", "to_pack", "fixed", position=(0, 0, 0.1), mass=2.0),
+        **{name: part for name, part in quadruped().items() if name != "base"},
+    }
+    urdf = urdf_text(parts)
+    files = write(tmp_path, urdf, mjcf_text(quadruped()))
+    difference = first_of(compared(files), "mass")
+    assert lines_of(difference, files)[0] == '<mass value="6.0"/>'
+    trunk, pack = (number_of(urdf, f'<mass value="{mass}"/>') for mass in ("6.0", "2.0"))
+    assert difference.made_of == (
+        f"in the URDF it is made of trunk 6 kg (75 %, robot.urdf:{trunk}), "
+        f"pack 2 kg (25 %, robot.urdf:{pack})",
+    )
 
 
 def test_the_place_of_a_base(tmp_path: Path) -> None:

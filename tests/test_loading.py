@@ -66,9 +66,6 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     assert "no such file" in refused(lambda: read_model("a\0\nb"))
     os.mkfifo(tmp_path / "pipe")
     assert "no regular file" in refused(lambda: read_model(tmp_path / "pipe"))
-    other = write(tmp_path, m=mjcf())
-    other.rename(tmp_path / "m.mjcf")
-    assert "rename it" in refused(lambda: read_model(tmp_path / "m.mjcf"))
 
 
 def test_wrong_kind_is_named(tmp_path: Path) -> None:

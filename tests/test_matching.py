@@ -196,16 +196,41 @@ def test_a_fixed_child_that_is_missing_is_a_mass(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["floating", "planar"])
 def test_a_joint_of_several_degrees_of_freedom_in_the_urdf(tmp_path: Path, kind: str) -> None:
     text = URDF.replace('<joint name="hip1" type="revolute">', f'<joint name="hip1" type="{kind}">')
-    with pytest.raises(ModelError, match=f"joint 'hip1' is {kind}; revolute, continuous,"):
-        compare_texts(tmp_path, text, MJCF)
+    comparison = compare_texts(tmp_path, text, MJCF)
+    assert comparison.only_urdf == comparison.only_mjcf == ("hip1",)
+    assert found(comparison) == []  # all else is compared, with the leg at rest
+    assert not comparison.agree
+    (note,) = [note for note in comparison.notes if "hip1" in note]
+    assert note.startswith(f"joint 'hip1' of the URDF is {kind} and was fixed at rest;")
 
 
 def test_a_ball_joint_in_the_mjcf(tmp_path: Path) -> None:
     text = MJCF.replace('name="hip1" type="hinge"', 'name="hip1" type="ball" limited="false"')
     motor = next(line for line in text.splitlines() if 'joint="hip1"' in line)
     text = text.replace(motor, "")
-    with pytest.raises(ModelError, match="joint 'hip1' is a ball joint; hinge and slide joints"):
-        compare_texts(tmp_path, URDF, text)
+    comparison = compare_texts(tmp_path, URDF, text)
+    assert comparison.only_urdf == comparison.only_mjcf == ("hip1",)
+    assert found(comparison) == []
+    assert not comparison.agree
+    (note,) = [note for note in comparison.notes if "ball" in note]
+    assert note.startswith("ball joints, which a URDF cannot state, were fixed at rest: hip1;")
+
+
+def test_what_else_differs_beside_a_ball_joint_is_found(tmp_path: Path) -> None:
+    text = mjcf_text(changed(quadruped(), "shank1", mass=0.4))
+    text = text.replace('name="hip1" type="hinge"', 'name="hip1" type="ball" limited="false"')
+    motor = next(line for line in text.splitlines() if 'joint="hip1"' in line)
+    comparison = compare_texts(tmp_path, URDF, text.replace(motor, ""))
+    assert found(comparison) == [("mass", "knee1")]
+    assert comparison.complete
+
+
+def test_a_closed_loop_is_compared_as_the_tree_that_it_is(tmp_path: Path) -> None:
+    loop = '<equality><connect body1="shank0" body2="shank1" anchor="0 0 0"/></equality>'
+    mjcf = mjcf_text(changed(quadruped(), "shank1", mass=0.4), extra=loop)
+    comparison = compare_texts(tmp_path, URDF, mjcf)
+    assert sorted(kind for kind, _ in found(comparison)) == ["equality", "mass"]
+    assert comparison.complete
 
 
 def test_an_mjcf_without_joints(tmp_path: Path) -> None:
@@ -346,7 +371,12 @@ def test_what_refers_to_a_joint_of_the_mjcf_alone_goes_with_it(tmp_path: Path, e
     mjcf = mjcf_text(quadruped() | {"tail": light("tail", "base")}, extra=extra)
     comparison = compare_texts(tmp_path, URDF, mjcf)
     assert comparison.only_mjcf == ("to_tail",)
-    assert found(comparison)[0] == ("mass", "base")
+    assert comparison.parts == (
+        "the MJCF has a tail that the URDF lacks: body tail on the base (0.1 kg), with joint "
+        "to_tail",
+    )
+    assert found(comparison) == []  # with it taken off
+    assert not comparison.agree
     assert comparison.complete
 
 
@@ -415,6 +445,78 @@ def test_joints_far_apart_are_not_matched(tmp_path: Path) -> None:
     comparison = compared(write_parts(tmp_path, urdf, mjcf))
     assert comparison.guessed == {}
     assert (comparison.only_urdf, comparison.only_mjcf) == (("to_tail",), ("to_neck",))
+
+
+def test_prefixes_and_suffixes_are_tried(tmp_path: Path) -> None:
+    urdf = {
+        name: replace(part, joint=f"rh_{part.joint}_joint" if part.joint else "")
+        for name, part in quadruped().items()
+    }
+    # Twins at one place: structure would not tell which is which.
+    twins = {
+        side: light(side, "base", position=(0.3, y, 0.0))
+        for side, y in (("left", 0.005), ("right", -0.005))
+    }
+    named = renamed(twins, to_left="rh_to_left_joint", to_right="rh_to_right_joint")
+    comparison = compared(write_parts(tmp_path, urdf | named, quadruped() | twins))
+    assert comparison.agree
+    assert comparison.guessed == {
+        f"rh_{name}_joint": name for name in (*JOINTS, "to_left", "to_right")
+    }
+
+
+def test_a_choice_is_said_with_lines_to_paste(tmp_path: Path) -> None:
+    twins = {
+        f"{side}": light(side, "base", position=(0.3, y, 0.0))
+        for side, y in (("left", 0.005), ("right", -0.005))
+    }
+    middle = {
+        "left": replace(twins["left"], position=(0.3, 0.0, 0.002)),
+        "right": replace(twins["right"], position=(0.3, 0.0, -0.002)),
+    }
+    urdf = quadruped() | renamed(twins, to_left="one", to_right="two")
+    comparison = compared(write_parts(tmp_path, urdf, quadruped() | middle))
+    said = [note for note in comparison.notes if "may be" in note]
+    assert said[0] == (
+        "joint one of the URDF may be to_left or to_right of the MJCF; say which: "
+        "--map one=to_left or --map one=to_right"
+    )
+    assert len(said) == 2
+
+
+def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
+    """One name in common is no robot in common."""
+    urdf = {
+        name: replace(part, joint=part.joint if part.joint in ("", "hip0") else f"x{part.joint}")
+        for name, part in quadruped().items()
+    }
+    mjcf = {
+        name: replace(part, axis=(0.0, 0.0, 1.0)) if name != "thigh0" and part.parent else part
+        for name, part in quadruped().items()
+    }
+    with pytest.raises(ModelError, match=r"only 1 of 8 joints have a partner.*--map xknee0=\.\.\."):
+        compared(write_parts(tmp_path, urdf, mjcf))
+
+
+@pytest.mark.parametrize("where", ["URDF", "MJCF"])
+def test_a_gripper_of_one_file_is_named_as_such(tmp_path: Path, where: str) -> None:
+    """A hand is fixed to the rod, and carries two fingers."""
+    hand = light("hand", "rod", kind="fixed", position=(0.2, 0.0, 0.0))
+    fingers = {
+        f"finger{n}": light(f"finger{n}", "hand", kind="prismatic", position=(0.02, y, 0.0))
+        for n, y in enumerate((0.03, -0.03))
+    }
+    full, bare = arm() | {"hand": replace(hand, mass=0.5)} | fingers, arm()
+    urdf, mjcf = (full, bare) if where == "URDF" else (bare, full)
+    comparison = compared(write_parts(tmp_path, urdf, mjcf, free=False))
+    other = "MJCF" if where == "URDF" else "URDF"
+    what = "link" if where == "URDF" else "body"
+    assert comparison.parts == (
+        f"the {where} has a gripper that the {other} lacks: {what} hand below push (0.7 kg), with "
+        "joints to_finger0, to_finger1",
+    )
+    assert found(comparison) == []
+    assert not comparison.agree
 
 
 # ------------------------------------------------------------------------------------- no names

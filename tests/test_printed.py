@@ -609,6 +609,18 @@ def test_two_models() -> None:
             "gravity": Stub(share=0.45, relative=1.2e-2, deviation=9.0),
             "mass matrix": Stub(share=0.97, relative=3.4e-1, deviation=8.0),
         },
+        made_of=("in the URDF it is made of trunk 3 kg",),
+    )
+    limit = Stub(
+        kind="effort",
+        element="knee",
+        urdf=1.5,
+        mjcf=2.5,
+        message="joint knee: effort 1.5",
+        urdf_place="a.urdf:7",
+        mjcf_place="b.xml:55",
+        effects={},
+        made_of=(),
     )
     sides = {
         "models (Pinocchio)": 1.1e-1,
@@ -623,7 +635,9 @@ def test_two_models() -> None:
         urdf="a.urdf",
         mjcf="b.xml",
         agree=False,
-        differences=(difference,),
+        differences=(difference, limit),
+        causes=(Stub(message="another unit", differences=(1,)),),
+        parts=("a tail too many",),
         objections=("too much is left",),
         left={"mass matrix": 7.7e-7, "gravity": 8.8e-8},
         explained=0.9876,
@@ -636,9 +650,14 @@ def test_two_models() -> None:
         only_mjcf=("head",),
     )
     assert printed(models_report.print_models, found) == words("""
-        DISAGREE: body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF
+        DISAGREE: a tail too many
+        - a tail too many; it was taken off to compare the rest
+        - another unit (this alone makes 1 differences; --all prints each)
+        a.urdf:7 b.xml:55
+        the effort of knee: no effect on the dynamics
         1. body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF
         a.urdf:5 b.xml:44
+        in the URDF it is made of trunk 3 kg
         alone it makes, of the deviation in: mass matrix 97% (3.4e-01), gravity 45% (1.2e-02)
         explained: 98.76 % of the deviation; with the MJCF's values in the URDF's model 7.7e-07 is
             left, so something is missing in this list
@@ -650,7 +669,7 @@ def test_two_models() -> None:
         note: noted
         note: the engines differ on one model: gravity
         note: assumed
-        note: matched by structure, not by name (confirm with --map): one=two
-        note: only in a.urdf, fixed at zero to compare the rest: tail
-        note: only in b.xml, fixed at zero to compare the rest: head
+        note: matched by structure or by part of the name (confirm with --map): one=two
+        note: only in a.urdf, fixed at zero or taken off to compare the rest: tail
+        note: only in b.xml, fixed at zero or taken off to compare the rest: head
     """)

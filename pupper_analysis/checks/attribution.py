@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from pupper_analysis.checks.alignment import Alignment, aligned
 from pupper_analysis.checks.armature import armature_differences, armature_of
 from pupper_analysis.checks.behaviour import behaviour, mujoco_behaviour, still_acting
 from pupper_analysis.checks.changes import NOTHING, ORDER, changes_between
+from pupper_analysis.checks.conventions import Conventions, convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, Explanation, Judge
 from pupper_analysis.checks.passive.extra import Extra, as_it_is, without
 from pupper_analysis.checks.passive.find import extras
@@ -17,8 +20,7 @@ from pupper_analysis.checks.passive.mimics import Mimics, split_mimics
 from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.states import random_states
 from pupper_analysis.checks.tolerances import Tolerances
-from pupper_analysis.models import parameters
-from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.checks.trees import trees
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.robot.robot import Robot
 
@@ -38,6 +40,9 @@ def explain(
     tolerances: Tolerances | None = None,
     reference: Reference | None = None,
     mimics: Mimics | None = None,
+    alignment: Alignment | None = None,
+    conventions: Conventions | None = None,
+    undamped: Collection[str] = (),
 ) -> Explanation:
     """Finds every number in which a robot's URDF and MJCF differ, and proves that none is missing.
 
@@ -52,24 +57,33 @@ def explain(
         tolerances: What counts as a difference; for files of 5 to 6 digits by default.
         reference: The MJCF as it is; by default the robot's MuJoCo model.
         mimics: The joints that follow others in the URDF.
+        alignment: The MJCF's tree in the URDF's link frames, if known.
+        conventions: In what the URDF's coordinates were, before it was given the MJCF's.
+        undamped: The joints whose damping the URDF does not state, and was given the MJCF's.
     """
     tolerances = tolerances or Tolerances()
     reference = reference or Reference(
         robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base
     )
-    first, raw = _parameters(robot, tolerances)
-    second = parameters.aligned(raw, first, partial(_count, tolerances))
+    first, raw = trees(robot)
+    if float(np.linalg.norm(raw.gravity - _GRAVITY)) > tolerances.gravity:
+        first = replace(first, gravity=_GRAVITY)
+    alignment = alignment or align(robot, tolerances)
+    second = replace(alignment.values, gravity=raw.gravity)
     found = extras(reference)
     coupled, uncoupled = split_mimics(found, reference, mimics or {}, tolerances.limit)
     found = [extra for extra in found if extra not in coupled]
     states = random_states(robot, 10, seed=0)
     urdf = behaviour(robot, first, states)
-    mujoco_sees = partial(mujoco_behaviour, robot, reference, states)
+    mujoco_sees = partial(mujoco_behaviour, robot, reference, states, alignment.moved)
     mjcf = mujoco_sees(without(reference.model, coupled))
     bare = without(reference.model, [*found, *coupled])
     stripped = mujoco_sees(bare)
     judge = Judge(urdf, mjcf)
     differences = []
+    for convention, undone in convention_changes(conventions or Conventions(), first):
+        effects = judge.effects(urdf, behaviour(robot, undone, states))
+        differences.append(replace(convention, effects=effects))
     for change in changes_between(first, second, tolerances):
         effects = {}
         if change.felt:
@@ -85,7 +99,9 @@ def explain(
     differences += [_mimic(name, (mimics or {})[name]) for name in uncoupled]
     patched = behaviour(robot, _patched(first, second), states)
     left = {name: judge.relative(name, patched[name], stripped[name]) for name in patched}
-    differences.sort(key=lambda item: (-item.weight[0], -item.weight[1], ORDER.index(item.kind)))
+    differences.sort(
+        key=lambda d: (d.tier, -d.weight[0], -d.weight[1], ORDER.index(d.kind)),
+    )
     return Explanation(
         differences=tuple(differences),
         deviations={name: judge.relative(name, urdf[name], mjcf[name]) for name in urdf},
@@ -93,34 +109,24 @@ def explain(
         complete=all(value <= EXPLAINED for value in left.values()),
         remains=tuple(still_acting(reference, bare, states)),
         armature=armature_of(robot, first, states, judge),
+        damping=judge.effects(urdf, behaviour(robot, _undamped(first, undamped), states)),
     )
 
 
-def _parameters(robot: Robot, tolerances: Tolerances) -> tuple[Parameters, Parameters]:
-    """Returns the parameters of the URDF and of the MJCF."""
-    frames = {**robot.description.feet, **robot.description.frames}
-    urdf = parameters.from_pinocchio(
-        robot.pin_model,
-        robot.base,
-        robot.joint_names,
-        {name: pair[0] for name, pair in frames.items()},
-    )
-    mjcf = parameters.from_pinocchio(
-        pinocchio_from_mujoco(robot.mj_model),
-        robot.base,
-        robot.joint_names,
-        {name: pair[1] for name, pair in frames.items()},
-    )
-    if float(np.linalg.norm(mjcf.gravity - _GRAVITY)) > tolerances.gravity:
-        urdf = replace(urdf, gravity=_GRAVITY)
-    return urdf, mjcf
+def _undamped(values: Parameters, names: Collection[str]) -> Parameters:
+    bare = {name: replace(values.joints[name], damping=0.0) for name in names}
+    return replace(values, joints={**values.joints, **bare})
 
 
-def _count(tolerances: Tolerances, one: Parameters, two: Parameters, name: str) -> int:
-    """Counts the differences of a body, its joint, and what it carries."""
-    carried = {frame for frame, (owner, _) in one.frames.items() if owner == name}
-    concerned = {name, *one.children(name), *carried}
-    return sum(1 for change in changes_between(one, two, tolerances) if change.element in concerned)
+def align(robot: Robot, tolerances: Tolerances) -> Alignment:
+    """Puts the MJCF's link frames to the URDF's."""
+    urdf, mjcf = trees(robot)
+    model = robot.mj_model
+    joints = [model.joint(name).id for name in robot.joint_names]
+    last = model.body_jntadr + model.body_jntnum - 1
+    # MuJoCo tells the axes of a body, which later joints turn.
+    still = [j for j in joints if last[model.jnt_bodyid[j]] != j]
+    return aligned(mjcf, urdf, tolerances, {model.joint(joint).name for joint in still})
 
 
 def _patched(first: Parameters, second: Parameters) -> Parameters:

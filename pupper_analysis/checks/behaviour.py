@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -23,7 +23,11 @@ Array = NDArray[np.float64]
 
 
 def mujoco_behaviour(
-    robot: Robot, reference: Reference, states: States, model: mujoco.MjModel
+    robot: Robot,
+    reference: Reference,
+    states: States,
+    moved: Mapping[str, Array],
+    model: mujoco.MjModel,
 ) -> dict[str, Array]:
     """Evaluates the same quantities as `behaviour` in MuJoCo, at all states.
 
@@ -31,6 +35,7 @@ def mujoco_behaviour(
         robot: The robot.
         reference: Names the elements of the model.
         states: The states.
+        moved: {joint: (3,) where its position is taken, from MuJoCo's anchor, in its body's axes}.
         model: One with the elements of the reference.
     """
     names, data = reference.names, mujoco.MjData(model)
@@ -43,6 +48,7 @@ def mujoco_behaviour(
     places = [foot_site(names, frame, robot.name) for _, frame in frames.values()]
     public = convention.qvel_index
     weights = _weights(robot, reference)
+    local = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
     full = np.zeros((model.nv, model.nv))
     rows: dict[str, list[Array]] = {}
     for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
@@ -55,6 +61,7 @@ def mujoco_behaviour(
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, full)
         # MuJoCo's anchor of a slide is where it is at rest.
+        anchors = data.xanchor[joints] + offsets_in_world(model, data, joints, local)
         slid = np.where(slides, data.qpos[coordinates] - model.qpos0[coordinates], 0.0)
         result = {
             "mass matrix": full[np.ix_(public, public)],
@@ -62,7 +69,7 @@ def mujoco_behaviour(
             "bias forces": data.qfrc_bias[public].copy(),
             "com": weights @ data.xipos / max(weights.sum(), 1e-300),
             "forward dynamics": data.qacc[public].copy(),
-            "joint positions": data.xanchor[joints] + slid[:, None] * data.xaxis[joints],
+            "joint positions": anchors + slid[:, None] * data.xaxis[joints],
         }
         if places:
             result["foot positions"] = np.array(
@@ -71,6 +78,17 @@ def mujoco_behaviour(
         for name, value in result.items():
             rows.setdefault(name, []).append(value)
     return {name: np.array(values) for name, values in rows.items()}
+
+
+def offsets_in_world(
+    model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], local: Array
+) -> Array:
+    """Turns vectors (n, 3) in the axes of the joints' bodies to the world's axes."""
+    bodies = data.xmat[model.jnt_bodyid[joints]].reshape(-1, 3, 3)
+    # Of a hinge they are along its axis, and later joints of its body do not turn that.
+    along = np.sum(local * model.jnt_axis[joints], axis=1)[:, None] * data.xaxis[joints]
+    hinges = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE.value
+    return np.where(hinges[:, None], along, np.einsum("nij,nj->ni", bodies, local))
 
 
 def _weights(robot: Robot, reference: Reference) -> Array:

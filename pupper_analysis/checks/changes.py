@@ -48,6 +48,8 @@ ORDER = (
     "name",
     "type",
     "parent",
+    "base frame",
+    "zero",
     "gravity",
     "mass",
     "com",
@@ -293,8 +295,12 @@ def _joint_numbers(name: str, one: Joint, two: Joint, tolerances: Tolerances) ->
             and abs(b - a) <= tolerance * (max(abs(a), abs(b)) if relative else 1.0)
         ):
             continue
+        if field == "effort" and a == 0 and math.isinf(b):
+            continue  # neither states one
         unit = unit.replace("N m", "N").replace("rad", "m") if one.slides else unit
         message = f"joint {name}: {kind} {pair(a, b, unit)}{in_degrees(a, b)}"
+        if field == "effort" and a == 0:
+            message += " (many exporters write 0 where nothing is known)"
         yield Change(
             kind, name, a, b, unit, message, _take_joint(name, field), felt=field == "damping"
         )

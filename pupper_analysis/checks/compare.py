@@ -7,14 +7,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.checks.attribution import EXPLAINED, explain
-from pupper_analysis.checks.differences import Difference, Effect, Explanation
+from pupper_analysis.checks.attribution import EXPLAINED, align, explain
+from pupper_analysis.checks.differences import Difference, Explanation
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
+from pupper_analysis.checks.notes import armature_notes, damping_notes
+from pupper_analysis.checks.patterns import Cause, causes
+from pupper_analysis.checks.places import mjcf_place, path_of, shares, urdf_place
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
-from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.results import Result
 
@@ -31,12 +33,16 @@ class Comparison(Result):
         mjcf: The MJCF's path.
         base: The base's name.
         joints: The joints that both have, by the MJCF's names.
-        guessed: {joint in the URDF: joint in the MJCF} matched by structure, not by name.
+        guessed: {joint in the URDF: joint in the MJCF} matched by structure, or by names that are
+            the same but for prefixes and suffixes.
         only_urdf: Joints of the URDF alone, fixed at zero for the comparison.
         only_mjcf: Joints of the MJCF alone, likewise.
+        parts: What one file has and the other lacks, as a whole with its joints, in words; it was
+            taken off to compare the rest.
         notes: What was assumed or left out.
         check: The cross-check: both models in both engines.
         differences: Of the files, the one with the greatest effect first.
+        causes: Slips that explain several differences each.
         deviations: {quantity: relative deviation between the models}.
         left: {quantity: relative deviation that is left when all differences are taken away}.
         explained: Share of the worst deviation that the differences explain (1 is all).
@@ -55,9 +61,11 @@ class Comparison(Result):
     guessed: dict[str, str]
     only_urdf: tuple[str, ...]
     only_mjcf: tuple[str, ...]
+    parts: tuple[str, ...]
     notes: tuple[str, ...]
     check: CrossCheck
     differences: tuple[Difference, ...]
+    causes: tuple[Cause, ...]
     deviations: dict[str, float]
     left: dict[str, float]
     explained: float
@@ -90,7 +98,8 @@ def compare_models(
             both files have are compared.
         tolerances: What counts as a difference; by default for files of 5 to 6 digits.
         strict_names: Joints that are matched by structure, not by their name or by ``names``, are
-            a difference; otherwise `guessed` alone tells of them.
+            a difference; otherwise `guessed` alone tells of them. So is damping that the URDF does
+            not state; otherwise a note tells of it.
         configurations: Number of random configurations of the cross-check.
         seed: Of the random numbers, 0 or more.
 
@@ -104,43 +113,35 @@ def compare_models(
     """
     tolerances = tolerances or Tolerances()
     urdf_file, mjcf_file = read_urdf(urdf, packages), read_mjcf(mjcf)
-    matched = match(urdf_file, mjcf_file, names=names, feet=feet)
+    matched = match(
+        urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
+    )
     robot = matched.robot
     if not robot.total_mass > 0:
         problem = f"its links weigh {robot.total_mass:.6g} kg together; give them <inertial>s"
         raise ModelError(urdf_file.path, problem)
+    alignment = align(robot, tolerances)
     check = cross_check(
         robot,
         configurations=configurations,
         tolerance=tolerances.dynamics,
         seed=seed,
         mimics=matched.mimics,
+        moved=alignment.moved,
     )
     explanation = explain(
-        robot, tolerances=tolerances, reference=matched.reference, mimics=matched.mimics
+        robot,
+        tolerances=tolerances,
+        reference=matched.reference,
+        mimics=matched.mimics,
+        alignment=alignment,
+        conventions=matched.conventions,
+        undamped=matched.undamped,
     )
-    found = list(explanation.differences)
-    if strict_names:
-        found += [_name(*pair) for pair in matched.guessed.items()]
-    differences = tuple(
-        replace(
-            difference,
-            urdf_place=_path(_urdf_place(difference, matched, urdf_file)),
-            mjcf_place=_path(_mjcf_place(difference, matched, mjcf_file)),
-        )
-        for difference in found
-    )
+    names_too = matched.guessed if strict_names else {}
+    differences = tuple(_placed(explanation, names_too, matched, urdf_file, mjcf_file))
     worst = max(explanation.deviations.values())
     left = max(explanation.left.values())
-    engines = tuple(
-        f"{quantity.name}: {relative:.1e} ({whose})"
-        for quantity in check.quantities
-        for whose, relative in quantity.edges.items()
-        if whose.startswith(("engines", "yourdfpy"))
-        and relative > ENGINES_AGREE
-        # With forces of MuJoCo's that a tree of joints has not, the two got different models.
-        and not (explanation.remains and "MJCF" in whose)
-    )
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = tuple(_objections(explanation, tolerances))
     return Comparison(
@@ -151,16 +152,52 @@ def compare_models(
         guessed=dict(matched.guessed),
         only_urdf=matched.only_urdf,
         only_mjcf=matched.only_mjcf,
-        notes=(*matched.notes, *_armature_notes(explanation)),
+        parts=matched.parts,
+        notes=(
+            *matched.notes,
+            *armature_notes(explanation),
+            *damping_notes(matched, explanation),
+        ),
         check=check,
         differences=differences,
+        causes=causes(robot, alignment.values, differences, tolerances),
         deviations=explanation.deviations,
         left=explanation.left,
         explained=_explained(worst, left),
         complete=explanation.complete,
-        engines=engines,
+        engines=_engines(check, explanation),
         objections=objections,
         agree=not (differences or unmatched or objections),
+    )
+
+
+def _placed(
+    explanation: Explanation,
+    names: Mapping[str, str],
+    matched: Match,
+    urdf: UrdfFile,
+    mjcf: MjcfFile,
+) -> Iterator[Difference]:
+    """Yields the differences, and names that are another, with where they stand."""
+    for difference in (*explanation.differences, *(_name(*pair) for pair in names.items())):
+        yield replace(
+            difference,
+            urdf_place=path_of(urdf_place(difference, matched, urdf)),
+            mjcf_place=path_of(mjcf_place(difference, matched, mjcf)),
+            made_of=shares(difference, matched, urdf, mjcf),
+        )
+
+
+def _engines(check: CrossCheck, explanation: Explanation) -> tuple[str, ...]:
+    """Says where the engines deviate for one and the same model."""
+    return tuple(
+        f"{quantity.name}: {relative:.1e} ({whose})"
+        for quantity in check.quantities
+        for whose, relative in quantity.edges.items()
+        if whose.startswith(("engines", "yourdfpy"))
+        and relative > ENGINES_AGREE
+        # With forces of MuJoCo's that a tree of joints has not, the two got different models.
+        and not (explanation.remains and "MJCF" in whose)
     )
 
 
@@ -198,116 +235,3 @@ def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[st
 
 _FELT = ("mass", "com", "inertia", "position", "rotation", "axis", "damping", "dynamics")
 """Kinds of tolerance that the dynamics feel."""
-
-
-def _armature_notes(explanation: Explanation) -> list[str]:
-    """Says what the armature does, which the URDF cannot state, for who builds models from it."""
-    effects = explanation.armature
-    values: dict[str, list[str]] = {}
-    for name, value in effects.values.items():
-        values.setdefault(f"{value:.6g}", []).append(name)
-    if set(values) == {"0"}:
-        return []
-    listed = ", ".join(
-        f"{value} on {len(names)} joints" if len(names) > 3 else f"{value} on {' '.join(names)}"
-        for value, names in values.items()
-    )
-    off = effects.effects.get("mass matrix", Effect(0.0, 0.0, 0.0)).relative
-    forward = effects.effects.get("forward dynamics", Effect(0.0, 0.0, 0.0)).relative
-    return [
-        f"armature ({listed}; kg m^2) is in the MJCF alone, and was given to both. A model of the "
-        f"URDF without it has its mass matrix off by {off:.2g}, and its accelerations by "
-        f"{forward:.2g}, of their scale: set pin.Model.armature"
-    ]
-
-
-_URDF_CHILD = {
-    "mass": "inertial/mass",
-    "com": "inertial/origin",
-    "inertia": "inertial/inertia",
-    "position": "origin",
-    "rotation": "origin",
-    "axis": "axis",
-    "lower limit": "limit",
-    "upper limit": "limit",
-    "effort": "limit",
-    "velocity": "limit",
-    "damping": "dynamics",
-    "friction": "dynamics",
-    "armature": "dynamics",
-    "mimic": "mimic",
-}
-
-_MJCF_SECTION = {
-    "tendon": "tendon",
-    "actuator": "actuator",
-    "equality": "equality",
-    "flex": "deformable",
-}
-"""Sections of an MJCF whose elements a URDF has none of."""
-
-_WHOLE = {"fluid": ("density", "viscosity"), "gravity": ("gravity",), "flag": (), "plugin": ()}
-"""Kinds that concern the whole of a URDF, and the options of the MJCF that state them."""
-
-
-def _path(place: Place) -> str:
-    """Returns the whole path, by which a CI service finds the file."""
-    return f"{place.file}" if place.line is None else f"{place.file}:{place.line}"
-
-
-def _urdf_place(difference: Difference, matched: Match, file: UrdfFile) -> Place:
-    child = _URDF_CHILD.get(difference.kind)
-    movers = {body: mover for mover, body in matched.mjcf_body.items()}
-    if difference.kind == "gravity compensation":
-        mover = movers.get(difference.element)
-        return Place(file.path) if mover is None else file.place("link", matched.urdf_link[mover])
-    if difference.kind in _MJCF_SECTION or difference.kind in _WHOLE:
-        return Place(file.path)
-    if difference.kind in ("mass", "com", "inertia") or difference.element == matched.robot.base:
-        return file.place("link", matched.urdf_link[difference.element], child)
-    if difference.kind == "frame":
-        link = matched.robot.description.frames[difference.element][0]
-        joint = next(
-            (
-                element
-                for element in file.root.findall("joint")
-                if element.find("child") is not None and element.find("child").get("link") == link
-            ),
-            None,
-        )
-        if joint is None:
-            return file.place("link", link)
-        return file.place("joint", str(joint.get("name")), "origin")
-    return file.place("joint", matched.urdf_joint[difference.element], child)
-
-
-def _mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> Place:
-    element, kind = difference.element, difference.kind
-    if kind in _MJCF_SECTION:
-        if not element.startswith("#"):
-            return file.place(_MJCF_SECTION[kind], element)
-        if matched.only_mjcf:  # the numbers are those of what was left
-            return Place(file.path)
-        return file.numbered(_MJCF_SECTION[kind], int(element[1:]))
-    if kind in _WHOLE:
-        words = {"flag": (element,)}.get(kind, _WHOLE[kind])
-        tag = "flag" if kind == "flag" or not words else "option"
-        stated = (at for found, at in file.elements(tag) if set(words) & set(found))
-        return next(stated, Place(file.path))
-    if kind in ("gravity compensation", "plugin"):
-        return file.place("body", element)
-    if difference.kind in ("mass", "com", "inertia"):
-        return file.place("body", matched.mjcf_body[element], "inertial")
-    if element == matched.robot.base:
-        return file.place("body", matched.mjcf_body[element], "joint")
-    if difference.kind in ("position", "rotation", "parent"):
-        return file.place("body", matched.mjcf_body[element])
-    body = matched.mjcf_body.get(element, "")
-    tries = [("joint", element, None), ("body", body, "joint")]
-    if difference.kind == "effort":
-        tries.insert(0, ("actuator", element, None))
-    if difference.kind == "frame":
-        name = matched.robot.description.frames[element][1]
-        tries = [("site", name, None), ("body", name, None), ("geom", name, None)]
-    places = [file.place(*one) for one in tries]
-    return next((place for place in places if place.line is not None), places[0])

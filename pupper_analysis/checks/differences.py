@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
+_STRUCTURE = ("name", "type", "parent", "base frame", "zero", "gravity")
+_LIMITS = ("lower limit", "upper limit", "effort")
+_FELT = 1e-3  # least relative effect that goes before limits and efforts
+_SCREW = 0.01  # likewise of a body's mass
 _MAIN = ("mass matrix", "gravity", "foot positions", "joint positions")
 
 
@@ -38,7 +42,8 @@ class Difference(Result):
     Attributes:
         kind: ``mass``, ``com``, ``inertia``, ``position``, ``rotation``, ``axis``, ``lower limit``,
             ``upper limit``, ``effort``, ``velocity``, ``damping``, ``friction``, ``frame``,
-            ``parent``, ``type``, ``gravity``, or ``armature`` (which a URDF cannot state: then it
+            ``parent``, ``type``, ``gravity``, ``base frame`` or ``zero`` (conventions, see
+            `conventions`), or ``armature`` (which a URDF cannot state: then it
             differs from that of the joints at the same place of other legs); ``mimic``, that the
             URDF alone has; ``name``, where names count; or what the MJCF alone has, the kinds of
             `passive.extra.Extra`.
@@ -51,6 +56,7 @@ class Difference(Result):
         effects: {quantity: what it does}.
         urdf_place: File and line, where known.
         mjcf_place: File and line, where known.
+        made_of: Of which links or bodies the value is made, where there are several, in words.
     """
 
     kind: str
@@ -62,10 +68,11 @@ class Difference(Result):
     effects: dict[str, Effect]
     urdf_place: str | None = None
     mjcf_place: str | None = None
+    made_of: tuple[str, ...] = ()
 
     @property
     def weight(self) -> tuple[float, float]:
-        """What differences are sorted by.
+        """How much the dynamics feel it.
 
         The greatest relative effect on mass matrix, gravity and positions; then on any quantity.
         Both are 0 for what the dynamics do not feel.
@@ -73,6 +80,28 @@ class Difference(Result):
         main = [self.effects[name].relative for name in _MAIN if name in self.effects]
         every = [effect.relative for effect in self.effects.values()]
         return max(main, default=0.0), max(every, default=0.0)
+
+    @property
+    def _share_of_mass(self) -> float:
+        one, two = (float(value) for value in (self.urdf, self.mjcf))  # type: ignore[arg-type]
+        return abs(two - one) / max(abs(one), abs(two), 1e-300)
+
+    @property
+    def tier(self) -> int:
+        """What differences are sorted by first: what a user must mend.
+
+        0 is a structure or a convention that is another; then what makes the robot another one by a
+        thousandth or more, and a body's mass by a hundredth; what accelerations feel; limits and
+        efforts; the rest.
+        """
+        main, every = self.weight
+        if self.kind in _STRUCTURE:
+            return 0
+        if main >= _FELT or (self.kind == "mass" and self._share_of_mass >= _SCREW):
+            return 1
+        if every >= _FELT:
+            return 2
+        return 3 if self.kind in _LIMITS else 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +122,7 @@ class Explanation(Result):
     """Why two models disagree.
 
     Attributes:
-        differences: Sorted by effect, the greatest first.
+        differences: What a user must mend first, first: by tier, then by effect.
         deviations: {quantity: relative deviation between the two models}.
         left: {quantity: relative deviation that is left when the URDF's model is given the MJCF's
             value for every difference, and what the MJCF alone has is taken out of it}.
@@ -101,6 +130,7 @@ class Explanation(Result):
         remains: What acts in MuJoCo when all that was found is taken away, and has no part in a
             tree of joints, by MuJoCo's names, in words.
         armature: What the armature does; both models were given the MJCF's.
+        damping: What leaving out the damping that the URDF does not state does to it.
     """
 
     differences: tuple[Difference, ...]
@@ -109,6 +139,7 @@ class Explanation(Result):
     complete: bool
     remains: tuple[str, ...]
     armature: Armature
+    damping: dict[str, Effect]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +150,15 @@ class Judge:
     mjcf: Mapping[str, Array]
 
     def scale(self, name: str) -> float:
-        """Returns the greatest absolute value of a quantity."""
-        return max(float(np.abs(self.urdf[name]).max()), 1e-300)
+        """Returns the greatest absolute value of a quantity.
+
+        Gravity may be nearly zero (of joints that are all upright): then it is what a thousandth of
+        the robot would weigh.
+        """
+        least = 1e-300
+        if name in ("gravity", "bias forces"):
+            least = 1e-3 * 9.81 * self.scale("mass matrix")
+        return max(float(np.abs(self.urdf[name]).max()), least)
 
     def relative(self, name: str, one: Array, two: Array) -> float:
         """Returns the worst deviation, relative to the scale; infinite if it is no number."""
@@ -135,6 +173,7 @@ class Judge:
             relative = self.relative(name, values, before[name])
             if relative > 1e-12:  # rounding
                 total = self.relative(name, self.urdf[name], self.mjcf[name])
-                share = relative / total if 0 < total < math.inf else math.inf
+                # Of what is rounding, nothing is a share.
+                share = relative / total if 1e-9 < total < math.inf else math.inf
                 found[name] = Effect(relative * self.scale(name), relative, share)
         return found

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.checks.backends.mujoco import mujoco_evaluation
 from pupper_analysis.checks.backends.pinocchio import pinocchio_evaluation
@@ -36,6 +37,8 @@ from pupper_analysis.models.xml import parse_text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9
 """Deviation, relative to a quantity's scale, up to which two evaluations agree."""
@@ -132,6 +135,7 @@ def cross_check(
     tolerance: float = TOLERANCE,
     seed: int = 0,
     mimics: Mimics | None = None,
+    moved: Mapping[str, Array] | None = None,
 ) -> CrossCheck:
     """Compares the URDF and the MJCF, in Pinocchio and in MuJoCo.
 
@@ -145,6 +149,8 @@ def cross_check(
         seed: For the random numbers, 0 or more.
         mimics: The joints that follow others in the URDF; those of its text by default. A joint
             equality of the MJCF that says the same does not act here.
+        moved: {joint: (3,) where its position is taken in the MJCF, from where the file puts it, in
+            its body's axes}: on its own axis, where the URDF puts it.
 
     Returns:
         The worst deviation of each quantity, where it occurs, and the verdict.
@@ -163,7 +169,11 @@ def cross_check(
         mimics = urdf_mimics(parse_text(robot.description.urdf))
     coupled, _ = split_mimics(found, reference, mimics, tolerance)
     evaluations, left_out = _evaluations(
-        robot, states, without(robot.mj_model, found), without(robot.mj_model, coupled)
+        robot,
+        states,
+        without(robot.mj_model, found),
+        without(robot.mj_model, coupled),
+        moved or {},
     )
     checks = tuple(_compare(name, evaluations, tolerance) for name in evaluations[URDF_PINOCCHIO])
     return CrossCheck(
@@ -178,7 +188,11 @@ def cross_check(
 
 
 def _evaluations(
-    robot: Robot, states: States, square: mujoco.MjModel, whole: mujoco.MjModel
+    robot: Robot,
+    states: States,
+    square: mujoco.MjModel,
+    whole: mujoco.MjModel,
+    moved: Mapping[str, Array],
 ) -> tuple[dict[str, Evaluation], list[str]]:
     """Evaluates both models in all backends.
 
@@ -187,6 +201,7 @@ def _evaluations(
         states: Where.
         square: MuJoCo's model of the MJCF, without what a URDF cannot state.
         whole: The same as it is, but for couplings that the URDF has, too.
+        moved: Where joints of the MJCF are taken to be, from where it puts them.
 
     Returns:
         {backend: its evaluation}, and what was left out and why.
@@ -213,18 +228,19 @@ def _evaluations(
         base=robot.mj_base,
         foot_frames=mjcf_frames,
     )
+    base = robot.mj_base
     evaluations = {
-        URDF_PINOCCHIO: pinocchio_evaluation(robot, states),
-        MJCF_PINOCCHIO: pinocchio_evaluation(mjcf_robot, states),
-        MJCF_MUJOCO: mujoco_evaluation(robot, square, robot.mj_base, mjcf_frames, states),
-        MJCF_AS_IT_IS: mujoco_evaluation(robot, whole, robot.mj_base, mjcf_frames, states),
+        URDF_PINOCCHIO: pinocchio_evaluation(robot, states, {}),
+        MJCF_PINOCCHIO: pinocchio_evaluation(mjcf_robot, states, moved),
+        MJCF_MUJOCO: mujoco_evaluation(robot, square, base, mjcf_frames, states, moved),
+        MJCF_AS_IT_IS: mujoco_evaluation(robot, whole, base, mjcf_frames, states, moved),
     }
     if in_mujoco is not None:
         in_mujoco = as_it_is(in_mujoco)
         # MuJoCo's importer makes equalities of mimic joints, which Pinocchio leaves independent.
         in_mujoco.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
         evaluations[URDF_MUJOCO] = mujoco_evaluation(
-            robot, in_mujoco, robot.base, urdf_frames, states
+            robot, in_mujoco, robot.base, urdf_frames, states, {}
         )
     if pairs:
         evaluations[URDF_YOURDFPY] = yourdfpy_evaluation(robot, states)
@@ -234,12 +250,13 @@ def _evaluations(
 def _compare(name: str, evaluations: Mapping[str, Evaluation], tolerance: float) -> QuantityCheck:
     """Compares one quantity along every edge."""
     edges: dict[str, float] = {}
+    least = _least_scale(name, evaluations[URDF_PINOCCHIO])
     worst: tuple[float, float, float, tuple[str, str], str] | None = None
     for pair, whose in EDGES.items():
         if any(name not in evaluations.get(evaluation, {}) for evaluation in pair):
             continue
         one, two = (evaluations[evaluation][name] for evaluation in pair)
-        found = _deviation(one, two)
+        found = _deviation(one, two, least)
         edges[whose] = found[0]
         if worst is None or found[0] > worst[0]:
             worst = (*found[:3], pair, found[3])
@@ -259,7 +276,14 @@ def _compare(name: str, evaluations: Mapping[str, Evaluation], tolerance: float)
     )
 
 
-def _deviation(one: Quantity, two: Quantity) -> tuple[float, float, float, str]:
+def _least_scale(name: str, evaluation: Evaluation) -> float:
+    """Returns below what a quantity is rounding alone: a ratio of that is no deviation."""
+    if name in ("gravity", "bias forces"):  # a millionth of what the robot weighs
+        return 1e-6 * 9.81 * float(np.abs(evaluation["mass matrix"].values).max())
+    return {"body masses": 1e-12, "body inertias": 1e-15, "mass matrix": 1e-15}.get(name, 1e-6)
+
+
+def _deviation(one: Quantity, two: Quantity, least: float) -> tuple[float, float, float, str]:
     """Returns the worst relative and absolute deviation, the scale, and the place."""
     same = one.values == two.values  # infinite limits, too
     with np.errstate(invalid="ignore"):
@@ -271,6 +295,7 @@ def _deviation(one: Quantity, two: Quantity) -> tuple[float, float, float, str]:
         scale = greatest.max(axis=-1, keepdims=True) + np.zeros_like(difference)
     else:
         scale = np.full_like(difference, greatest.max())
+    scale = np.maximum(scale, least)
     with np.errstate(over="ignore", invalid="ignore"):
         relative = np.divide(
             difference, scale, out=np.where(difference > 0, np.inf, 0.0), where=scale > 0

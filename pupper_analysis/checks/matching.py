@@ -5,12 +5,14 @@ from __future__ import annotations
 import copy
 import tomllib
 from collections.abc import Collection, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 from lxml import etree
 
+from pupper_analysis.checks.alignment import with_base
+from pupper_analysis.checks.conventions import Conventions, conventions, pose_in_words, rewrite
 from pupper_analysis.checks.matching_mjcf import (
     bodies_of,
     delete_joint,
@@ -19,7 +21,9 @@ from pupper_analysis.checks.matching_mjcf import (
     mjcf_tree,
     name_all,
 )
-from pupper_analysis.checks.matching_structure import common_frames, guess
+from pupper_analysis.checks.matching_pairs import pair_up
+from pupper_analysis.checks.matching_structure import common_frames
+from pupper_analysis.checks.matching_subtrees import removable, take_off
 from pupper_analysis.checks.matching_urdf import (
     fix_joints,
     links_of,
@@ -29,6 +33,8 @@ from pupper_analysis.checks.matching_urdf import (
 )
 from pupper_analysis.checks.passive.mimics import Mimics, urdf_mimics
 from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.checks.trees import base_pose, trees
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import compile_spec
@@ -47,13 +53,17 @@ class Match:
         urdf_joint: {joint: its name in the URDF}.
         urdf_link: {base or joint: the URDF's link that it moves}.
         mjcf_body: {base or joint: the MJCF's body that it moves}.
-        guessed: {joint in the URDF: joint in the MJCF} matched by structure.
+        guessed: {joint in the URDF: joint in the MJCF} matched by structure, or by names that are
+            the same but for prefixes and suffixes.
         only_urdf: Joints that the MJCF does not have; fixed at zero for the comparison.
         only_mjcf: Joints that the URDF does not have; likewise.
         notes: What was assumed or left out, in plain words.
         reference: The MJCF as it is, with all else in its scene. Where it has joints that the URDF
             lacks, these are fixed at zero.
         mimics: The joints that follow others in the URDF.
+        conventions: What the URDF was given of the MJCF's: the base's frame, zeros of joints.
+        parts: What one file has and the other lacks, and was taken off, in words.
+        undamped: Joints whose damping the URDF does not state, and was given the MJCF's.
     """
 
     robot: Robot
@@ -66,6 +76,9 @@ class Match:
     notes: tuple[str, ...]
     reference: Reference
     mimics: Mimics
+    conventions: Conventions
+    parts: tuple[str, ...]
+    undamped: tuple[str, ...]
 
 
 def read_mapping(path: Path) -> dict[str, str]:
@@ -90,7 +103,9 @@ def match(
     *,
     names: Mapping[str, str] | None = None,
     feet: Sequence[str] = (),
-    shapes: bool = False,
+    complete: bool = False,
+    tolerances: Tolerances | None = None,
+    strict: bool = False,
 ) -> Match:
     """Matches joints and frames by name, then by ``names``, and the rest by structure.
 
@@ -102,45 +117,43 @@ def match(
         mjcf: The MJCF.
         names: {name in the URDF: name in the MJCF} of joints or frames.
         feet: Frames, by their names in the MJCF, to be compared as feet.
-        shapes: Keep the URDF's visuals and collision shapes.
+        complete: Keep the URDF's shapes, and the parts that only one file has.
+        tolerances: What counts as a difference.
+        strict: Damping that the URDF does not state is 0; else it is the MJCF's.
 
     Raises:
         ModelError: If the two have no joint in common, or one cannot be analysed.
         UnknownNameError: If ``names`` or ``feet`` name what is not there.
     """
     notes = [*urdf.notes, *mjcf.notes]
-    root = copy.deepcopy(urdf.root) if shapes else without_shapes(urdf.root)
+    root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
     spec = mjcf.spec.copy()
     name_all(spec, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
     drop_other_objects(spec, mjcf.path, {str(e.get("name")) for e in root.iter("link")}, notes)
-    theirs = hinges(spec, mjcf.path)
+    theirs, balls = hinges(spec, mjcf.path, notes)
     root = strip_roots(root, urdf.path, mjcf_tree(spec, mjcf.path), notes)
-    mine = moving_joints(root, urdf.path)
+    mine, others = moving_joints(root, notes)
     wanted = dict(names or {})
     links = {str(link.get("name")) for link in root.findall("link")}
     places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
     _check_names(wanted, (mine, links, urdf.path), (theirs, places, mjcf.path))
-    pairs = {old: new for old, new in wanted.items() if old in mine and new in theirs}
-    taken = set(pairs.values())
-    pairs |= {name: name for name in mine if name in theirs and name not in {*pairs, *taken}}
-    guessed = guess(root, spec, urdf.path, mjcf.path, pairs)
-    pairs |= guessed
-    if not pairs:
-        raise ModelError(
-            urdf.path,
-            f"no joint in common with {mjcf.path}: {', '.join(mine[:6])} … against "
-            f"{', '.join(theirs[:6])} …; name the pairs with a mapping",
-        )
-    only_urdf = tuple(name for name in mine if name not in pairs)
-    only_mjcf = tuple(name for name in theirs if name not in pairs.values())
+    found = pair_up(root, spec, (urdf.path, mjcf.path), (mine, theirs), wanted)
+    pairs, guessed = found.pairs, found.guessed
+    notes += found.notes
+    only_urdf = (*others, *(name for name in mine if name not in pairs))
+    only_mjcf = (*balls, *(name for name in theirs if name not in pairs.values()))
+    for key in list(spec.keys):
+        spec.delete(key)  # its size may no longer fit
+    ways = removable(root, spec, only_urdf, only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
+    # In a robot that shall stand, what one file lacks is weight: it stays.
+    parts = [] if complete else take_off(root, spec, (urdf.path, mjcf.path), ways, pairs)
+    undamped = () if strict else _take_damping(root, spec, mjcf.path)
     frames = common_frames(root, spec, wanted)
     for foot in feet:
         if foot not in frames:
             raise UnknownNameError(urdf.path, "frame of both files (for a foot)", foot, frames)
-    for key in list(spec.keys):
-        spec.delete(key)  # its size may no longer fit
     description = Description(
         name=spec.modelname,
         urdf=etree.tostring(root, encoding="unicode"),
@@ -150,7 +163,7 @@ def match(
         feet={},
         frames={name: frames[name] for name in (feet or frames)},
     )
-    robot = build_robot(description)
+    robot, meant = _in_one_convention(root, description, tolerances or Tolerances(), notes)
     return Match(
         robot=robot,
         urdf_joint={new: old for old, new in pairs.items()},
@@ -166,8 +179,80 @@ def match(
             robot.joint_names,
             robot.mj_base,
         ),
-        mimics=mimics,
+        mimics=_with_zeros(mimics, meant),
+        conventions=meant,
+        parts=tuple(parts),
+        undamped=undamped,
     )
+
+
+def _in_one_convention(
+    root: etree._Element, description: Description, tolerances: Tolerances, notes: list[str]
+) -> tuple[Robot, Conventions]:
+    """Builds the robot, with the URDF in the MJCF's conventions; and says how they differed."""
+    robot = build_robot(description)
+    meant = _conventions(robot, tolerances, notes)
+    if meant.base is not None or meant.zeros:
+        rewrite(root, robot.base, meant, trees(robot)[0])
+        text = etree.tostring(root, encoding="unicode")
+        robot = build_robot(replace(description, urdf=text))
+    return robot, meant
+
+
+def _conventions(robot: Robot, tolerances: Tolerances, notes: list[str]) -> Conventions:
+    """Finds how the files' conventions differ, and says where a fixed base stands."""
+    urdf, mjcf = trees(robot)
+    if robot.floating:
+        return conventions(urdf, mjcf, tolerances, fixed=False)
+    pose = base_pose(robot)
+    if not pose.isIdentity(1e-9):
+        notes.append(
+            f"the MJCF's fixed base {robot.mj_base!r} stands {pose_in_words(pose)}, in the world; "
+            "the URDF's was put there"
+        )
+    one, two = (with_base(tree, pose.inverse()) for tree in (urdf, mjcf))
+    found = conventions(one, two, tolerances, fixed=True)
+    if found.base is not None and found.shown:
+        notes.append(
+            f"the frame of the fixed base of the URDF is {pose_in_words(found.base)}, in that of "
+            f"the MJCF's {robot.mj_base!r}; it was put to the MJCF's"
+        )
+    return found
+
+
+def _with_zeros(mimics: Mimics, found: Conventions) -> Mimics:
+    """Returns the couplings q = m q' + c in coordinates with other zeros."""
+    zeros = found.zeros
+    return {
+        name: (
+            leader,
+            multiplier,
+            offset + multiplier * zeros.get(leader, 0.0) - zeros.get(name, 0.0),
+        )
+        for name, (leader, multiplier, offset) in mimics.items()
+    }
+
+
+def _take_damping(root: etree._Element, spec: mujoco.MjSpec, source: Path) -> tuple[str, ...]:
+    """Gives a URDF's joints that state no damping that of the MJCF's, in place; returns which."""
+    silent = {
+        str(joint.get("name")): joint
+        for joint in root.findall("joint")
+        if joint.get("type") != "fixed" and joint.find("dynamics[@damping]") is None
+    }
+    if not silent:
+        return ()
+    joints = mjcf_tree(spec, source).joints
+    given = []
+    for name, joint in silent.items():
+        if name not in joints or not joints[name].damping:
+            continue
+        dynamics = joint.find("dynamics")
+        if dynamics is None:
+            dynamics = etree.SubElement(joint, "dynamics")
+        dynamics.set("damping", repr(joints[name].damping))
+        given.append(name)
+    return tuple(given)
 
 
 def _check_names(

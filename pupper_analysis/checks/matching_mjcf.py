@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import mujoco
+import numpy as np
+import pinocchio as pin
 
+from pupper_analysis.checks.alignment import with_base
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
@@ -32,23 +35,28 @@ def name_all(spec: mujoco.MjSpec, taken: set[str], notes: list[str]) -> None:
             notes.append(f"a joint without a name in the MJCF is called {joint.name!r}")
 
 
-def hinges(spec: mujoco.MjSpec, source: Path) -> list[str]:
-    """Returns the names of the joints, but for free ones.
+def hinges(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> tuple[list[str], list[str]]:
+    """Returns the names of the hinges and slides, and of the ball joints, which are taken out.
 
-    Raises:
-        ModelError: If one is a ball joint.
+    A URDF has no ball joints: what they carry is compared as it is at rest.
     """
-    names = []
-    for joint in spec.joints:
+    names, balls = [], []
+    for joint in list(spec.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_BALL:
-            raise ModelError(
-                source,
-                f"joint {joint.name!r} is a ball joint; hinge and slide joints, and one free joint "
-                "at the base, can be analysed",
-            )
-        if joint.type != mujoco.mjtJoint.mjJNT_FREE:
+            balls.append(joint.name)
+            delete_joint(spec, joint)
+        elif joint.type != mujoco.mjtJoint.mjJNT_FREE:
             names.append(joint.name)
-    return names
+    if balls and not names:
+        raise ModelError(source, "it has ball joints alone; give a robot with hinges or slides")
+    if balls:
+        for key in list(spec.keys):
+            spec.delete(key)  # its size no longer fits
+        notes.append(
+            f"ball joints, which a URDF cannot state, were fixed at rest: {', '.join(balls)}; what "
+            "they carry is compared there, and how it moves is not"
+        )
+    return names, balls
 
 
 def drop_other_objects(
@@ -103,7 +111,7 @@ def bodies_of(robot: Robot) -> dict[str, str]:
 
 
 def mjcf_tree(spec: mujoco.MjSpec, source: Path) -> parameters.Parameters:
-    """Returns the parameters of an MJCF's joints and bodies.
+    """Returns the parameters of an MJCF's joints and bodies, in the frame of its base.
 
     Raises:
         ModelError: If MuJoCo cannot compile it.
@@ -115,4 +123,13 @@ def mjcf_tree(spec: mujoco.MjSpec, source: Path) -> parameters.Parameters:
         raise ModelError(source, f"MuJoCo cannot compile it: {message}") from error
     model = pinocchio_from_mujoco(compiled)
     names = [joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
-    return parameters.from_pinocchio(model, "", names, {})
+    tree = parameters.from_pinocchio(model, "", names, {})
+    if tree.floating or not names:
+        return tree
+    base = int(compiled.jnt_bodyid[compiled.joint(names[0]).id])
+    while compiled.body_weldid[base] != 0:
+        base = int(compiled.body_parentid[base])
+    data = mujoco.MjData(compiled)
+    mujoco.mj_kinematics(compiled, data)
+    pose = pin.SE3(data.xmat[base].reshape(3, 3).copy(), np.array(data.xpos[base]))
+    return with_base(tree, pose.inverse())

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 from lxml import etree
 
+from pupper_analysis.checks.alignment import with_base
+from pupper_analysis.checks.conventions import quarters
 from pupper_analysis.checks.matching_mjcf import mjcf_tree
 from pupper_analysis.checks.matching_places import at_zero
 from pupper_analysis.checks.matching_urdf import end_link, urdf_tree
+from pupper_analysis.models.parameters import Parameters
 
 _PARALLEL = 0.99  # least |cosine| between the axes of joints that may be one
 _NEAR = 0.25  # greatest distance of joints that may be one, relative to the robot's size
@@ -32,27 +37,78 @@ def common_frames(
     return frames
 
 
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """Joints that structure matches.
+
+    Attributes:
+        pairs: {joint in the URDF: joint in the MJCF}.
+        choices: {joint in the URDF: joints in the MJCF} where it leaves a choice.
+    """
+
+    pairs: Mapping[str, str]
+    choices: Mapping[str, tuple[str, ...]]
+
+
 def guess(
     root: etree._Element,
     spec: mujoco.MjSpec,
     urdf: Path,
     mjcf: Path,
     pairs: Mapping[str, str],
-) -> dict[str, str]:
+) -> Guess:
     """Matches joints without a partner by structure.
 
-    Below the same parent, with parallel axes at zero angles, each the nearest to the other.
+    Below the same parent, with parallel axes at zero angles, each the nearest to the other. Where
+    no name is in common and the axes of the base do not match as they are, its frame may be turned
+    by quarters in one of the files; if two turns match as many joints, each its own way, nothing is
+    guessed.
     """
     one = urdf_tree(root, urdf)
     two = mjcf_tree(spec, mjcf)
+    free = len([name for name in one.joints if name not in pairs])
+    rest = len([name for name in two.joints if name not in pairs.values()])
+    if not free or not rest:
+        return Guess({}, {})
+    best, distance = _in_place(one, two, pairs)
+    if pairs or len(best.pairs) == min(free, rest):
+        return best
+    tried = [(best, distance)]
+    for turn in quarters():
+        turned = with_base(one, pin.SE3(turn, np.zeros(3)))
+        tried.append(_in_place(turned, two, pairs))
+    tried.sort(key=lambda item: (-len(item[0].pairs), item[1]))
+    (best, distance) = tried[0]
+    rivals = [
+        other.pairs
+        for other, apart in tried[1:]
+        if len(other.pairs) == len(best.pairs)
+        and other.pairs != best.pairs
+        and apart < 2 * distance + 1e-3
+    ]
+    if rivals and best.pairs:
+        every = [best.pairs, *rivals]
+        choices = {
+            name: tuple(dict.fromkeys(found[name] for found in every if name in found))
+            for name in best.pairs
+        }
+        return Guess({}, choices)
+    return best
+
+
+def _in_place(one: Parameters, two: Parameters, pairs: Mapping[str, str]) -> tuple[Guess, float]:
+    """Matches the joints of two trees where they are; returns how far they are apart, too.
+
+    The distance is relative to the robot's size, and the greatest of all pairs.
+    """
     free_one = [name for name in one.joints if name not in pairs]
     free_two = [name for name in two.joints if name not in pairs.values()]
-    if not free_one or not free_two:
-        return {}
     place_one, place_two = at_zero(one), at_zero(two)
     size = max(float(np.linalg.norm(place[0])) for place in place_one.values())
     partner = {one.base: two.base, **pairs}
     guessed: dict[str, str] = {}
+    choices: dict[str, tuple[str, ...]] = {}
+    worst = 0.0
 
     def likeness(name: str, other: str) -> float:
         (here, axis), (there, other_axis) = place_one[name], place_two[other]
@@ -75,4 +131,14 @@ def guess(
             )
             if np.isfinite(least) and (least < 0.5 * rivals).all():
                 guessed[name] = partner[name] = theirs[column]
-    return guessed
+                worst = max(worst, float(least) / max(size, 1e-9))
+            elif np.isfinite(least):
+                choices[name] = tuple(
+                    other for other, far in zip(theirs, table[row], strict=True) if np.isfinite(far)
+                )
+    taken = set(guessed.values())
+    left = {
+        name: tuple(other for other in others if other not in taken)
+        for name, others in choices.items()
+    }
+    return Guess(guessed, {name: others for name, others in left.items() if others}), worst

@@ -79,24 +79,24 @@ def end_link(joint: etree._Element, tag: str) -> str:
     return str(joint.find(tag).get("link"))
 
 
-def moving_joints(root: etree._Element, source: Path) -> list[str]:
-    """Returns the names of the joints that move.
+def moving_joints(root: etree._Element, notes: list[str]) -> tuple[list[str], list[str]]:
+    """Returns the names of the hinges and slides, and of other joints, which are fixed, in place.
 
-    Raises:
-        ModelError: If one is of a kind that cannot be analysed.
+    These are floating and planar ones inside the tree: what they carry is compared as at rest.
     """
-    moving = []
+    moving, others = [], []
     for joint in root.findall("joint"):
-        kind = joint.get("type")
+        kind, name = joint.get("type"), str(joint.get("name"))
         if kind in _MOVING:
-            moving.append(str(joint.get("name")))
+            moving.append(name)
         elif kind != "fixed":
-            raise ModelError(
-                source,
-                f"joint {joint.get('name')!r} is {kind}; revolute, continuous, prismatic and fixed "
-                "joints, and a floating one at the root, can be analysed",
+            others.append(name)
+            joint.set("type", "fixed")
+            notes.append(
+                f"joint {name!r} of the URDF is {kind} and was fixed at rest; what it carries is "
+                "compared there, and how it moves is not"
             )
-    return moving
+    return moving, others
 
 
 def fix_joints(root: etree._Element, names: Iterable[str]) -> None:

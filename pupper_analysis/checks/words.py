@@ -40,7 +40,13 @@ def ratio(urdf: float, mjcf: float) -> str:
     if urdf == 0 or mjcf == 0:
         return ""
     ratio = mjcf / urdf
-    for factor, meaning in ((1e3, "g for kg?"), (1e-3, "g for kg?"), (-1.0, "the other sign")):
+    for factor, meaning in (
+        (1e3, "g for kg?"),
+        (1e-3, "g for kg?"),
+        (10.0, "ten times: a decimal point?"),
+        (0.1, "a tenth: a decimal point?"),
+        (-1.0, "the other sign"),
+    ):
         if math.isclose(ratio, factor, rel_tol=1e-3):
             return f" ({meaning})"
     return f" ({100 * (ratio - 1):+.3g} %)"

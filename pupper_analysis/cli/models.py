@@ -55,7 +55,9 @@ _package_option = click.option(
     "friction, gravity or dynamics. May be repeated.",
 )
 @click.option(
-    "--strict", is_flag=True, help="Tolerate rounding errors alone (1e-9), not digits or names."
+    "--strict",
+    is_flag=True,
+    help="Tolerate rounding errors alone (1e-9): not digits, names, or damping the URDF lacks.",
 )
 @click.option("--all", "everything", is_flag=True, help="Print every difference.")
 @json_option
@@ -76,8 +78,9 @@ def crosscheck(
     """Find which number in which file makes a robot's URDF and MJCF disagree.
 
     Both models are compared in both engines, and body by body; each difference is shown with its
-    place in both files and its effect, the greatest first, and the list is proven complete.
-    Joints are matched by name, by --map, and the rest by structure (which is then printed).
+    place in both files and its effect, what is to be mended first, first, and the list is proven
+    complete. Where a link's frame is does not count. Joints are matched by --map, by name, by name
+    without prefixes and suffixes, and the rest by structure (which is then printed).
 
     \b
     Examples:

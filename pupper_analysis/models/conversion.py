@@ -238,6 +238,8 @@ def mujoco_from_urdf(
     root_link = next(link.get("name") for link in links if link.get("name") not in children)
     assert root_link is not None
     floating = bool((like.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any())
+    for own in root.findall("mujoco"):  # MuJoCo takes one such block; what it says is for loading
+        root.remove(own)
     extension = etree.SubElement(root, "mujoco")
     etree.SubElement(
         extension, "compiler", fusestatic="false", balanceinertia="false", discardvisual="false"

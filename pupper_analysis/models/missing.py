@@ -10,7 +10,7 @@ import mujoco
 
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_tree import Node, Tree
-from pupper_analysis.models.packages import existing
+from pupper_analysis.models.packages import existing, is_pointer
 from pupper_analysis.models.places import Place, source_name
 
 
@@ -49,6 +49,7 @@ def leave_out_missing(
     _refuse_wrapped(tree.root, names)
     users = _users(spec, tree.root, names)
     notes = _notes(meshes, hfields, textures, skins)
+    notes += _pointers(spec, folders, {*meshes.values(), *hfields.values(), *skins.values()})
     if users:
         notes.append(f"left out, for they refer to such a geom: {', '.join(users)}")
     for element in geoms:
@@ -91,6 +92,24 @@ def _notes(
                 "left out"
             )
     return notes
+
+
+def _pointers(spec: mujoco.MjSpec, folders: tuple[Path, ...], files: set[str]) -> list[str]:
+    """Says so if files are there, but are pointers of Git LFS."""
+    names = {Path(file).name if spec.strippath else file for file in files}
+    found = [
+        name
+        for name in sorted(names)
+        if any(is_pointer(top / folder / name) for top in folders for folder in _folders(spec))
+    ]
+    if not found:
+        return []
+    some = ", ".join(found[:2]) + (", ..." if len(found) > 2 else "")
+    return [f"{len(found)} of them are pointers of Git LFS ({some}): git lfs pull brings the files"]
+
+
+def _folders(spec: mujoco.MjSpec) -> set[str]:
+    return {element.compiler.meshdir for element in (*spec.meshes, *spec.hfields, *spec.skins)}
 
 
 def _gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,11 +31,28 @@ def load(path: Path) -> mujoco.MjSpec:
         raise ModelError(path, "there is no such file; give the path of an MJCF (.xml) file")
     try:
         with quiet():
-            spec, same = (mujoco.MjSpec.from_file(str(path)) for _ in range(2))
+            spec, same = (spec_of(path) for _ in range(2))
     except (ValueError, RuntimeError) as error:
         raise ModelError(path, f"not a valid MJCF: {one_line(error)}") from error
     # Here and not later: a copy of a spec lacks what is dangling, and would compile.
     compile_spec(same, path)
+    return spec
+
+
+def spec_of(path: Path) -> mujoco.MjSpec:
+    """Parses an MJCF, whatever its name ends with: MuJoCo reads files ``*.xml`` alone."""
+    if path.suffix.lower() == ".xml":
+        return mujoco.MjSpec.from_file(str(path))
+    included: dict[str, bytes] = {}
+    waiting = [path.read_bytes()]
+    while waiting:
+        for name in re.findall(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)', waiting.pop()):
+            file = path.parent / name.decode()
+            if name.decode() not in included and file.is_file():
+                included[name.decode()] = file.read_bytes()
+                waiting.append(included[name.decode()])
+    spec = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8-sig"), include=included)
+    spec.modelfiledir = str(path.parent)
     return spec
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -14,8 +14,8 @@ from lxml import etree
 
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.missing import leave_out_missing
-from pupper_analysis.models.mjcf import quiet
-from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, walk
+from pupper_analysis.models.mjcf import quiet, spec_of
+from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating, walk
 from pupper_analysis.models.places import Place, one_line, refusal_at, source_name
 from pupper_analysis.models.xml import parse
 
@@ -66,6 +66,33 @@ class MjcfFile:
                 break
             node = below
         return node.place
+
+    def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
+        """Finds where an element's attributes are stated: in itself, or in a default class.
+
+        Args:
+            kind: Its tag or section, as in `place`.
+            name: Its name, as in `place`.
+            attributes: Any of them will do.
+
+        Returns:
+            The place; None where nothing states any of them.
+        """
+        node = self._index.get((kind, name))
+        if node is None or not self._roots:
+            return None
+        found = stating(self._roots[0], node, attributes)
+        return None if found is None else found.place
+
+    def weighing(self, body: str) -> Place:
+        """Finds where a body's mass is stated: its <inertial>, or the first geom that has one."""
+        node = self._index.get(("body", body))
+        if node is None:
+            return Place(self.path)
+        inertial = [child for child in node.children if child.tag == "inertial"]
+        geoms = [child for child in node.children if child.tag == "geom"]
+        stated = [geom for geom in geoms if {"mass", "density"} & set(geom.attributes)]
+        return (*inertial, *stated, *geoms, node)[0].place
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
         """Yields the attributes and the place of every element of a kind, as they are written.
@@ -162,11 +189,8 @@ def _spec(tree: Tree, index: Mapping[tuple[str, str], Node]) -> tuple[mujoco.MjS
     """Returns what MuJoCo reads, without what needs files that are missing, and what that is."""
     try:
         with quiet():
-            spec = mujoco.MjSpec.from_file(str(tree.path))
+            spec = spec_of(tree.path)
     except _MUJOCO_ERRORS as error:
-        if "could not find decoder" in str(error):
-            problem = "MuJoCo reads files *.xml only; rename it"
-            raise ModelError(source_name(tree.path), problem) from error
         message, place = _mujoco_refusal(tree, index, "not a valid MJCF", error)
         raise ModelError(source_name(place.file, place.line), message) from error
     return spec, leave_out_missing(spec, tree, index)

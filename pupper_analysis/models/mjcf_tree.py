@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -222,3 +222,49 @@ def index_of(root: Node) -> dict[tuple[str, str], Node]:
             if not name and kind in ("joint", "freejoint") and "name" in parent.attributes:
                 fallback.setdefault((kind, parent.attributes["name"]), node)
     return fallback | index
+
+
+def stating(root: Node, node: Node, attributes: Collection[str]) -> Node | None:
+    """Returns the element that states one of an element's attributes: itself, or a default class.
+
+    The class is its own, or the childclass of a body above it; what a class does not state is that
+    of the class around it.
+
+    Args:
+        root: The root element.
+        node: The element.
+        attributes: Any of them will do.
+    """
+    if set(attributes) & set(node.attributes):
+        return node
+    name = node.attributes.get("class") or _childclass(root, node)
+    nested = _classes(root, name)
+    for default in reversed(nested):
+        for child in default.children:
+            if child.tag == node.tag and set(attributes) & set(child.attributes):
+                return child
+    return None
+
+
+def _childclass(root: Node, node: Node) -> str | None:
+    """Returns the childclass that reaches an element."""
+    pending: list[tuple[Node, str | None]] = [(root, None)]
+    while pending:
+        here, inherited = pending.pop()
+        if here is node:
+            return inherited
+        inherited = here.attributes.get("childclass", inherited)
+        pending.extend((child, inherited) for child in here.children)
+    return None
+
+
+def _classes(root: Node, name: str | None) -> list[Node]:
+    """Returns a default class with those around it, the outermost first."""
+    tops = [child for child in root.children if child.tag == "default"]
+    pending = [[top] for top in tops]
+    while name is not None and pending:
+        path = pending.pop()
+        if path[-1].attributes.get("class") == name:
+            return path
+        pending.extend([*path, child] for child in path[-1].children if child.tag == "default")
+    return tops[:1]

@@ -8,13 +8,27 @@ from pathlib import Path
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.xml import parse
 
+_POINTER = b"version https://git-lfs.github.com/spec/"
+
 
 def existing(path: Path) -> Path | None:
-    """Returns the path if there is such a file; the name may be any text of a model file."""
+    """Returns the path if there is such a file; the name may be any text of a model file.
+
+    A pointer that Git LFS leaves in place of a file is none.
+    """
     try:
-        return path if path.is_file() else None
+        return path if path.is_file() and not is_pointer(path) else None
     except (OSError, ValueError):
         return None
+
+
+def is_pointer(path: Path) -> bool:
+    """Says whether a file is a pointer of Git LFS, whose content was not brought along."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_POINTER)) == _POINTER
+    except (OSError, ValueError):
+        return False
 
 
 def folders_of_package(folder: Path, package: str) -> Iterator[Path]:

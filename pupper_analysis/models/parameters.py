@@ -1,15 +1,14 @@
 """The parameters of a tree of joints, as both files share them: and how those of two files differ.
 
 Fixed children are folded into the body that carries them. Frames of bodies are a matter of choice:
-two files can describe one robot with differently turned link frames. So before two sets are
-compared, the frames of the second are turned to those of the first, body by body from the base
-outwards, in the way that leaves the fewest differences.
+two files can describe one robot with different link frames. `checks.alignment` brings the frames of
+one set to those of another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -217,52 +216,3 @@ def _append(model: pin.Model, joint: int, body: Body) -> None:
     # One by one: the constructor refuses what no body has, which a file may state all the same.
     inertia.mass, inertia.lever, inertia.inertia = body.mass, body.com, body.inertia
     model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-
-
-def aligned(
-    second: Parameters, first: Parameters, count: Callable[[Parameters, Parameters, str], int]
-) -> Parameters:
-    """Turns the body frames of one set of parameters to those of another.
-
-    The frame of each body is taken as it is, or turned so that its rotation at zero equals the
-    other's if that leaves fewer differences in the body and in what it carries.
-
-    Args:
-        second: The parameters whose frames are turned.
-        first: Whose frames are kept; it has joints of the same names.
-        count: Counts the differences of a body, its joint, and what it carries.
-
-    Returns:
-        The same robot as ``second``.
-    """
-    result = second
-    for name in first.joints:
-        mine, other = first.joints[name], result.joints[name]
-        if mine.parent != other.parent:
-            continue
-        turn = mine.rotation.T @ other.rotation
-        if np.allclose(turn, np.eye(3), atol=1e-12):
-            continue
-        turned = _turned(result, name, turn)
-        if count(first, turned, name) < count(first, result, name):
-            result = turned
-    return result
-
-
-def _turned(parameters: Parameters, name: str, turn: Array) -> Parameters:
-    """Describes the body that a joint moves in other axes: x' = turn x."""
-    joint, body = parameters.joints[name], parameters.bodies[name]
-    joints = dict(parameters.joints)
-    joints[name] = replace(joint, rotation=joint.rotation @ turn.T, axis=turn @ joint.axis)
-    for child in parameters.children(name):
-        carried = joints[child]
-        joints[child] = replace(
-            carried, position=turn @ carried.position, rotation=turn @ carried.rotation
-        )
-    bodies = dict(parameters.bodies)
-    bodies[name] = replace(body, com=turn @ body.com, inertia=turn @ body.inertia @ turn.T)
-    frames = {
-        frame: (owner, turn @ position if owner == name else position)
-        for frame, (owner, position) in parameters.frames.items()
-    }
-    return replace(parameters, joints=joints, bodies=bodies, frames=frames)

@@ -141,7 +141,7 @@ def _prepared(
     known = start.chosen(mjcf, start.keyframes(spec), keyframe)
     if not fixed_base:
         _free(spec, notes)
-    matched = match(urdf, replace(mjcf, spec=spec), names=joints, shapes=True)
+    matched = match(urdf, replace(mjcf, spec=spec), names=joints, complete=True)
     notes += [*matched.notes, *_said(matched)]
     description = replace(matched.robot.description, name=name or spec.modelname)
     if fixed_base or not matched.robot.floating:

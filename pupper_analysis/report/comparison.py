@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -13,6 +13,7 @@ from rich.table import Table
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.engines import EDGES, EXTRAS
+from pupper_analysis.checks.patterns import Cause
 from pupper_analysis.report.formats import Annotation, Case
 
 SHOWN = 20
@@ -29,20 +30,17 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
         comparison: The comparison.
         everything: Print all differences, however many.
     """
-    groups = _groups(comparison.differences)
+    causes, groups = _by_cause(comparison, everything)
     verdict = "[bold green]AGREE[/]" if comparison.agree else "[bold red]DISAGREE[/]"
-    first = groups[0][0].message if groups else "no difference within the tolerances"
-    if not groups and comparison.objections:
-        first = comparison.objections[0]
-    elif not groups and not comparison.agree:
-        first = "they do not have the same joints"
+    first = _first(comparison, causes, groups)
     out.print(f"{verdict}: {escape(first)}", soft_wrap=True)
+    _print_causes(out, comparison, causes, everything)
     shown = groups if everything else groups[:SHOWN]
     for number, group in enumerate(shown, start=1):
         _print_group(out, number, group, everything)
     if len(shown) < len(groups):
         out.print(f"… and {len(groups) - len(shown)} more with less effect; --all prints them")
-    if groups:
+    if comparison.differences:
         left = max(comparison.left.values())
         complete = "" if comparison.complete else ", [red]so something is missing in this list[/]"
         out.print(
@@ -57,17 +55,66 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
         out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
 
 
+def _print_causes(
+    out: Console, comparison: Comparison, causes: Iterable[Cause], everything: bool
+) -> None:
+    """Prints what one file lacks as a whole, and slips that explain several differences."""
+    for part in comparison.parts:
+        said = f"{part}; it was taken off to compare the rest"
+        out.print(f"\n[bold]-[/] {escape(said)}", soft_wrap=True)
+    for cause in causes:
+        more = "" if everything else "; --all prints each"
+        said = f"{cause.message} (this alone makes {len(cause.differences)} differences{more})"
+        out.print(f"\n[bold]-[/] {escape(said)}", soft_wrap=True)
+        first = comparison.differences[cause.differences[0]]
+        where = f"   {first.urdf_place}   {first.mjcf_place}"
+        out.print(escape(where), style="dim", soft_wrap=True)
+        does = f"   the {first.kind} of {first.element}: {_effects(first)}"
+        out.print(escape(does), soft_wrap=True)
+
+
+def _by_cause(
+    comparison: Comparison, everything: bool
+) -> tuple[tuple[Cause, ...], list[list[Difference]]]:
+    """Returns the causes, and the differences that none explains, or all, in groups."""
+    explained = {number for cause in comparison.causes for number in cause.differences}
+    rest = [
+        difference
+        for number, difference in enumerate(comparison.differences)
+        if everything or number not in explained
+    ]
+    return comparison.causes, _groups(rest)
+
+
+def _first(
+    comparison: Comparison, causes: Sequence[Cause], groups: Sequence[Sequence[Difference]]
+) -> str:
+    """Returns what is to be mended first, in a line."""
+    if comparison.parts:
+        return comparison.parts[0]
+    if causes and (causes[0].differences[0] == 0 or not groups):
+        return causes[0].message
+    if groups:
+        return groups[0][0].message
+    if comparison.objections:
+        return comparison.objections[0]
+    if comparison.agree:
+        return "no difference within the tolerances"
+    return "they do not have the same joints"
+
+
 def _matching_notes(comparison: Comparison) -> Iterable[str]:
     yield from comparison.notes
     if comparison.guessed:
         pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
-        yield f"matched by structure, not by name (confirm with --map): {pairs}"
+        yield f"matched by structure or by part of the name (confirm with --map): {pairs}"
     for joints, file in (
         (comparison.only_urdf, comparison.urdf),
         (comparison.only_mjcf, comparison.mjcf),
     ):
         if joints:
-            yield f"only in {file}, fixed at zero to compare the rest: {', '.join(joints)}"
+            how = "fixed at zero or taken off" if comparison.parts else "fixed at zero"
+            yield f"only in {file}, {how} to compare the rest: {', '.join(joints)}"
 
 
 def _groups(differences: Iterable[Difference]) -> list[list[Difference]]:
@@ -88,16 +135,21 @@ def _print_group(out: Console, number: int, group: list[Difference], everything:
         more = f"; likewise on {len(names)} more: {', '.join(names) if everything else listed}"
     out.print(f"\n[bold]{number}.[/] {escape(first.message + more)}", soft_wrap=True)
     out.print(escape(f"   {first.urdf_place}   {first.mjcf_place}"), style="dim", soft_wrap=True)
-    if first.effects:
-        effects = ", ".join(
-            f"{name} {effect.share:.0%} ({effect.relative:.1e})"
-            if math.isfinite(effect.share)
-            else f"{name} ({effect.relative:.1e})"
-            for name, effect in sorted(first.effects.items(), key=lambda item: -item[1].share)
-        )
-        out.print(f"   alone it makes, of the deviation in: {effects}", soft_wrap=True)
-    else:
-        out.print("   no effect on the dynamics", style="dim")
+    for said in first.made_of if first.kind == "mass" else ():
+        out.print(escape(f"   {said}"), style="dim", soft_wrap=True)
+    out.print(f"   {_effects(first)}", soft_wrap=True, style="" if first.effects else "dim")
+
+
+def _effects(difference: Difference) -> str:
+    if not difference.effects:
+        return "no effect on the dynamics"
+    effects = ", ".join(
+        f"{name} {effect.share:.0%} ({effect.relative:.1e})"
+        if math.isfinite(effect.share)
+        else f"{name} ({effect.relative:.1e})"
+        for name, effect in sorted(difference.effects.items(), key=lambda item: -item[1].share)
+    )
+    return f"alone it makes, of the deviation in: {effects}"
 
 
 def _print_quantities(out: Console, comparison: Comparison) -> None:
@@ -135,7 +187,12 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
 
 def remarks(comparison: Comparison) -> list[Annotation]:
     """Returns a remark per difference, at its place in the URDF, and one per joint left over."""
-    found = [
+    found = [Annotation("error", "part", part, comparison.urdf) for part in comparison.parts]
+    for cause in comparison.causes:
+        place = comparison.differences[cause.differences[0]]
+        text = f"{cause.message} [{place.mjcf_place}]"
+        found.append(Annotation("error", "cause", text, place.urdf_place))
+    found += [
         Annotation(
             "error",
             f"{difference.kind} of {difference.element}",

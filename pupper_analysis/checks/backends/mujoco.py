@@ -14,6 +14,7 @@ from pupper_analysis.checks.backends.quantities import (
     model_quantities,
     state_quantities,
 )
+from pupper_analysis.checks.behaviour import offsets_in_world
 from pupper_analysis.checks.states import States
 from pupper_analysis.models.conversion import effort_limit, joint_armature, joint_damping
 from pupper_analysis.robot.coordinates import MujocoConvention
@@ -29,6 +30,7 @@ def mujoco_evaluation(
     base: str,
     frames: Mapping[str, str],
     states: States,
+    moved: Mapping[str, Array],
 ) -> Evaluation:
     """Evaluates a model of the robot in MuJoCo.
 
@@ -38,14 +40,15 @@ def mujoco_evaluation(
         base: The body that is the base there.
         frames: {foot or frame: its name there}.
         states: Where to evaluate what depends on the configuration.
+        moved: {joint: (3,) where its position is taken, from its anchor, in its body's axes}.
     """
     data = mujoco.MjData(model)
     convention = MujocoConvention.of(model, robot.joint_names)
     convention.set_state(data, robot.neutral())
     mujoco.mj_forward(model, data)
     dofs = convention.qvel_index[robot.nv - robot.nu :]
-    evaluation = _at_rest(robot, model, data, base, dofs)
-    sensors = _imu_sensors(model)
+    evaluation = _at_rest(robot, model, data, base, dofs, moved)
+    sensors = _imu_sensors(model, robot.imu)
     places = [foot_site(model, frame, robot.name) for frame in frames.values()]
     root = model.body(base).id
     public = convention.qvel_index
@@ -92,18 +95,21 @@ def _at_rest(
     data: mujoco.MjData,
     base: str,
     dofs: NDArray[np.int64],
+    moved: Mapping[str, Array],
 ) -> Evaluation:
     """Evaluates what does not depend on the state; the data are those of zero angles."""
     joints = [model.joint(name).id for name in robot.joint_names]
     carriers = [model.body(base).id, *(int(model.jnt_bodyid[joint]) for joint in joints)]
     bodies = _lumped(model, data, carriers)
+    local = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
+    anchors = data.xanchor[joints] + offsets_in_world(model, data, joints, local)
     limited = model.jnt_limited[joints].astype(bool)
     return model_quantities(
         robot,
         masses=[body.mass for body in bodies],
         coms=[np.array(body.lever) for body in bodies],
         inertias=[np.array(body.inertia) for body in bodies],
-        anchors=[np.array(data.xanchor[joint]) for joint in joints],
+        anchors=list(anchors),
         axes=[np.array(data.xaxis[joint]) for joint in joints],
         lower=np.where(limited, model.jnt_range[joints, 0], -np.inf),
         upper=np.where(limited, model.jnt_range[joints, 1], np.inf),
@@ -134,12 +140,16 @@ def _lumped(
     return [total[carrier] for carrier in carriers]
 
 
-def _imu_sensors(model: mujoco.MjModel) -> tuple[int, int] | None:
-    """Returns the addresses of gyro and accelerometer in sensordata."""
+def _imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int] | None:
+    """Returns the addresses of the gyro and the accelerometer at a site, in sensordata."""
     addresses = []
     for kind in (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER):
-        found = np.flatnonzero(model.sensor_type == kind.value)
-        if not len(found):
+        found = [
+            int(model.sensor_adr[sensor])
+            for sensor in np.flatnonzero(model.sensor_type == kind.value)
+            if model.site(int(model.sensor_objid[sensor])).name == site
+        ]
+        if not found:
             return None
-        addresses.append(int(model.sensor_adr[found[0]]))
+        addresses.append(found[0])
     return addresses[0], addresses[1]

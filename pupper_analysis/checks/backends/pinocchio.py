@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -18,8 +20,14 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 
-def pinocchio_evaluation(robot: Robot, states: States) -> Evaluation:
-    """Evaluates the robot's Pinocchio model."""
+def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array]) -> Evaluation:
+    """Evaluates the robot's Pinocchio model.
+
+    Args:
+        robot: The robot.
+        states: Where to evaluate what depends on the configuration.
+        moved: {joint: (3,) where its position is taken, from its origin, in its body's axes}.
+    """
     model, convention = robot.pin_model, robot.pin_convention
     rest = Configuration(robot, robot.neutral())
     data = model.createData()
@@ -33,7 +41,10 @@ def pinocchio_evaluation(robot: Robot, states: States) -> Evaluation:
         masses=[body.mass for body in bodies],
         coms=[np.array(body.lever) for body in bodies],
         inertias=[np.array(body.inertia) for body in bodies],
-        anchors=[rest.joint_position(name) for name in robot.joint_names],
+        anchors=[
+            rest.joint_position(name) + data.oMi[joint].rotation @ moved.get(name, np.zeros(3))
+            for name, joint in zip(robot.joint_names, ids, strict=True)
+        ],
         axes=[rest.joint_axis(name) for name in robot.joint_names],
         lower=robot.lower_limits,
         upper=robot.upper_limits,

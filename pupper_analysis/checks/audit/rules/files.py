@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from lxml import etree
@@ -11,6 +11,7 @@ from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import FIXED, MjcfView, UrdfView, View
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.packages import existing, is_pointer
 from pupper_analysis.models.places import Place
 
 
@@ -47,9 +48,8 @@ def mesh_missing(view: UrdfView | MjcfView) -> Iterator[Found]:
             name = mesh.get("filename", "")
             if name not in seen and view.file.resolve_mesh(name) is None:
                 place = Place(view.file.path, mesh.sourceline)
-                yield Found(
-                    "link", str(link.get("name")), f"there is no file {name!r}", place=place
-                )
+                text = _what_is_missing(name, [view.file.path.parent / name])
+                yield Found("link", str(link.get("name")), text, place=place)
             seen.add(name)
 
 
@@ -61,9 +61,15 @@ def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:
     for attributes, place in file.elements("mesh"):
         name = attributes.get("file", "")
         places = [top / inside for top in tops for inside in (name, Path(name).name)]
-        if name and not any(place.is_file() for place in places):
+        if name and not any(map(existing, places)):
             known = attributes.get("name") or Path(name).stem
-            yield Found("mesh", known, f"there is no file {name!r}", place=place)
+            yield Found("mesh", known, _what_is_missing(name, places), place=place)
+
+
+def _what_is_missing(name: str, places: Iterable[Path]) -> str:
+    if any(map(is_pointer, places)):
+        return f"{name!r} is a pointer of Git LFS, not the mesh: git lfs pull brings it"
+    return f"there is no file {name!r}"
 
 
 def first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:

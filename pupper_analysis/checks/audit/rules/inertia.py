@@ -72,11 +72,15 @@ def triangle_inequality(view: View) -> Iterator[Found]:
         least, middle, greatest = inertial.moments
         tolerance = min(max(1e-5 * greatest, 3 * inertial.rounding), 0.01 * greatest)
         excess = greatest - least - middle
-        if least >= 0 and excess > max(tolerance, TINY * inertial.mass):
+        # Of six equal values two moments are 0, but for rounding to either side.
+        positive = least >= -max(1e-9 * greatest, TINY * inertial.mass)
+        if positive and excess > max(tolerance, TINY * inertial.mass):
             text = (
                 f"its principal moments {least:.4g} + {middle:.4g} < {greatest:.4g} kg m^2, "
                 f"by {excess:.2g} kg m^2 ({100 * excess / greatest:.2g} %)"
             )
+            if np.allclose(inertial.inertia, inertial.inertia[0, 0], rtol=1e-6):
+                text += ": all six values are equal, so it is that of a rod without width"
             yield Found(view.body_tag, body.name, text, _child(view))
 
 

@@ -42,8 +42,28 @@ def limit_missing(view: View) -> Iterator[Found]:
     """
     for joint in view.joints.values():
         if joint.moves and math.isinf(joint.lower) and "wheel" not in joint.name.lower():
+            ignored = _limits_without_effect(view, joint.name)
+            if ignored:
+                yield Found("joint", joint.name, ignored, "limit")
+                continue
             text = f"this {joint.kind} turns or slides without end"
             yield Found("joint", joint.name, text)
+
+
+def _limits_without_effect(view: View, name: str) -> str:
+    """Says so if a joint of type continuous states limits all the same."""
+    if not isinstance(view, UrdfView):
+        return ""
+    limit = view.file.root.find(f"joint[@name='{name}']/limit") if "'" not in name else None
+    if limit is None or limit.get("lower") is None or limit.get("upper") is None:
+        return ""
+    lower, upper = number(limit, "lower", 0.0), number(limit, "upper", 0.0)
+    if lower >= upper:
+        return ""
+    return (
+        f"it is of type continuous, so that its limits [{lower:g}, {upper:g}] rad have no effect; "
+        'say type="revolute" if they are meant, or take them out'
+    )
 
 
 @rule(

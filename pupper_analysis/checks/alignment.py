@@ -1,0 +1,241 @@
+"""Brings the link frames of one tree of joints to those of another: they are a matter of choice.
+
+A joint is a line (of a slide, a direction), and a body is a mass, a com and an inertia. Where the
+file puts the axes of a link, and where on its own line a joint's origin is, has no effect on the
+robot. So before two trees are compared, the frames of the second are put to those of the first,
+joint by joint from the base outwards, in the way in which the fewest digits say how they differ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.models.parameters import Body, Joint, Parameters
+
+Array = NDArray[np.float64]
+
+_GAIN = 0.5  # bits that another frame must save, lest rounding decides
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """A tree in another's link frames.
+
+    Attributes:
+        values: The same robot, in those frames.
+        moved: {joint: (3,) how far its origin was moved (m), in the axes of the body's own frame};
+            without those that stayed.
+    """
+
+    values: Parameters
+    moved: Mapping[str, Array]
+
+
+def aligned(
+    second: Parameters,
+    first: Parameters,
+    tolerances: Tolerances,
+    fixed: Collection[str] = (),
+    only: Iterable[str] | None = None,
+) -> Alignment:
+    """Puts the link frames of a tree to those of another.
+
+    Args:
+        second: The tree whose frames are moved.
+        first: Whose frames are kept; it has joints of the same names.
+        tolerances: What counts as a difference.
+        fixed: Slides whose origin is not to be moved.
+        only: The joints whose frames are moved; by default all.
+    """
+    # Finer than what is tolerated, lest a difference is shared out until no part of it counts.
+    tolerances = finer(tolerances)
+    result, moved = second, {}
+    for name in first.joints if only is None else only:
+        mine, other = first.joints[name], result.joints[name]
+        if mine.parent != other.parent or mine.slides != other.slides:
+            continue
+        best, least = result, digits_of(first, result, name, tolerances)
+        if least == 0:
+            continue
+        shift = np.zeros(3)
+        for turn in _turns(first, result, name):
+            turned = in_axes(result, name, turn)
+            for step in _steps(first, turned, name, still=name in fixed):
+                candidate = with_origin(turned, name, step)
+                cost = digits_of(first, candidate, name, tolerances)
+                if cost < least - _GAIN:
+                    best, least, shift = candidate, cost, turn.T @ step
+        result = best
+        if shift.any():
+            moved[name] = shift
+    return Alignment(result, moved)
+
+
+def finer(tolerances: Tolerances) -> Tolerances:
+    """Returns tolerances of a hundredth."""
+    return Tolerances(
+        **{kind.name: 0.01 * getattr(tolerances, kind.name) for kind in fields(tolerances)}
+    )
+
+
+def digits(size: float, tolerance: float) -> float:
+    """Says how many binary digits a deviation has, above what is tolerated."""
+    return math.log2(1.0 + size / tolerance) if size > tolerance else 0.0
+
+
+def digits_of(one: Parameters, two: Parameters, name: str, tolerances: Tolerances) -> float:
+    """Says how many digits tell the differences of a joint, its body, and what that carries."""
+    total = _of_place(one.joints[name], two.joints[name], tolerances)
+    total += digits(_angle(one.joints[name].axis, two.joints[name].axis), tolerances.axis)
+    total += digits_of_body(one.bodies[name], two.bodies[name], tolerances)
+    for child, joint in one.joints.items():
+        if joint.parent == name and two.joints[child].parent == name:
+            total += _of_place(joint, two.joints[child], tolerances)
+    for frame, (owner, position) in one.frames.items():
+        there, other = two.frames[frame]
+        if owner == there == name:
+            total += digits(float(np.linalg.norm(other - position)), tolerances.position)
+    return total
+
+
+def digits_of_body(one: Body, two: Body, tolerances: Tolerances) -> float:
+    """Says how many digits tell the differences of two coms and inertias; none without mass."""
+    if not (one.mass and two.mass):
+        return 0.0
+    size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()), 1e-300)
+    apart = float(np.abs(two.inertia - one.inertia).max()) / size
+    total = digits(float(np.linalg.norm(two.com - one.com)), tolerances.com)
+    return total + digits(apart, tolerances.inertia)
+
+
+def _of_place(one: Joint, two: Joint, tolerances: Tolerances) -> float:
+    apart = float(np.linalg.norm(two.position - one.position))
+    angle = float(np.linalg.norm(pin.log3(one.rotation.T @ two.rotation)))
+    return digits(apart, tolerances.position) + digits(angle, tolerances.rotation)
+
+
+def _angle(one: Array, two: Array) -> float:
+    return math.atan2(float(np.linalg.norm(np.cross(one, two))), float(one @ two))
+
+
+def _turns(first: Parameters, second: Parameters, name: str) -> Iterator[Array]:
+    """Yields the turns of a body's frame that come into question.
+
+    None; that to the other's frame; and, where the zero angles differ, that to a frame which
+    differs from the other's by the joint's angle alone: by what the limits say, and by what
+    matches the body best.
+    """
+    one, two = first.joints[name], second.joints[name]
+    yield np.eye(3)
+    full = one.rotation.T @ two.rotation
+    yield full
+    if one.slides or float(one.axis @ (full @ two.axis)) < 0.99:
+        return
+    offset = offset_of_limits(one, two)
+    if offset:
+        yield pin.exp3(-offset * one.axis) @ full
+    sine, cosine = 0.0, 0.0
+    for here, there in _points(first, second, name):
+        turned = full @ there
+        sine += float(one.axis @ np.cross(turned, here))
+        cosine += float(turned @ here - (one.axis @ turned) * (one.axis @ here))
+    if math.hypot(sine, cosine) > 1e-9:
+        yield pin.exp3(math.atan2(sine, cosine) * one.axis) @ full
+
+
+def _points(first: Parameters, second: Parameters, name: str) -> Iterator[tuple[Array, Array]]:
+    """Yields what is fixed to a body, in both: coms, children's places and axes, frames."""
+    yield from _places(first, second, name)
+    for child in first.children(name):
+        one, two = first.joints[child], second.joints[child]
+        if two.parent == name:
+            length = float(np.linalg.norm(one.position)) or 0.1  # m: as a direction weighs
+            yield length * one.rotation @ one.axis, length * two.rotation @ two.axis
+
+
+def _places(first: Parameters, second: Parameters, name: str) -> Iterator[tuple[Array, Array]]:
+    """Yields places on a body, in both: coms, children's places, frames."""
+    yield first.bodies[name].com, second.bodies[name].com
+    for child in first.children(name):
+        if second.joints[child].parent == name:
+            yield first.joints[child].position, second.joints[child].position
+    for frame, (owner, position) in first.frames.items():
+        if owner == name == second.frames[frame][0]:
+            yield position, second.frames[frame][1]
+
+
+def offset_of_limits(one: Joint, two: Joint) -> float:
+    """Returns by how much the first's limits are above the second's; 0 if not both by the same."""
+    lower, upper = one.lower - two.lower, one.upper - two.upper
+    if not (math.isfinite(lower) and math.isfinite(upper)):
+        return 0.0
+    return lower if math.isclose(lower, upper, rel_tol=1e-3, abs_tol=1e-4) else 0.0
+
+
+def _steps(first: Parameters, second: Parameters, name: str, *, still: bool) -> Iterator[Array]:
+    """Yields how far the origin of a joint may be moved, in the axes of its body.
+
+    That of a hinge along its own axis, of a slide anywhere: to where the other's is, or so that
+    most of what is on the body is where it is on the other.
+    """
+    yield np.zeros(3)
+    one, two = first.joints[name], second.joints[name]
+    apart = two.rotation.T @ (one.position - two.position)
+    inside = np.median([there - here for here, there in _places(first, second, name)], axis=0)
+    if not two.slides:
+        for step in (apart, inside):
+            yield float(two.axis @ step) * two.axis
+    elif not still:
+        yield apart
+        yield inside
+        yield apart - float(two.axis @ apart) * two.axis
+
+
+def in_axes(values: Parameters, name: str, turn: Array) -> Parameters:
+    """Describes the body that a joint moves in other axes: x' = turn x."""
+    joint, body = values.joints[name], values.bodies[name]
+    joints = dict(values.joints)
+    joints[name] = replace(joint, rotation=joint.rotation @ turn.T, axis=turn @ joint.axis)
+    changed = replace(values, joints=joints)
+    return _carried(changed, name, body, turn, np.zeros(3))
+
+
+def with_origin(values: Parameters, name: str, step: Array) -> Parameters:
+    """Describes the body that a joint moves from another origin, by a step in its own axes."""
+    if not step.any():
+        return values
+    joint, body = values.joints[name], values.bodies[name]
+    joints = dict(values.joints)
+    joints[name] = replace(joint, position=joint.position + joint.rotation @ step)
+    return _carried(replace(values, joints=joints), name, body, np.eye(3), -step)
+
+
+def _carried(values: Parameters, name: str, body: Body, turn: Array, shift: Array) -> Parameters:
+    """Describes what a body carries in a new frame of it: x' = turn x + shift."""
+    joints = dict(values.joints)
+    for child in values.children(name):
+        carried = joints[child]
+        joints[child] = replace(
+            carried, position=turn @ carried.position + shift, rotation=turn @ carried.rotation
+        )
+    inertia = turn @ body.inertia @ turn.T
+    bodies = {**values.bodies, name: replace(body, com=turn @ body.com + shift, inertia=inertia)}
+    frames = {
+        frame: (owner, turn @ position + shift if owner == name else position)
+        for frame, (owner, position) in values.frames.items()
+    }
+    return replace(values, joints=joints, bodies=bodies, frames=frames)
+
+
+def with_base(values: Parameters, pose: pin.SE3) -> Parameters:
+    """Describes a robot from another frame of its base: x' = pose x."""
+    body = values.bodies[values.base]
+    turn, shift = np.array(pose.rotation), np.array(pose.translation)
+    return _carried(values, values.base, body, turn, shift)

@@ -1,0 +1,120 @@
+"""Rules about density and size: whether the numbers are in kg and m at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from pupper_analysis.checks.audit.geometry import extent_points, link_points
+from pupper_analysis.checks.audit.pose import Array
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.view import Body, View
+
+DENSEST = 20_000.0
+"""Mass per volume of the convex hull (kg/m^3) above which no link is: tungsten has 19300.
+
+The hull is the largest volume that a body of these shapes can have. Of 1500 links of robots in use
+the densest has 15600, a wrist whose mesh leaves out what is screwed to it.
+"""
+
+LIGHTEST = 2.0
+"""Likewise below which none is (kg/m^3): air has 1.2, the lightest foam 10; the links, 8.8."""
+
+SHARE = 0.01
+"""Of the robot's mass: what weighs less may have a token of a shape."""
+
+TOKEN = 0.5
+"""A shape less than this share of the way to the next joint does not show how large a link is."""
+
+SMALL = 0.01
+"""Nor does one below this extent (m)."""
+
+LARGE, TINY = 20.0, 0.002
+"""Extents between which the joints of a robot are expected (m)."""
+
+OUT_OF_SCALE = 20.0
+"""Times the extent of all joints that no link is drawn; of 1500 links the largest has 2.3."""
+
+
+@rule(
+    "density-implausible",
+    Severity.WARNING,
+    "A link is denser than any metal, or lighter than foam",
+    why="A mass in g, or of another link, or shapes in mm: torques and inertias follow the mass, "
+    "contacts and clearances the shapes, and one of the two is another robot's.",
+    todo="Compare the mass with a scale, and the shapes' units (a mesh in mm needs scale=0.001).",
+)
+def density_implausible(view: View) -> Iterator[Found]:
+    """Compares a moving body's mass, with all that is fixed to it, with its shapes' convex hull."""
+    for body in _moving(view):
+        group = view.fixed_group(body.name)
+        mass = sum(part.mass for part in group)
+        if mass < SHARE * view.total_mass or mass <= 0:
+            continue
+        points = extent_points(group, body)
+        if points is None:
+            continue
+        links = link_points(view, body)
+        own, way = _extent(points), _extent(links)
+        if own < max(SMALL, TOKEN * way):
+            continue
+        volume = _volume(np.concatenate([points, links]))
+        density = mass / volume if volume > 0 else np.inf
+        if volume > 0 and not LIGHTEST <= density <= DENSEST:
+            text = (
+                f"its {mass:.4g} kg in a hull of {1e3 * volume:.3g} litres are {density:.3g} "
+                "kg/m^3; "
+                + ("lead has 11300, tungsten 19300" if density > DENSEST else "foam has 10 or more")
+            )
+            child = "inertial/mass" if view.format == "urdf" else "inertial"
+            yield Found(view.body_tag, body.name, text, child)
+
+
+@rule(
+    "scale-unusual",
+    Severity.WARNING,
+    "Lengths look like mm where m are meant, or the other way round",
+    why="URDF and MJCF are in m. A mesh in mm is drawn a thousand times too large, and swallows "
+    "the scene; joints in mm make a robot of the size of a town.",
+    todo='State m; a mesh file in mm needs scale="0.001 0.001 0.001".',
+)
+def scale_unusual(view: View) -> Iterator[Found]:
+    """Compares the extent of all joints with that of robots, and that of each link with it."""
+    places = np.array([joint.position for joint in view.joints.values() if joint.moves])
+    if len(places) < 2 or view.base not in view.bodies:
+        return
+    size = _extent(places)
+    if size > LARGE or 0 < size < TINY:
+        text = f"its joints reach over {size:.4g} m; expected are {TINY:g} to {LARGE:g} m"
+        yield Found(view.body_tag, view.base, text)
+    if size < SMALL:
+        return
+    for body in view.bodies.values():
+        points = extent_points([body], body)
+        if points is not None and _extent(points) > OUT_OF_SCALE * size:
+            text = (
+                f"its shapes are {_extent(points):.4g} m long, "
+                f"{_extent(points) / size:.3g} times the extent of all joints, {size:.4g} m"
+            )
+            yield Found(view.body_tag, body.name, text)
+
+
+def _moving(view: View) -> Iterator[Body]:
+    for body in view.bodies.values():
+        if body.parent is None or body.moving:
+            yield body
+
+
+def _extent(points: Array) -> float:
+    return float(np.ptp(points, axis=0).max())
+
+
+def _volume(points: Array) -> float:
+    """Returns the volume of the convex hull (m^3); 0 of what lies in a plane."""
+    try:
+        return float(ConvexHull(points).volume)
+    except (QhullError, ValueError):
+        return 0.0

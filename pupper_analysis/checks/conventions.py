@@ -1,0 +1,342 @@
+"""What two files may mean by the same coordinate: where the base's frame is, where angles are zero.
+
+Both are conventions: a robot is the same however they are chosen. But its qpos is not. So a frame
+of the base that is placed elsewhere, and a joint whose zero is elsewhere (with its limits moved
+along), is found here, taken out of the comparison, and told as the one difference that it is.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pupper_analysis.checks.alignment import (
+    aligned,
+    digits,
+    digits_of,
+    digits_of_body,
+    offset_of_limits,
+    with_base,
+)
+from pupper_analysis.checks.differences import Difference
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.checks.words import vector
+from pupper_analysis.models.parameters import Parameters
+
+Array = NDArray[np.float64]
+
+_GAIN = 3.0  # bits that another frame of the base must save
+
+_SAMPLES = 12  # triples of coms that are fitted
+
+_TRIED = 6  # joints on the base whose frames are tried as a hint to where its own is
+
+
+@dataclass(frozen=True, eq=False)
+class Conventions:
+    """How the MJCF's coordinates differ from the URDF's, for one and the same robot.
+
+    Attributes:
+        base: Pose of the URDF's base frame in the MJCF's; None if they are the same.
+        shown: Whether the base's body, or several joints on it, show that its frame is elsewhere;
+            else it might as well be the one joint on it.
+        zeros: {joint: q in the URDF less q in the MJCF (rad or m)} where that is not 0.
+    """
+
+    base: pin.SE3 | None = None
+    shown: bool = True
+    zeros: Mapping[str, float] = field(default_factory=dict)
+
+    def undone(self, values: Parameters) -> Parameters:
+        """Returns a robot, given in the MJCF's conventions, in the URDF's."""
+        for name, offset in self.zeros.items():
+            values = with_zero(values, name, -offset)
+        return values if self.base is None else with_base(values, self.base.inverse())
+
+
+def conventions(
+    first: Parameters, second: Parameters, tolerances: Tolerances, *, fixed: bool
+) -> Conventions:
+    """Finds how the conventions of two trees differ.
+
+    Args:
+        first: The URDF's joints and bodies, in its base's frame.
+        second: The MJCF's, in that of its base.
+        tolerances: What counts as a difference.
+        fixed: Whether the base is fixed: then where it stands is no property of the robot, and a
+            quarter turn of its frame is taken for one even if the base has no mass to show it.
+    """
+    base = _base(first, second, tolerances, fixed=fixed)
+    if base is not None:
+        first = with_base(first, base)
+    second = aligned(second, first, tolerances).values
+    zeros = {}
+    for name, joint in first.joints.items():
+        offset = _zero(first, second, name, tolerances)
+        if offset and joint.parent == second.joints[name].parent:
+            zeros[name] = offset
+    bodies = first.bodies[first.base], second.bodies[second.base]
+    several = len(first.children(first.base)) > 1
+    return Conventions(base, several or all(body.mass for body in bodies), zeros)
+
+
+def _zero(first: Parameters, second: Parameters, name: str, tolerances: Tolerances) -> float:
+    """Returns how far a joint's zero is off if its limits are off by as much; else 0."""
+    one, two = first.joints[name], second.joints[name]
+    if one.slides != two.slides or float(one.axis @ two.axis) < 1 - tolerances.axis:
+        return 0.0
+    if one.slides:
+        step = one.rotation.T @ (two.position - one.position)
+        offset, tolerance = float(one.axis @ step), tolerances.position
+        off = float(np.linalg.norm(step - offset * one.axis))
+    else:
+        turn = pin.log3(one.rotation.T @ two.rotation)
+        offset, tolerance = float(one.axis @ turn), tolerances.rotation
+        off = float(np.linalg.norm(turn - offset * one.axis))
+    if abs(offset) <= tolerance or off > max(tolerance, 1e-3 * abs(offset)):
+        return 0.0
+    said = [one.lower, one.upper, two.lower, two.upper]
+    if not any(math.isfinite(limit) for limit in said):
+        return offset
+    shift = offset_of_limits(one, two)
+    # An angle is known but for full turns.
+    turns = 0.0 if one.slides else 2 * math.pi * round((shift - offset) / (2 * math.pi))
+    return offset + turns if shift and abs(shift - offset - turns) <= tolerances.limit else 0.0
+
+
+def with_zero(values: Parameters, name: str, offset: float) -> Parameters:
+    """Describes a robot with a coordinate that is smaller by an offset, in the same pose."""
+    joint = values.joints[name]
+    position, rotation = joint.position, joint.rotation
+    if joint.slides:
+        position = position + rotation @ joint.axis * offset
+    else:
+        rotation = rotation @ pin.exp3(offset * joint.axis)
+    moved = replace(
+        joint,
+        position=position,
+        rotation=rotation,
+        lower=joint.lower - offset,
+        upper=joint.upper - offset,
+    )
+    return replace(values, joints={**values.joints, name: moved})
+
+
+# ------------------------------------------------------------------------------------- the base
+
+
+def _base(
+    first: Parameters, second: Parameters, tolerances: Tolerances, *, fixed: bool
+) -> pin.SE3 | None:
+    """Returns the pose of the first's base frame in the second's, if they are not the same."""
+    names = first.children(first.base)
+    if not names or any(second.joints[name].parent != second.base for name in names):
+        return None
+    body, joints = _digits_at_base(first, second, tolerances)
+    if min(joints) == 0:
+        return None  # a joint is where it is in the other: so is the base's frame
+    least = body + sum(joints)
+    best, still = None, least
+    for pose in _poses(first, second):
+        angle = float(np.linalg.norm(pin.log3(pose.rotation)))
+        apart = float(np.linalg.norm(pose.translation))
+        own = digits(apart, tolerances.position) + digits(angle, tolerances.rotation)
+        if own == 0:
+            continue
+        body, joints = _digits_at_base(with_base(first, pose), second, tolerances)
+        cost = body + sum(joints)
+        # What it explains must be more than what it takes to state it, and most of what there is.
+        said = cost + own
+        turned = fixed and apart <= tolerances.position and _is_quarter(pose.rotation)
+        enough = said < 0.6 * least or (cost == 0 and said < least - _GAIN)
+        if enough and said < still:
+            best, still = pose, said
+        elif turned and cost == 0 and best is None:
+            best = pose
+    return best
+
+
+def _digits_at_base(
+    first: Parameters, second: Parameters, tolerances: Tolerances
+) -> tuple[float, list[float]]:
+    """Says how many digits tell the differences of the base's body, and of each joint on it."""
+    body = digits_of_body(first.bodies[first.base], second.bodies[second.base], tolerances)
+    names = first.children(first.base)
+    second = aligned(second, first, tolerances, only=names).values
+    return body, [digits_of(first, second, name, tolerances) for name in names]
+
+
+def _is_quarter(rotation: Array) -> bool:
+    return bool(np.allclose(np.abs(rotation).max(axis=0), 1.0, atol=1e-6))
+
+
+def _poses(first: Parameters, second: Parameters) -> Iterator[pin.SE3]:
+    """Yields where the first's base frame may be in the second's."""
+    names = first.children(first.base)
+    for name in names[:_TRIED]:
+        one, two = first.joints[name], second.joints[name]
+        here = pin.SE3(one.rotation, one.position)
+        yield pin.SE3(two.rotation, two.position) * here.inverse()
+    here = np.array([first.joints[name].position for name in names])
+    there = np.array([second.joints[name].position for name in names])
+    if first.bodies[first.base].mass and second.bodies[second.base].mass:
+        here = np.vstack([here, first.bodies[first.base].com])
+        there = np.vstack([there, second.bodies[second.base].com])
+    # Where bodies have their coms does not depend on where links have their frames.
+    coms = [_coms(values, names) for values in (first, second)]
+    for chosen in _samples(len(names)):
+        pose = _fitted(*(points[chosen] for points in coms))
+        if pose is not None:
+            yield pose
+    for turn in quarters():
+        yield pin.SE3(turn, np.zeros(3))
+        yield pin.SE3(turn, there.mean(axis=0) - turn @ here.mean(axis=0))
+
+
+def _coms(values: Parameters, names: list[str]) -> Array:
+    """Returns the coms of the base and of some bodies on it, at zero, in the base's frame."""
+    points = [values.bodies[values.base].com]
+    for name in names:
+        joint = values.joints[name]
+        points.append(joint.position + joint.rotation @ values.bodies[name].com)
+    return np.array(points)
+
+
+def _samples(count: int) -> Iterator[list[int]]:
+    """Yields numbers of points to fit: all, and then triples, lest one that is off spoils it."""
+    yield list(range(count + 1))
+    yield list(range(1, count + 1))
+    triples = itertools.combinations(range(min(count, _TRIED) + 1), 3)
+    yield from (list(triple) for triple in itertools.islice(triples, _SAMPLES))
+
+
+def _fitted(one: Array, two: Array) -> pin.SE3 | None:
+    """Returns the pose that brings points nearest to others; None if they lie in a line."""
+    here, there = one - one.mean(axis=0), two - two.mean(axis=0)
+    if len(one) < 3 or min(np.linalg.matrix_rank(points, tol=1e-6) for points in (here, there)) < 2:
+        return None
+    turn = Rotation.align_vectors(there, here)[0].as_matrix()
+    return pin.SE3(turn, two.mean(axis=0) - turn @ one.mean(axis=0))
+
+
+def quarters() -> Iterator[Array]:
+    """Yields the 24 rotations that map the axes onto each other."""
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            for row, (column, sign) in enumerate(zip(order, signs, strict=True)):
+                matrix[row, column] = sign
+            if np.linalg.det(matrix) > 0:
+                yield matrix
+
+
+# ------------------------------------------------------------------------------------- the URDF
+
+
+def rewrite(root: etree._Element, link: str, found: Conventions, first: Parameters) -> None:
+    """Gives a URDF the MJCF's conventions, in place: another base frame, other zeros.
+
+    Args:
+        root: Its XML.
+        link: Its root link.
+        found: The conventions.
+        first: Its joints, as they were.
+    """
+    joints = root.findall("joint")
+    if found.base is not None:
+        for joint in joints:
+            if joint.find("parent").get("link") == link:
+                _set_origin(joint, found.base * _origin(joint))
+        for inertial in root.findall(f"link[@name='{link}']/inertial"):
+            _set_origin(inertial, found.base * _origin(inertial))
+    for joint in joints:
+        offset = found.zeros.get(str(joint.get("name")))
+        if offset:
+            axis = first.joints[str(joint.get("name"))].axis
+            slides = first.joints[str(joint.get("name"))].slides
+            step = (
+                pin.SE3(np.eye(3), offset * axis)
+                if slides
+                else pin.SE3(pin.exp3(offset * axis), np.zeros(3))
+            )
+            _set_origin(joint, _origin(joint) * step)
+            limit = joint.find("limit")
+            for word in ("lower", "upper") if limit is not None else ():
+                if limit.get(word) is not None or joint.get("type") != "continuous":
+                    limit.set(word, repr(float(limit.get(word, "0")) - offset))
+
+
+def _origin(element: etree._Element) -> pin.SE3:
+    origin = element.find("origin")
+    if origin is None:
+        return pin.SE3.Identity()
+    xyz, rpy = (
+        np.array([float(word) for word in origin.get(key, "0 0 0").split()])
+        for key in ("xyz", "rpy")
+    )
+    return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
+
+
+def _set_origin(element: etree._Element, pose: pin.SE3) -> None:
+    origin = element.find("origin")
+    if origin is None:
+        origin = etree.Element("origin")
+        element.insert(0, origin)
+    rpy = Rotation.from_matrix(pose.rotation).as_euler("xyz")
+    for key, values in (("xyz", pose.translation), ("rpy", rpy)):
+        origin.set(key, " ".join(repr(float(value)) for value in values))
+
+
+# ------------------------------------------------------------------------------------- words
+
+
+def convention_changes(
+    found: Conventions, first: Parameters
+) -> Iterator[tuple[Difference, Parameters]]:
+    """Yields each convention as a difference, and the URDF's robot without that change.
+
+    Args:
+        found: The conventions; of a fixed base that shows it, where its frame is is no difference.
+        first: The URDF's robot, in the MJCF's conventions.
+    """
+    if found.base is not None and (first.floating or not found.shown):
+        message = (
+            f"the base's frame is elsewhere: that of the URDF is {pose_in_words(found.base)}, in "
+            "that of the MJCF"
+            + (", so that the base's qpos means another pose" if first.floating else "")
+            + ("" if found.shown else ", or the zero of the one joint on it is")
+            + "; all else is compared in the MJCF's frame"
+        )
+        pose = np.array(found.base.homogeneous)
+        difference = Difference("base frame", first.base, pose, np.eye(4), "m", message, {})
+        yield difference, with_base(first, found.base.inverse())
+    for name, offset in found.zeros.items():
+        unit = "m" if first.joints[name].slides else "rad"
+        degrees = "" if unit == "m" else f" ({math.degrees(offset):.4g} deg)"
+        message = (
+            f"joint {name}: its zero is elsewhere, and its limits with it: q of the URDF = q of "
+            f"the MJCF {'+' if offset > 0 else '-'} {abs(offset):.6g} {unit}{degrees}; else it is "
+            "the same joint"
+        )
+        difference = Difference("zero", name, offset, 0.0, unit, message, {})
+        yield difference, with_zero(first, name, -offset)
+
+
+def pose_in_words(pose: pin.SE3) -> str:
+    """Says where a frame is in another."""
+    turn = pin.log3(pose.rotation)
+    angle = float(np.linalg.norm(turn))
+    parts = []
+    if float(np.linalg.norm(pose.translation)) > 1e-9:
+        parts.append(f"at {vector(np.array(pose.translation))} m")
+    if angle > 1e-9:
+        parts.append(f"turned by {math.degrees(angle):.4g} deg about {vector(turn / angle)}")
+    return ", ".join(parts) or "the same"

@@ -1,0 +1,202 @@
+"""Where the numbers of a difference stand, in both files."""
+
+from __future__ import annotations
+
+from pupper_analysis.checks.differences import Difference
+from pupper_analysis.checks.matching import Match
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import Place
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.xml import parse_text
+
+_URDF_CHILD = {
+    "mass": "inertial/mass",
+    "com": "inertial/origin",
+    "inertia": "inertial/inertia",
+    "zero": "origin",
+    "position": "origin",
+    "rotation": "origin",
+    "axis": "axis",
+    "lower limit": "limit",
+    "upper limit": "limit",
+    "effort": "limit",
+    "velocity": "limit",
+    "damping": "dynamics",
+    "friction": "dynamics",
+    "armature": "dynamics",
+    "mimic": "mimic",
+}
+
+_MJCF_SECTION = {
+    "tendon": "tendon",
+    "actuator": "actuator",
+    "equality": "equality",
+    "flex": "deformable",
+}
+"""Sections of an MJCF whose elements a URDF has none of."""
+
+_WHOLE = {"fluid": ("density", "viscosity"), "gravity": ("gravity",), "flag": (), "plugin": ()}
+"""Kinds that concern the whole of a URDF, and the options of the MJCF that state them."""
+
+
+_MJCF_ATTRIBUTES = {
+    "lower limit": ("range",),
+    "upper limit": ("range",),
+    "damping": ("damping",),
+    "friction": ("frictionloss",),
+    "armature": ("armature",),
+    "axis": ("axis",),
+    "spring": ("stiffness",),
+    "effort": ("forcerange", "actuatorfrcrange", "ctrlrange"),
+}
+"""The attributes that state a kind of number, in an element or in a default class."""
+
+
+def urdf_members(matched: Match, mover: str) -> list[tuple[str, float]]:
+    """Returns (link, kg) of the links with mass that move with a joint, or are the base.
+
+    The link that the joint moves comes first, though it may have none.
+    """
+    root = parse_text(matched.robot.description.urdf)
+    top = matched.urdf_link[mover]
+    masses = {
+        str(link.get("name")): float(link.find("inertial/mass").get("value"))
+        for link in root.findall("link")
+        if link.find("inertial/mass") is not None
+    }
+    members, waiting = [(top, masses.get(top, 0.0))], [top]
+    while waiting:
+        here = waiting.pop(0)
+        for joint in root.findall("joint"):
+            if joint.get("type") == "fixed" and joint.find("parent").get("link") == here:
+                link = str(joint.find("child").get("link"))
+                waiting.append(link)
+                if masses.get(link):
+                    members.append((link, masses[link]))
+    return members
+
+
+def mjcf_members(matched: Match, mover: str) -> list[tuple[str, float]]:
+    """Returns (body, kg) of the bodies with mass that move with a joint, or are the base.
+
+    The body that the joint moves comes first, though it may have none.
+    """
+    model = matched.robot.mj_model
+    top = model.body(matched.mjcf_body[mover]).id
+    group = [
+        body
+        for body in range(1, model.nbody)
+        if model.body_weldid[body] == model.body_weldid[top]
+        and (model.body_mass[body] > 0 or body == top)
+    ]
+    group.sort(key=lambda body: body != top)
+    return [(str(model.body(body).name), float(model.body_mass[body])) for body in group]
+
+
+def shares(
+    difference: Difference, matched: Match, urdf: UrdfFile, mjcf: MjcfFile
+) -> tuple[str, ...]:
+    """Says of which links or bodies a mass, a com or an inertia is made, with their lines."""
+    if difference.kind not in ("mass", "com", "inertia"):
+        return ()
+    said = []
+    for words, members, place in (
+        (
+            "URDF",
+            urdf_members(matched, difference.element),
+            lambda name: urdf.place("link", name, _URDF_CHILD[difference.kind]),
+        ),
+        ("MJCF", mjcf_members(matched, difference.element), mjcf.weighing),
+    ):
+        heavy = [(name, mass) for name, mass in members if mass]
+        if len(heavy) < 2:
+            continue
+        total = sum(mass for _, mass in heavy)
+        heavy.sort(key=lambda member: -member[1])
+        listed = ", ".join(
+            f"{name} {mass:.4g} kg ({100 * mass / total:.3g} %, {place(name)})"
+            for name, mass in heavy[:_LISTED]
+        )
+        rest = total - sum(mass for _, mass in heavy[:_LISTED])
+        more = f", {len(heavy) - _LISTED} more with {rest:.4g} kg" if heavy[_LISTED:] else ""
+        said.append(f"in the {words} it is made of {listed}{more}")
+    return tuple(said)
+
+
+_LISTED = 6
+"""Links of a body that are listed, the heaviest first."""
+
+
+def path_of(place: Place) -> str:
+    """Returns the whole path, by which a CI service finds the file."""
+    return f"{place.file}" if place.line is None else f"{place.file}:{place.line}"
+
+
+def urdf_place(difference: Difference, matched: Match, file: UrdfFile) -> Place:
+    """Returns where a difference stands in the URDF."""
+    child = _URDF_CHILD.get(difference.kind)
+    movers = {body: mover for mover, body in matched.mjcf_body.items()}
+    if difference.kind == "gravity compensation":
+        mover = movers.get(difference.element)
+        return Place(file.path) if mover is None else file.place("link", matched.urdf_link[mover])
+    if difference.kind in _MJCF_SECTION or difference.kind in _WHOLE:
+        return Place(file.path)
+    if difference.kind in ("mass", "com", "inertia"):
+        heaviest = max(urdf_members(matched, difference.element), key=lambda member: member[1])[0]
+        return file.place("link", heaviest, child)
+    if difference.element == matched.robot.base:
+        return file.place("link", matched.urdf_link[difference.element], child)
+    if difference.kind == "frame":
+        link = matched.robot.description.frames[difference.element][0]
+        joint = next(
+            (
+                element
+                for element in file.root.findall("joint")
+                if element.find("child") is not None and element.find("child").get("link") == link
+            ),
+            None,
+        )
+        if joint is None:
+            return file.place("link", link)
+        return file.place("joint", str(joint.get("name")), "origin")
+    return file.place("joint", matched.urdf_joint[difference.element], child)
+
+
+def mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> Place:
+    """Returns where a difference stands in the MJCF."""
+    element, kind = difference.element, difference.kind
+    if kind in _MJCF_SECTION:
+        if not element.startswith("#"):
+            return file.place(_MJCF_SECTION[kind], element)
+        if matched.only_mjcf:  # the numbers are those of what was left
+            return Place(file.path)
+        return file.numbered(_MJCF_SECTION[kind], int(element[1:]))
+    if kind in _WHOLE:
+        words = {"flag": (element,)}.get(kind, _WHOLE[kind])
+        tag = "flag" if kind == "flag" or not words else "option"
+        stated = (at for found, at in file.elements(tag) if set(words) & set(found))
+        return next(stated, Place(file.path))
+    if kind in ("gravity compensation", "plugin"):
+        return file.place("body", element)
+    if difference.kind == "base frame":
+        return file.place("body", matched.mjcf_body[element])
+    if difference.kind in ("mass", "com", "inertia"):
+        heaviest = max(mjcf_members(matched, element), key=lambda member: member[1])[0]
+        return file.weighing(heaviest)
+    if element == matched.robot.base:
+        return file.place("body", matched.mjcf_body[element], "joint")
+    if difference.kind in ("zero", "position", "rotation", "parent"):
+        return file.place("body", matched.mjcf_body[element])
+    body = matched.mjcf_body.get(element, "")
+    tries = [("joint", element, None), ("body", body, "joint")]
+    if difference.kind == "effort":
+        tries.insert(0, ("actuator", element, None))
+    if difference.kind == "frame":
+        name = matched.robot.description.frames[element][1]
+        tries = [("site", name, None), ("body", name, None), ("geom", name, None)]
+    for tag, name, below in tries:
+        place = None if below else file.stated(tag, name, _MJCF_ATTRIBUTES.get(kind, ()))
+        if place is not None:
+            return place
+    places = [file.place(*one) for one in tries]
+    return next((place for place in places if place.line is not None), places[0])

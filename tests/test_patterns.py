@@ -1,0 +1,176 @@
+"""One slip is named in the first line, in place of twenty differences."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robots import (
+    Files,
+    Parts,
+    all_changed,
+    changed,
+    compared,
+    found,
+    mjcf_text,
+    numbers,
+    quadruped,
+    urdf_text,
+    write,
+)
+from scipy.spatial.transform import Rotation
+from test_comparison_report import lines
+from test_mutations import sources
+
+
+def first_line(files: Files) -> str:
+    comparison = compared(files)
+    assert not comparison.agree
+    assert comparison.complete
+    return lines(comparison)[0]
+
+
+def pair(folder: Path, mjcf: Parts) -> Files:
+    return write(folder, urdf_text(quadruped()), mjcf_text(mjcf))
+
+
+def with_euler(text: str, order: str, compiler: str) -> str:
+    """The quaternions of bodies as Euler angles in an order; and what the compiler says of it."""
+
+    def euler(match: re.Match[str]) -> str:
+        quaternion = [float(word) for word in match[1].split()]
+        # MuJoCo's small letters are axes that turn along, scipy's are fixed ones.
+        angles = Rotation.from_quat(quaternion, scalar_first=True).as_euler(order.swapcase())
+        return f'euler="{numbers(angles)}"'
+
+    text = re.sub(r'quat="([^"]*)"', euler, text)
+    return text.replace('<compiler angle="radian"/>', f"<compiler {compiler}/>")
+
+
+def test_euler_angles_that_are_meant_agree(tmp_path: Path) -> None:
+    text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian" eulerseq="XYZ"')
+    assert compared(write(tmp_path, urdf_text(quadruped()), text)).agree
+
+
+def test_another_euler_sequence(tmp_path: Path) -> None:
+    text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian"')
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert 'the MJCF\'s angles are meant otherwise: with eulerseq="XYZ" in place of "xyz"' in line
+
+
+def test_feet_turned_by_a_quarter_by_an_euler_sequence(tmp_path: Path) -> None:
+    """Ankles that are turned twice by 90 degrees: the order is all that is wrong."""
+    turn = Rotation.from_euler("xyz", [math.pi / 2, 0.0, math.pi / 2])
+    quaternion = tuple(turn.as_quat(scalar_first=True))
+    parts = {
+        name: replace(part, quaternion=quaternion) if name.startswith("shank") else part
+        for name, part in quadruped().items()
+    }
+    text = with_euler(mjcf_text(parts), "XYZ", 'angle="radian"')
+    line = first_line(write(tmp_path, urdf_text(parts), text))
+    assert 'with eulerseq="XYZ" in place of "xyz"' in line
+
+
+def test_degrees_for_radians(tmp_path: Path) -> None:
+    text = mjcf_text(quadruped()).replace('angle="radian"', 'angle="degree"')
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert 'with angle="radian" in place of "degree" in its <compiler>' in line
+
+
+def test_limbs_that_are_exchanged(tmp_path: Path) -> None:
+    text = mjcf_text(quadruped())
+    for kind in ("hip", "knee"):
+        for one, two in (("0", "1"), ("2", "3")):
+            text = text.replace(f'"{kind}{one}"', "@").replace(f'"{kind}{two}"', f'"{kind}{one}"')
+            text = text.replace("@", f'"{kind}{two}"')
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert "limbs are exchanged between the files: hip0 and hip1, hip2 and hip3;" in line
+
+
+def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float = 1.0) -> Parts:
+    return {
+        name: replace(
+            part,
+            mass=mass * part.mass,
+            position=tuple(length * np.array(part.position)),
+            com=tuple(length * np.array(part.com)),
+            inertia=tuple(inertia * np.array(part.inertia)),
+        )
+        for name, part in parts.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("factors", "words"),
+    [
+        ({"mass": 1e3}, "all masses of the MJCF are 1000 times those of the URDF: g for kg"),
+        ({"mass": 0.1}, "all masses of the MJCF are 0.1 times those of the URDF: a decimal point?"),
+        ({"length": 1e3}, "all lengths of the MJCF are 1000 times those of the URDF: mm for m"),
+        ({"inertia": 1e6}, "all inertias of the MJCF are 1e+06 times those of the URDF: kg mm^2"),
+    ],
+)
+def test_units(tmp_path: Path, factors: dict[str, float], words: str) -> None:
+    assert words in first_line(pair(tmp_path, scaled(quadruped(), **factors)))
+
+
+def test_limits_in_degrees(tmp_path: Path) -> None:
+    urdf = {
+        name: replace(part, lower=math.degrees(part.lower), upper=math.degrees(part.upper))
+        for name, part in quadruped().items()
+    }
+    line = first_line(write(tmp_path, urdf_text(urdf), mjcf_text(quadruped())))
+    assert line.endswith("0.0174533 times those of the URDF: degrees for radians in the URDF?")
+
+
+def test_left_and_right_of_pupper_are_exchanged(tmp_path: Path) -> None:
+    urdf, mjcf = sources("v3")
+    for end in ("front", "back"):
+        for joint in (1, 2, 3):
+            left, right = (f'"leg_{end}_{side}_{joint}"' for side in "lr")
+            urdf = urdf.replace(left, "@").replace(right, left).replace("@", right)
+    line = first_line(write(tmp_path, urdf, mjcf))
+    assert "leg_back_l_1 and leg_back_r_1, leg_front_l_1 and leg_front_r_1" in line
+    assert line.endswith("44 of the 44 differences are gone")
+
+
+def test_one_mass_ten_times_too_large(tmp_path: Path) -> None:
+    line = first_line(pair(tmp_path, changed(quadruped(), "shank2", mass=2.2)))
+    assert line.startswith("DISAGREE: body of knee2: mass 0.22 kg in the URDF, 2.2 kg in the MJCF")
+    assert "(ten times: a decimal point?)" in line
+
+
+def test_products_of_inertia_that_are_dropped(tmp_path: Path) -> None:
+    mjcf = {
+        name: replace(part, inertia=(*part.inertia[:3], 0.0, 0.0, 0.0))
+        for name, part in quadruped().items()
+    }
+    line = first_line(pair(tmp_path, mjcf))
+    assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF, of 9 bodies")
+
+
+def test_the_base_of_another_robot(tmp_path: Path) -> None:
+    other = {"mass": 11.0, "com": (0.03, 0.0, 0.01), "inertia": (0.1, 0.2, 0.25, 0.0, 0.0, 0.0)}
+    comparison = compared(pair(tmp_path, changed(quadruped(), "base", **other)))
+    assert set(found(comparison)) == {(kind, "base") for kind in ("mass", "com", "inertia")}
+    (cause,) = comparison.causes
+    assert cause.differences == (0, 1, 2)
+    assert lines(comparison)[0].startswith(
+        "DISAGREE: body of base: nothing of its inertial is the same: mass 6 kg in the URDF, 11 kg"
+    )
+
+
+def test_the_inertial_of_another_link_is_recognised(tmp_path: Path) -> None:
+    thigh = quadruped()["thigh3"]
+    mine = {"mass": thigh.mass, "com": thigh.com, "inertia": thigh.inertia}
+    line = first_line(pair(tmp_path, changed(quadruped(), "shank1", **mine)))
+    assert "it is that of hip3 in the URDF" in line
+
+
+def test_no_pattern_where_there_is_none(tmp_path: Path) -> None:
+    mjcf = changed(changed(quadruped(), "base", mass=6.1), "shank0", mass=0.25, upper=0.1)
+    assert compared(pair(tmp_path, mjcf)).causes == ()
+    assert compared(pair(tmp_path, all_changed(quadruped(), friction=0.3))).causes == ()
