@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import mujoco
@@ -47,29 +48,28 @@ _DAMPING_TIME = 0.05
 """kd / kp of the suggested servos (s): within the 0.02 to 0.1 s of robots' own controllers."""
 
 
-def are_servos(model: mujoco.MjModel) -> bool:
-    """Tells whether every joint but a free one has a position servo."""
-    driven = set()
+def servos_of(model: mujoco.MjModel) -> dict[str, tuple[float, float]]:
+    """Returns the joints with a position servo, {joint: kp (N m/rad), kd (N m s/rad)}."""
+    found = {}
     for actuator in range(model.nu):
         affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value
-        gain = model.actuator_gainprm[actuator, 0]
-        if (
-            affine
-            and gain > 0
-            and math.isclose(gain, -model.actuator_biasprm[actuator, 1], rel_tol=1e-6)
-            and model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
-        ):
-            driven.add(int(model.actuator_trnid[actuator, 0]))
-    joints = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE.value)
-    return driven >= {int(joint) for joint in joints}
+        gain, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator]
+        at_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
+        if affine and at_joint and gain > 0 and math.isclose(gain, -bias[1], rel_tol=1e-6):
+            gear = float(model.actuator_gear[actuator, 0])
+            name = str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
+            found[name] = float(gain) * gear**2, -float(bias[2]) * gear**2
+    return found
 
 
 def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array]:
-    """Gives a robot position servos, with which it comes to rest in a stand, if that can be.
+    """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
     Returns:
-        The robot; its servos' stiffness (nu,) (N m/rad) and damping (nu,) (N m s/rad).
+        The robot, with the stiffest servos tried if it comes to rest with none; the stiffness (nu,)
+        (N m/rad) and damping (nu,) (N m s/rad) of all its servos.
     """
+    own = servos_of(robot.mj_model)
     torques = stand_statics(robot, stand).joint_torques
 
     def built(kp: Array, kd: Array, parts: int) -> Robot:
@@ -78,15 +78,24 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array]:
         new = build_robot(replace(robot.description, mjcf=spec))
         return replace(new, stand_height=robot.stand_height, notes=robot.notes)
 
-    first = _gains(robot, stand.qpos, torques, _SAGS[0], 1)
+    first = _kept(robot, own, *_gains(robot, stand.qpos, torques, _SAGS[0], 1))
     trial = built(*first, 1)
     timestep = float(trial.mj_model.opt.timestep)
     for parts, sag in itertools.product(_FINER, _SAGS):
-        kp, kd = _gains(robot, stand.qpos, torques, sag, parts)
+        kp, kd = _kept(robot, own, *_gains(robot, stand.qpos, torques, sag, parts))
         trial.mj_model.opt.timestep = timestep / parts
         if _rests(trial, stand, kp, kd):
             return built(kp, kd, parts), kp, kd
     return built(*first, 1), *first
+
+
+def _kept(
+    robot: Robot, own: Mapping[str, tuple[float, float]], kp: Array, kd: Array
+) -> tuple[Array, Array]:
+    """Returns gains (nu,) with those of the robot's own servos in them."""
+    given = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
+    both = np.array([own.get(name, (stiffness, damping)) for name, stiffness, damping in given])
+    return both[:, 0], both[:, 1]
 
 
 def _rests(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
@@ -133,10 +142,11 @@ def _two_digits(value: float) -> float:
 def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujoco.MjSpec:
     """Returns a spec in which every joint has a position servo, whose limit is the motor's.
 
-    An actuator's limit stays; where there is none it is the URDF's effort limit. The integrator is
-    ``implicitfast``, with which a servo's damping does not shake light joints.
+    A servo stays as it is, and an actuator's limit; where there is none it is the URDF's effort
+    limit. The integrator is ``implicitfast``, with which a servo's damping does not shake light
+    joints.
     """
-    spec = spec.copy()
+    spec, own = spec.copy(), servos_of(robot.mj_model)
     by_joint = {
         actuator.target: actuator
         for actuator in spec.actuators
@@ -145,6 +155,8 @@ def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujo
     for name, stiffness, damping, effort in zip(
         robot.joint_names, kp, kd, robot.effort_limits, strict=True
     ):
+        if name in own:
+            continue
         actuator = by_joint.get(name)
         limit = float(effort) if 0 < effort < math.inf else math.inf
         if actuator is None:

@@ -172,7 +172,7 @@ def _prepared(
     robot = build_robot(with_feet(bare, feet))
     robot = _started(robot, known, notes)
     robot = _on_feet_alone(robot, notes)
-    if not drives.are_servos(robot.mj_model):
+    if not set(robot.joint_names) <= drives.servos_of(robot.mj_model).keys():
         robot = _driven(robot, notes)
     return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
 
@@ -283,10 +283,13 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
     stand = start.first_stand(robot)
     if stand is None:
         return robot
+    own = drives.servos_of(robot.mj_model)
     built, kp, kd = drives.driven(robot, stand)
+    new = [index for index, name in enumerate(robot.joint_names) if name not in own]
+    which = "no position servos" if not own else f"no position servos at {len(new)} joints"
     notes.append(
-        "the MJCF has no position servos: some were added, with kp "
-        f"{_range(kp)} N m/rad and kd {_range(kd)} N m s/rad, integrator implicitfast, "
+        f"the MJCF has {which}: they were added, with kp {_range(kp[new])} N m/rad and kd "
+        f"{_range(kd[new])} N m s/rad, integrator implicitfast, "
         f"{1e3 * built.mj_model.opt.timestep:g} ms"
     )
     return built

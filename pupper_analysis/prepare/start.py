@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -14,7 +15,10 @@ from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.branches import limbs
+from pupper_analysis.stance.branches import branches, combinations, limbs
+from pupper_analysis.stance.clearance import Shapes, shapes_of
+from pupper_analysis.stance.problem import Goal, goal_of
+from pupper_analysis.stance.solver import TASK_TOLERANCE, Solver, measure
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 
@@ -25,6 +29,8 @@ _SLACK = 1e-3  # rad: keyframes are rounded, and may be that much outside of a l
 _UNEVEN = 0.1
 """Feet of a start pose that stands differ in height by no more than this part of the base's height
 above the lowest."""
+
+_WAYS = 3  # to bend the legs that are tried at each height: the first are nearest to the pose
 
 _HEIGHTS = 12  # tried between a leg that is folded and one that is stretched
 
@@ -195,16 +201,38 @@ def clear_of_ground(robot: Robot, stand: Stand) -> bool:
 def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
     """Solves a stand with all but the legs as in a pose, as far as the com allows."""
     legs = np.concatenate([limb.joints for limb in limbs(robot)])
-    found = None
+    shapes, goal, found = shapes_of(robot), goal_of(robot, task, {}), None
+    seeds = [pose if task.ik_seed is None else np.array(task.ik_seed), *_bent(robot, goal, pose)]
     for _ in range(_CALMING):
-        try:
-            found = solve_stand(robot, task, explain=False)
-        except PupperAnalysisError:
+        stand = _first_solved(shapes, goal, seeds)
+        if stand is None:
             return found
+        found = stand
         joints = pose.copy()
         joints[legs] = found.joint_positions(robot)[legs]
-        task = replace(task, ik_seed=tuple(joints.tolist()))
+        seeds = [joints]
     return found
+
+
+def _bent(robot: Robot, goal: Goal, pose: Array) -> list[Array]:
+    """Returns joint positions (nu,) with the legs bent in the first ways that reach the ground."""
+    qpos = robot.neutral()
+    qpos[:3] = (*goal.place, goal.height)
+    qpos[robot.nq - robot.nu :] = pose
+    found = branches(robot, qpos, goal.targets, goal.lower, goal.upper)
+    return list(itertools.islice(combinations(found, pose), _WAYS))
+
+
+def _first_solved(shapes: Shapes, goal: Goal, seeds: Sequence[Array]) -> Stand | None:
+    """Returns the first solved stand from some joint positions (nu,); not all that there may be."""
+    solver = Solver(shapes, goal)
+    for joints in seeds:
+        point = solver.run(joints)
+        if point.miss < TASK_TOLERANCE:
+            stand = measure(shapes, goal, point.qpos, point.iterations)
+            if stand.solved:
+                return stand
+    return None
 
 
 def leg_length(robot: Robot, qpos: Array) -> float:
