@@ -280,3 +280,40 @@ def test_a_biped_squats_as_its_path_says(tmp_path: Path) -> None:
     assert not path.infeasible.any()
     tracked = pa.track_path(robot, path)
     assert tracked.passed, tracked.failures
+
+
+ICOSPHERE = """<asset><mesh name="ball" vertex="{}"/></asset>"""
+
+
+def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
+    """MuJoCo's contacts of a mesh jump from vertex to vertex; the sphere through them does not."""
+    directions = np.random.default_rng(0).normal(size=(600, 3))
+    places = 0.025 * directions / np.linalg.norm(directions, axis=1)[:, None]
+    text = " ".join(f"{value:.9g}" for value in places.ravel())
+    pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="ball" pos="0 0 -0.2"/>')
+    mjcf = pair.mjcf.read_text().replace("<worldbody>", ICOSPHERE.format(text) + "<worldbody>", 1)
+    pair.mjcf.write_text(mjcf)
+    robot = load(pair)
+    said(robot, "balls that fit to them touch the ground instead")
+    for radius in robot.foot_radius.values():
+        assert radius == pytest.approx(0.025, abs=3e-4)  # facets are a little inside
+    place = pa.Configuration(robot, robot.neutral()).foot_positions()["FL_calf"]
+    np.testing.assert_allclose(place, [0.2, 0.15, -0.4], atol=3e-4)
+    stands(robot)
+
+
+def test_a_leg_of_three_joints_has_one_contact_point(tmp_path: Path) -> None:
+    """It cannot lay its box flat: the box's lowest corner touches, in the start pose."""
+    box = '<geom type="box" size="0.02 0.02 0.02" pos="0 0 -0.2"/>'
+    robot = load(quadruped(tmp_path, foot=box))
+    assert all(len(points) == 1 for points in robot.soles.values())
+
+
+def test_bodies_that_overlap_are_kept_from_pushing(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    text = pair.mjcf.read_text()
+    fat = '<geom type="sphere" size="0.09" pos="0 0 -0.1"/>'
+    pair.mjcf.write_text(text.replace('<body name="FL_calf"', fat + '<body name="FL_calf"', 1))
+    robot = load(pair)
+    assert "FL_thigh and trunk" in said(robot, "overlap in the start pose")
+    stands(robot)

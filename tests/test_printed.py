@@ -51,7 +51,17 @@ def loads(shift: float) -> Stub:
             "FR": np.array([1.011, -2.022, 3.033]) + shift,
             "RL": np.array([4.044, -5.055, 6.066]) + shift,
         },
-        friction_utilisation={"FR": 0.071, "RL": 0.082},
+        foot_loads={
+            foot: Stub(
+                force=np.array(force) + shift,
+                friction_utilisation=used,
+                centre_of_pressure=np.array(force) / 7,
+            )
+            for foot, force, used in (
+                ("FR", (1.011, -2.022, 3.033), 0.071),
+                ("RL", (4.044, -5.055, 6.066), 0.082),
+            )
+        },
         com_margin=0.0123,
         residual_force=1.1e-11,
         residual_torque=2.2e-12,

@@ -94,7 +94,7 @@ def test_a_variant_and_a_derived_one(capfd: pytest.CaptureFixture[str], tmp_path
 
 
 BAD = {
-    "name and files": (["v3", "--urdf", "a.urdf"], "or --urdf, --mjcf, --foot"),
+    "name and files": (["v3", "--urdf", "a.urdf"], "or --urdf and --mjcf"),
     "no such robot": (["spot"], "'spot'"),
     "too high": (["v3", "--height", "0.3"], "height 0.1919 m"),
     "too few directions": (["v3", "--directions", "2"], "not between 3 and 360"),

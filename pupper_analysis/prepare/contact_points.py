@@ -24,6 +24,15 @@ _LEAST_LENGTH = 0.015
 _PRESSED = 1e-4
 """How deep the sole is pressed into the ground to see what touches (m)."""
 
+_JOINTS_OF_A_SOLE = 5
+"""A body has six degrees of freedom; a foot that is flat leaves one at most, its yaw."""
+
+_CAP = math.radians(50.0)
+"""How far from a foot's lowest point, seen from its middle, its shape is compared with a ball's."""
+
+_BALL = 0.1
+"""A foot is a ball if no point of that cap is off the sphere by more than this part of it."""
+
 _ROUND = 24  # points on the rim of a cylinder, and on each circle of an ellipsoid
 
 _APEX = 1.0  # m above a sole's points: so that even coplanar ones have a hull in space
@@ -51,19 +60,21 @@ class ContactPoint:
 
 
 def contact_points(
-    model: mujoco.MjModel, data: mujoco.MjData, body: int, geoms: Sequence[int]
+    model: mujoco.MjModel, data: mujoco.MjData, body: int, geoms: Sequence[int], joints: int
 ) -> tuple[ContactPoint, ...]:
     """Finds the contact points of a foot with level ground.
 
     The sole is the flat part of its geoms' hull that is lowest, and nearly level, in the pose that
     ``data`` has; without one the foot touches where it is lowest. The foot is laid flat, and what
-    MuJoCo then finds in contact are the contact points.
+    MuJoCo then finds in contact are the contact points. A leg of few joints cannot lay a foot flat:
+    it has one contact point, of the sphere that its foot is, or that fits to its lower end.
 
     Args:
         model: The model, with a floor.
         data: After ``mj_kinematics``, in the start pose.
         body: The id of the moving body that the geoms are on.
         geoms: The ids of the foot's geoms.
+        joints: How many joints move the foot against the base.
     """
     geoms = _round_ones(model, data, geoms) or geoms
     rotation, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
@@ -72,6 +83,8 @@ def contact_points(
         for geom in geoms
         for point, radius in _outline(model, data, geom)
     ]
+    if joints < _JOINTS_OF_A_SOLE:
+        return _tip(model, data, geoms)
     points = np.array([point for point, _ in support])
     radii = np.array([radius for _, radius in support])
     out = _sole(points, radii, -rotation[2])
@@ -112,6 +125,48 @@ def _outline(
         return
     for point in local:
         yield place + turn @ point, radius
+
+
+def _tip(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
+) -> tuple[ContactPoint, ...]:
+    """Returns the one contact point of a foot that cannot lie flat, where it is lowest."""
+    down = np.array([0.0, 0.0, -1.0])
+    geom = min(geoms, key=lambda geom: lowest(model, data, [geom]), default=None)
+    if geom is None:
+        return ()
+    outline = list(_outline(model, data, geom))
+    place, radius = min(outline, key=lambda sphere: float(sphere[0][2]) - sphere[1])
+    if not radius and len(outline) > 3:
+        points = np.array([point for point, _ in outline])
+        place, radius = _fitted(points, place, down)
+    own = int(model.geom_bodyid[geom])
+    center = data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own])
+    return (ContactPoint(geom, center, radius),)
+
+
+def _fitted(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
+    """Returns centre (3,) and radius of the sphere at the lower end of points (n, 3), if it is one.
+
+    Else the tip itself, and no radius. A sphere |p - c| = r is linear in c and r^2 - |c|^2.
+    """
+    found = tip, 0.0
+    for size in (0.01, 0.02, 0.03, 0.045):  # m: of the part that is looked at, from the tip up
+        near = points[(tip - points) @ down < size]
+        if len(near) < 6:
+            continue
+        table = np.column_stack([2 * near, np.ones(len(near))])
+        solution, _, rank, _ = np.linalg.lstsq(table, (near**2).sum(axis=1))
+        center = solution[:3]
+        radius = math.sqrt(max(0.0, float(solution[3] + center @ center)))
+        if rank < 4 or radius == 0.0:
+            continue
+        away = near - center
+        cap = away @ down > math.cos(_CAP) * radius
+        off = np.abs(np.linalg.norm(away[cap], axis=1) - radius)
+        if cap.sum() >= 6 and off.max() < _BALL * radius and radius > size / 2:
+            found = center, float((tip - center) @ down)
+    return found
 
 
 def lowest(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> float:

@@ -36,6 +36,10 @@ _FASTEST = 1.5
 """Greatest frequency of a joint by itself on its servo, per time step (rad): MuJoCo's steps diverge
 at 2."""
 
+_LEAST_LEVER = 0.02
+"""Stretched legs hold no torque; servos are made for at least the weight at this part of the base's
+height."""
+
 _FINER = (1, 2, 4)
 """Parts into which the model's time step is divided, the first with which the robot comes to rest.
 A light foot without armature (G1's: 3e-4 kg m^2 about the ankle) shakes between a stiff servo and
@@ -128,7 +132,9 @@ def _gains(
     inertia = 1 / np.diag(inverse)[robot.nv - robot.nu :]  # with everything else free
     timestep = float(robot.mj_model.opt.timestep) / parts
     most = inertia * (_FASTEST / timestep) ** 2
-    wanted = np.full(robot.nu, float(np.abs(torques).max()) / sag)
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    most_torque = max(float(np.abs(torques).max()), _LEAST_LEVER * weight * robot.stand_height)
+    wanted = np.full(robot.nu, most_torque / sag)
     kp = np.array([_two_digits(value) for value in np.minimum(wanted, most)])
     return kp, np.array([_two_digits(value) for value in _DAMPING_TIME * kp])
 

@@ -29,6 +29,12 @@ _NEAR = 0.02
 """A sphere whose centre is no further from a URDF's link is the foot that the link means (m)."""
 
 
+_CONTACT = (
+    *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
+    *("margin", "gap", "group"),
+)
+"""What a geom has that makes its contacts."""
+
 _SAME_PLACE = 2e-3
 """A link of the URDF that is no further away is at a foot's place (m)."""
 
@@ -63,6 +69,16 @@ def limb_ends(model: mujoco.MjModel) -> list[int]:
     moving = [b for b in range(1, model.nbody) if int(model.body_weldid[b]) == b]
     carrying = {int(model.body_weldid[model.body_parentid[body]]) for body in moving}
     return [body for body in moving if body not in carrying and model.body_jntnum[body]]
+
+
+def joints_to(robot: Robot, body: int) -> int:
+    """Returns how many joints move a body (its id) against the base."""
+    model, count = robot.mj_model, 0
+    base = model.body(robot.mj_base).id
+    while body not in (0, base):
+        count += int(model.body_jntnum[body])
+        body = int(model.body_parentid[body])
+    return count
 
 
 def geoms_of(model: mujoco.MjModel, body: int, *, welded: bool = True) -> list[int]:
@@ -108,7 +124,10 @@ def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
         )
     bottom = min(heights.values())
     legs = [b for b, height in heights.items() if height < bottom + _AS_LOW * (base - bottom)]
-    found = [(body, contact_points(model, data, body, ends[body])) for body in legs]
+    found = [
+        (body, contact_points(model, data, body, ends[body], joints_to(robot, body)))
+        for body in legs
+    ]
     names = _names(model, found)
     return tuple(
         Foot(name, body, points)
@@ -167,7 +186,7 @@ def named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) 
         geoms = geoms_of(model, found[1], welded=False) or _around(
             model, data, geoms_of(model, body), data.xpos[found[1]]
         )
-    points = contact_points(model, data, body, geoms) if geoms else ()
+    points = contact_points(model, data, body, geoms, joints_to(robot, body)) if geoms else ()
     if not points:
         raise ModelError(
             robot.description.mjcf_source,
@@ -238,13 +257,47 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
             world = _in_urdf(robot, still, data, foot.body, world)
             _add_link(root, frame, link, placed[1].T @ (world - placed[0]))
             names[name] = (frame, frame)
-            geoms[name] = (compiled.geom(point.geom).name, point.radius)
+            geoms[name] = (_touching(spec, compiled, bodies, point), point.radius)
             points.append(name)
         if len(points) > 1:
             soles[foot.name] = tuple(points)
     return replace(
         robot.description, urdf=to_text(root), mjcf=spec, feet=names, soles=soles, foot_geoms=geoms
     )
+
+
+def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
+    """Tells whether a contact point is that of a sphere which fits to a mesh or another shape."""
+    round_ones = (mujoco.mjtGeom.mjGEOM_SPHERE.value, mujoco.mjtGeom.mjGEOM_CAPSULE.value)
+    return point.radius > 0 and int(model.geom_type[point.geom]) not in round_ones
+
+
+def _touching(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    bodies: Mapping[str, mujoco.MjsBody],
+    point: ContactPoint,
+) -> str:
+    """Returns the name of the geom that touches at a point; a ball takes a mesh's place.
+
+    MuJoCo's contacts of a mesh are some of its vertices, and jump from one to the next.
+    """
+    name = str(model.geom(point.geom).name)
+    if not is_ball(model, point):
+        return name
+    mesh = next(geom for geom in spec.geoms if geom.name == name)
+    body = bodies[model.body(int(model.geom_bodyid[point.geom])).name]
+    ball = body.add_geom(
+        name=f"{name} (ball)",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=(point.radius, 0.0, 0.0),
+        pos=point.center,
+        mass=0.0,
+        rgba=mesh.rgba,
+        **{what: getattr(mesh, what) for what in _CONTACT},
+    )
+    mesh.contype = mesh.conaffinity = 0
+    return str(ball.name)
 
 
 def _in_urdf(

@@ -17,7 +17,15 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare import drives, start
-from pupper_analysis.prepare.feet import Foot, apart_at, find_feet, limb_ends, named_foot, with_feet
+from pupper_analysis.prepare.feet import (
+    Foot,
+    apart_at,
+    find_feet,
+    is_ball,
+    limb_ends,
+    named_foot,
+    with_feet,
+)
 from pupper_analysis.robot.build import add_floor, build_robot, floor_of
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -169,9 +177,15 @@ def _prepared(
             f"at zero angles the last joint of foot {worst} is {1e3 * apart[worst]:.0f} mm off in "
             "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
         )
+    balls = [f.name for f in feet if any(is_ball(bare.mj_model, point) for point in f.points)]
+    if balls:
+        notes.append(
+            f"round meshes of {', '.join(balls)}: balls that fit to them touch the ground instead, "
+            "as MuJoCo's contacts of a mesh jump from vertex to vertex"
+        )
     robot = build_robot(with_feet(bare, feet))
     robot = _started(robot, known, notes)
-    robot = _on_feet_alone(robot, notes)
+    robot = _apart(_on_feet_alone(robot, notes), notes)
     if not set(robot.joint_names) <= drives.servos_of(robot.mj_model).keys():
         robot = _driven(robot, notes)
     return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
@@ -318,6 +332,33 @@ def _on_feet_alone(robot: Robot, notes: list[str]) -> Robot:
     notes.append(
         f"shapes of {', '.join(bodies)} reach down beside the feet, which sink into the ground by "
         f"{1e3 * max(stand.depths.values()):.1f} mm: they were kept from touching"
+    )
+    built = build_robot(replace(robot.description, mjcf=spec))
+    return replace(built, stand_height=robot.stand_height, notes=robot.notes)
+
+
+def _apart(robot: Robot, notes: list[str]) -> Robot:
+    """Keeps bodies that overlap in the start pose from pushing each other apart."""
+    stand = start.first_stand(robot)
+    if stand is None:
+        return robot
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(model, data)
+    deep: dict[tuple[str, str], float] = {}
+    for touch in data.contact:
+        bodies = model.geom_bodyid[touch.geom]
+        if 0 not in bodies and touch.dist < 0:
+            one, two = sorted(str(model.body(int(body)).name) for body in bodies)
+            deep[one, two] = max(deep.get((one, two), 0.0), -float(touch.dist))
+    if not deep:
+        return robot
+    spec = robot.description.mjcf.copy()
+    for one, two in deep:
+        spec.add_exclude(bodyname1=one, bodyname2=two)
+    pairs = ", ".join(f"{one} and {two} by {1e3 * by:.1f} mm" for (one, two), by in deep.items())
+    notes.append(
+        f"bodies overlap in the start pose: {pairs}; they were kept from pushing each other apart"
     )
     built = build_robot(replace(robot.description, mjcf=spec))
     return replace(built, stand_height=robot.stand_height, notes=robot.notes)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.errors import PupperAnalysisError, UnknownNameError
+from pupper_analysis.errors import ConfigurationError, PupperAnalysisError, UnknownNameError
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.robot.configuration import Configuration
@@ -201,7 +201,10 @@ def clear_of_ground(robot: Robot, stand: Stand) -> bool:
 def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
     """Solves a stand with all but the legs as in a pose, as far as the com allows."""
     legs = np.concatenate([limb.joints for limb in limbs(robot)])
-    shapes, goal, found = shapes_of(robot), goal_of(robot, task, {}), None
+    try:
+        shapes, goal, found = shapes_of(robot), goal_of(robot, task, {}), None
+    except ConfigurationError:
+        return None  # the margin leaves nothing of a joint's range
     seeds = [pose if task.ik_seed is None else np.array(task.ik_seed), *_bent(robot, goal, pose)]
     for _ in range(_CALMING):
         stand = _first_solved(shapes, goal, seeds)
