@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _ELEVATION, _AZIMUTH = 16, -33  # deg: from the front and the right
 _ARROW = 0.35  # length of the largest force's arrow / length of the support polygon
+_LONGEST = 10  # letters of a foot's name beside the polygon: what there is room for
 _NEAR, _FAR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT = "#CFE8F7"
@@ -116,7 +117,9 @@ def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation
         axes.plot(
             x[:-1], y[:-1], z[:-1], "o", color="white", mec=BLACK, mew=0.8, ms=4, zorder=order
         )
-        axes.plot(x[-1:], y[-1:], z[-1:], "o", color=BLACK, ms=7, zorder=order)
+        axes.plot(x[-1:], y[-1:], z[-1:], "o", color=BLACK, ms=7 * _small(statics), zorder=order)
+    for arm in lines.arms:
+        axes.plot(*(1e3 * arm.T), color=_FAR, lw=2.5, solid_capstyle="round", zorder=2)
     for box in lines.boxes:
         faces = [1e3 * box[list(face)] for face in BOX_FACES]
         axes.add_collection3d(
@@ -142,7 +145,8 @@ def _draw_forces(axes: Any, lines: Skeleton, statics: GravityCompensation, polyg
         statics: What it takes.
         polygon: The support polygon (n, 2), whose size the arrows have (m).
     """
-    forces, tips = statics.contact_forces, statics.contact_points
+    forces = {foot: load.force for foot, load in statics.foot_loads.items()}
+    tips = {foot: load.centre_of_pressure for foot, load in statics.foot_loads.items()}
     largest = max(float(np.linalg.norm(force)) for force in forces.values())
     scale = _ARROW * float(np.ptp(polygon, axis=0).max()) / largest
     tails = {foot: tips[foot] - scale * force for foot, force in forces.items()}
@@ -172,6 +176,11 @@ def _draw_forces(axes: Any, lines: Skeleton, statics: GravityCompensation, polyg
                 "relpos": (0.5, 1),
             },
         )
+
+
+def _small(statics: GravityCompensation) -> float:
+    """Returns the size of a foot's mark: smaller where feet have several contact points."""
+    return 1.0 if len(statics.foot_loads) == len(statics.contact_points) else 0.45
 
 
 def _heights_below(statics: GravityCompensation, places: Array) -> Array:
@@ -218,11 +227,13 @@ def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensati
             1e3 * leg[:, 1], 1e3 * leg[:, 0], color=_FAR, lw=3, solid_capstyle="round", zorder=2
         )
     middle = np.mean(list(points.values()), axis=0)
-    for foot, (x, y) in points.items():
-        axes.plot(y, x, "o", color=BLACK, ms=6, zorder=3)
+    for x, y in points.values():
+        axes.plot(y, x, "o", color=BLACK, ms=6 * _small(statics), zorder=3)
+    for foot, load in statics.foot_loads.items():
+        x, y = 1e3 * load.centre_of_pressure[:2]
         left = y > middle[1]
         axes.annotate(
-            foot,
+            foot if len(foot) <= _LONGEST else f"{foot[: _LONGEST - 1]}…",
             (y, x),
             (-7 if left else 7, 0),
             textcoords="offset points",

@@ -23,16 +23,18 @@ class Skeleton:
 
     Attributes:
         legs: {foot: (n, 3)} the joints from base to foot, and last the centre of the foot's sphere.
+        arms: (n, 3) each: the joints of the limbs that have no foot.
         boxes: (n, 8, 3) corners of the boxes of the base: of its box geoms or, if it has none, of
             those around its geoms. Corner 4 i + 2 j + k has the signs i, j, k along the edges.
     """
 
     legs: dict[str, Array]
+    arms: tuple[Array, ...]
     boxes: Array
 
     def points(self) -> Array:
         """Returns all points (n, 3) (m)."""
-        return np.concatenate([self.boxes.reshape(-1, 3), *self.legs.values()])
+        return np.concatenate([self.boxes.reshape(-1, 3), *self.legs.values(), *self.arms])
 
 
 def skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
@@ -50,13 +52,10 @@ def skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
     legs: dict[str, Array] = {}
     for foot, (_, frame) in robot.description.feet.items():
         body, position = foot_site(model, frame, robot.name)
-        points = [data.xpos[body] + data.xmat[body].reshape(3, 3) @ position]
-        while body not in (base, 0):
-            first = int(model.body_jntadr[body])
-            joints = range(first, first + int(model.body_jntnum[body]))
-            points += [data.xanchor[joint] for joint in reversed(joints)]
-            body = int(model.body_parentid[body])
-        legs[foot] = np.array(points[::-1])
+        tip = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+        legs[foot] = np.array([*_joints_to(model, data, base, body), tip])
+    walked = {int(model.body_weldid[body]) for body, _ in robot.foot_places.values()}
+    arms = [_joints_to(model, data, base, body) for body in _ends(model) if body not in walked]
     geoms = np.flatnonzero(model.geom_bodyid == base)
     drawn = geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_BOX.value]
     signs = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
@@ -65,7 +64,26 @@ def skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
         centre, half_size = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         rotation = data.geom_xmat[geom].reshape(3, 3)
         boxes.append(data.geom_xpos[geom] + (centre + signs * half_size) @ rotation.T)
-    return Skeleton(legs, np.array(boxes).reshape(-1, 8, 3))
+    long = tuple(np.array(arm) for arm in arms if len(arm) > 1)
+    return Skeleton(legs, long, np.array(boxes).reshape(-1, 8, 3))
+
+
+def _joints_to(model: mujoco.MjModel, data: mujoco.MjData, base: int, body: int) -> list[Array]:
+    """Returns where the joints (3,) are that move a body against the base, from the base on (m)."""
+    points: list[Array] = []
+    while body not in (base, 0):
+        first = int(model.body_jntadr[body])
+        joints = range(first, first + int(model.body_jntnum[body]))
+        points += [data.xanchor[joint].copy() for joint in reversed(joints)]
+        body = int(model.body_parentid[body])
+    return points[::-1]
+
+
+def _ends(model: mujoco.MjModel) -> list[int]:
+    """Returns the bodies with joints that carry no others with joints."""
+    moving = [body for body in range(1, model.nbody) if model.body_jntnum[body]]
+    carrying = {int(model.body_weldid[model.body_parentid[body]]) for body in moving}
+    return [body for body in moving if body not in carrying]
 
 
 def hull_corners(points: Iterable[Array]) -> Array:
