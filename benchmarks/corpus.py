@@ -11,11 +11,14 @@ its nominal stand is simulated.
 
 from __future__ import annotations
 
+import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
 import click
+import mujoco
 from rich.console import Console
 
 import pupper_analysis as pa
@@ -46,6 +49,43 @@ PAIRS = {
     "A1 against Aliengo": (f"{DATA}/a1_description/urdf/a1.urdf", f"{GYM}/aliengo/aliengo.xml"),
 }
 """URDF and MJCF of each robot; the last two are of two robots each, on purpose."""
+
+
+CONVERTED = {
+    "A1": "a1_description/urdf/a1.urdf",
+    "Laikago": "laikago_description/urdf/laikago.urdf",
+    "Go2 (round meshes)": "go2_description/urdf/go2.urdf",
+    "Solo 12 (round meshes)": "solo_description/robots/solo12.urdf",
+    "Solo (legs of two joints)": "solo_description/robots/solo.urdf",
+    "Bolt (two point feet)": "bolt_description/robots/bolt.urdf",
+    "G1 (box feet)": "g1_description/urdf/g1_29dof_rev_1_0.urdf",
+    "Talos (mesh feet)": "talos_data/robots/talos_reduced.urdf",
+}
+"""URDFs of example-robot-data whose MJCF is made by MuJoCo, shapes and all."""
+
+
+def converted(urdf: Path, share: Path, folder: Path) -> Path:
+    """MuJoCo's own MJCF of a URDF, with a free joint, and the shapes whose meshes it can read."""
+    root = ElementTree.parse(urdf).getroot()
+    for link in root.iter("link"):
+        for shape in link.findall("visual"):
+            link.remove(shape)
+        for shape in link.findall("collision"):
+            mesh = shape.find("geometry/mesh")
+            if mesh is not None:
+                path = Path(str(mesh.get("filename")).replace("package://", f"{share}/"))
+                if path.suffix.lower() not in (".stl", ".obj") or not path.exists():
+                    link.remove(shape)
+                mesh.set("filename", str(path))
+    extension = ElementTree.SubElement(root, "mujoco")
+    options = {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
+    ElementTree.SubElement(extension, "compiler", options)
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    spec.worldbody.first_body().add_freejoint()
+    spec.compile()
+    written = folder / f"{urdf.stem}.xml"
+    written.write_text(spec.to_xml())
+    return written
 
 
 @dataclass(frozen=True)
@@ -99,22 +139,27 @@ def stood(urdf: Path, mjcf: Path) -> Row:
 
 @click.command()
 @click.option("--robots", type=click.Path(path_type=Path, exists=True), required=True)
-@click.option("--only", multiple=True, type=click.Choice(list(PAIRS)), help="Repeatable.")
+@click.option("--only", multiple=True, type=click.Choice([*PAIRS, *CONVERTED]), help="Repeatable.")
 def main(robots: Path, only: tuple[str, ...]) -> None:
     """Print a table of other people's robots."""
     out = Console(width=400, highlight=False)
     out.print("| robot | crosscheck | feet | stand | torque off by | seconds |")
     out.print("|---|---|---|---|---|---|")
-    for name in only or PAIRS:
-        urdf, mjcf = (robots / part for part in PAIRS[name])
-        row = stood(urdf, mjcf)
-        torque = "-" if row.torque is None else f"{row.torque:.1e}"
-        out.print(
-            f"| {name} | {compared(urdf, mjcf)} | {row.feet} | {row.stand} | {torque} | "
-            f"{row.seconds:.1f} |",
-            soft_wrap=True,
-            markup=False,
-        )
+    with tempfile.TemporaryDirectory() as folder:
+        for name in only or (*PAIRS, *CONVERTED):
+            if name in PAIRS:
+                urdf, mjcf = (robots / part for part in PAIRS[name])
+            else:
+                urdf = robots / DATA / CONVERTED[name]
+                mjcf = converted(urdf, (robots / DATA).parents[1], Path(folder))
+            row = stood(urdf, mjcf)
+            torque = "-" if row.torque is None else f"{row.torque:.1e}"
+            out.print(
+                f"| {name} | {compared(urdf, mjcf)} | {row.feet} | {row.stand} | {torque} | "
+                f"{row.seconds:.1f} |",
+                soft_wrap=True,
+                markup=False,
+            )
 
 
 if __name__ == "__main__":
