@@ -86,9 +86,9 @@ class StanceSearch:
         self.limits = robot.effort_limits
         self.bears = np.isfinite(self.limits)
         self.evaluations = 0
+        if objective is not Objective.MARGIN and robot.floating:
+            self._check_limits()  # before the space is measured, which takes seconds
         self.space = StanceSpace(robot, task or StandTask())
-        if objective is not Objective.MARGIN:
-            self._check_limits()
         self.mass = robot.total_mass
         if objective is Objective.PAYLOAD:
             # Small: with one that tips the robot there is no line to follow.
