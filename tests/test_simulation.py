@@ -1,6 +1,8 @@
 """Stands in simulation: against a plain simulation of our own, and against mechanics."""
 
+import copy
 import math
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -464,3 +466,19 @@ def test_the_error_of_a_foot_that_bears_nothing_is_measured_by_the_weight() -> N
         report.foot_forces["RR"][2] / (0.05 * weight), rel=1e-3
     )
     assert not report.passed
+
+
+def test_servos_too_stiff_for_the_time_step_are_said_with_one_that_does() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    report = pa.verify_stand(robot, stand, kp=5.0, kd=25.0, integrator="Euler")
+    assert not report.passed
+    said = next(reason for reason in report.failures if "beyond the limit of stability" in reason)
+    assert "implicitfast" in said
+    step = 1e-3 * float(re.search(r"a time step of (\S+) ms", said)[1])
+    model = copy.copy(robot.mj_model)
+    model.opt.timestep = 0.95 * step
+    finer = replace(robot, mj_model=model)
+    again = pa.verify_stand(finer, stand, kp=5.0, kd=25.0, integrator="Euler")
+    assert not any("beyond the limit" in reason for reason in again.failures)
+    held = pa.verify_stand(robot, stand, kp=5.0, kd=25.0, integrator="implicitfast", duration=8.0)
+    assert not any("beyond the limit" in reason for reason in held.failures)

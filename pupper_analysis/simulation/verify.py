@@ -15,6 +15,7 @@ from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
+from pupper_analysis.simulation.stability import too_stiff
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import drop_at
@@ -170,6 +171,7 @@ def verify_stand(
     found = _measured(robot, stand, drive, prediction, states, watch, light)
     found = replace(found, feedforward=feedforward)
     failures = _failures(robot, stand, states, watch, found)
+    failures += too_stiff(robot, stand, drive) if failures else []
     if feedforward:
         failures += _deviations(robot, stand, watch, found, alone=not failures)
     return replace(found, passed=not failures, failures=tuple(failures))

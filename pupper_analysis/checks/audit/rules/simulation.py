@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import mujoco
 import numpy as np
-from scipy.linalg import eigh
 
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.result import Severity
@@ -14,6 +13,7 @@ from pupper_analysis.checks.audit.rules.actuators import drives
 from pupper_analysis.checks.audit.rules.files import first_place
 from pupper_analysis.checks.audit.view import MjcfView
 from pupper_analysis.robot.contact import combine, ground_geom
+from pupper_analysis.robot.servo_stability import servo_stability
 
 STANDARD_GRAVITY = 9.80665
 """m/s^2; what is used differs by the third digit."""
@@ -70,16 +70,7 @@ def armature_zero(view: MjcfView) -> Iterator[Found]:
     formats=("mjcf",),
 )
 def servo_unstable(view: MjcfView) -> Iterator[Found]:
-    """Tests the stability of all servos together at qpos0, without contacts and force limits.
-
-    MuJoCo's Euler step is v' = v - (M + h D)^-1 h (K x + (C + D) v), x' = x + h v', with D, the
-    damping of joints and motors, implicit, and the servos' K and C explicit. An eigenvalue leaves
-    the unit circle at -1 if x^T (h C + h^2 K / 2) x > x^T (2 M + h D) x for some x, that is, if the
-    greatest generalised eigenvalue of the two matrices exceeds 1; for one joint without stiffness
-    and D, if h kd / I > 2.
-    Source: the Jury criterion for the step's characteristic polynomial; MuJoCo documentation,
-    "Computation: Numerical integration".
-    """
+    """Tests the stability of all servos together at qpos0; see ``servo_stability``."""
     model = view.model
     if model is None or model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER.value:
         return
@@ -88,31 +79,20 @@ def servo_unstable(view: MjcfView) -> Iterator[Found]:
         return
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    mass = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, mass)
-    step = float(model.opt.timestep)
-    gains = np.zeros(model.nv)
+    stiffness, damping = np.zeros(model.nv), np.zeros(model.nv)
     implicit = np.array(model.dof_damping)
     for drive in used:
-        stiffness = drive.gear**2 * max(drive.stiffness, 0.0)
-        damping = drive.gear**2 * max(drive.kd, 0.0)
         dof = model.jnt_dofadr[drive.joint]
-        gains[dof] += step * damping + step**2 * stiffness / 2
+        stiffness[dof] += drive.gear**2 * max(drive.stiffness, 0.0)
+        damping[dof] += drive.gear**2 * max(drive.kd, 0.0)
         implicit[dof] += drive.gear**2 * model.actuator_damping[drive.id]
-    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP.value:
-        gains += step * implicit
-        implicit[:] = 0.0
-    resisting = 2 * mass + step * np.diag(implicit)
-    try:
-        values, vectors = eigh(np.diag(gains), resisting)
-    except (np.linalg.LinAlgError, ValueError):
-        return  # a singular mass matrix, or absurd numbers: another rule's business
-    if values[-1] > 1:
-        shares = np.abs(vectors[:, -1])
-        drive = max(used, key=lambda drive: float(shares[model.jnt_dofadr[drive.joint]]))
+    found = servo_stability(model, data, stiffness, damping, implicit)
+    if found is not None and found.ratio > 1:
+        drive = max(used, key=lambda drive: float(found.shares[model.jnt_dofadr[drive.joint]]))
         text = (
-            f"kp = {drive.kp:g}, kd = {drive.kd:g} and a timestep of {1e3 * step:g} ms with the "
-            f"Euler integrator are {values[-1]:.3g} times beyond the limit of stability"
+            f"kp = {drive.kp:g}, kd = {drive.kd:g} and a timestep of "
+            f"{1e3 * model.opt.timestep:g} ms with the Euler integrator are {found.ratio:.3g} "
+            "times beyond the limit of stability"
         )
         yield Found("actuator", drive.name, text)
 
