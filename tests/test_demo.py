@@ -33,6 +33,7 @@ def test_what_they_do() -> None:
     assert raised == pytest.approx(robot.foot_radius["FL"] + 0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", demo.DEMOS)
 def test_mujoco_follows(name: str, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "path.csv"
@@ -67,6 +68,7 @@ def test_the_window_shows_what_is_tracked(monkeypatch: pytest.MonkeyPatch) -> No
     assert shown[0][2] == pytest.approx(tracking.height[-1], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_path_that_is_not_tracked_is_exit_status_1(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

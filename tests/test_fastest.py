@@ -33,6 +33,7 @@ def test_a_squat_falls_no_faster_than_gravity() -> None:
     assert loads.sum(axis=1).min() < 0.2 * loads[0].sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("v3", "squat"), ("original", "sway")])
 def test_the_least_time_is_feasible_and_less_is_not(name: str, kind: str) -> None:
     robot, tasks = load(name), stances(name, kind)
@@ -51,6 +52,7 @@ def test_the_least_time_is_feasible_and_less_is_not(name: str, kind: str) -> Non
     assert found.to_dict()["binding"]["limit"] == found.binding.limit.value
 
 
+@pytest.mark.slow
 def test_weak_motors_slow_ones_and_smooth_floors_bind() -> None:
     robot, tasks = load("original"), stances("original", "sway")
     free = fastest_path(robot, tasks, reserve=0.0).seconds
@@ -86,6 +88,7 @@ def test_weak_motors_slow_ones_and_smooth_floors_bind() -> None:
     assert max(abs(rate[1]) for rate in rates) == pytest.approx(0.1 * 9.81, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_reserve_is_left() -> None:
     robot, tasks = load("original"), stances("original", "sway")
     found, bare = fastest_path(robot, tasks, reserve=0.3), fastest_path(robot, tasks, reserve=0.0)

@@ -56,6 +56,7 @@ def path_of(name: str, kind: str, rolling: bool = True) -> StancePath:
     return stance_path(load(name), stances(name, kind), SECONDS[kind], rate=rate, rolling=rolling)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "original"])
 @pytest.mark.parametrize("kind", SECONDS)
 @pytest.mark.parametrize("rolling", [False, True])
@@ -100,6 +101,7 @@ def test_every_sample_is_a_stand_in_balance(name: str, kind: str, rolling: bool)
         np.testing.assert_allclose(stand.qpos, one.qpos, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("v3", "circle"), ("original", "lift")])
 def test_rolling_feet_do_not_slip(name: str, kind: str) -> None:
     """The velocity of the foot's material point at the contact, by differences, is zero."""
@@ -132,6 +134,7 @@ def test_a_squat_rolls_the_feet_by_radius_times_angle() -> None:
         assert rolled[0] == pytest.approx(robot.foot_radius[foot] * turn[1], rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SECONDS)
 def test_it_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
     path = stance_path(load("v3"), stances("v3", kind)[:3], 1.0, rate=140.0)
@@ -146,6 +149,7 @@ def test_it_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
         assert near.min() < 0.2 * acceleration.max()
 
 
+@pytest.mark.slow
 def test_torques_do_not_jump_where_a_foot_gives_its_load_away() -> None:
     """From sample to sample they change half as much at twice the rate."""
     jumps = []
@@ -156,6 +160,7 @@ def test_torques_do_not_jump_where_a_foot_gives_its_load_away() -> None:
     assert jumps[1] < 0.1 * np.ptp(path.torques, axis=0).max()
 
 
+@pytest.mark.slow
 def test_finite_differences_shrink_with_the_step_at_a_stance() -> None:
     """Velocity as step^2 and acceleration as step: both are zero in the limit."""
     rates = []

@@ -221,6 +221,7 @@ def test_feet_that_sink_bring_the_calves_down() -> None:
     assert deepest == pytest.approx(stand.ground_clearance.distance, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_surprise_is_carried_less_well() -> None:
     robot, stand = load("v3"), stand_of("v3")
     known = payload_limit(robot, stand)

@@ -276,6 +276,7 @@ def test_bad_figures_are_refused(tmp_path: Path) -> None:
         push_figure({"a": result}, tmp_path / "file" / "push.png")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "task",
     [

@@ -16,6 +16,7 @@ from pupper_analysis.report.figures.push import push_figure
 COARSE = ("--directions", "4", "--resolution", "0.3")
 
 
+@pytest.mark.slow
 def test_two_robots(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path, figure = tmp_path / "all.json", tmp_path / "push.png"
     output = ("--figure", str(figure), "--json", str(path))
@@ -55,6 +56,7 @@ def test_a_stand_that_does_not_last_is_exit_status_1(
     assert "0.00 N s" in out
 
 
+@pytest.mark.slow
 def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     urdf, mjcf = pa.write_variant("heavy", tmp_path / "robot")
     own = ("--urdf", str(urdf), "--mjcf", str(mjcf))

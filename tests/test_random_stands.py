@@ -15,6 +15,7 @@ stances = benchmark("stances")
 stances.STARTS = 60  # the benchmark has 200
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_no_verdict_is_wrong(name: str) -> None:
     robot = load(name)

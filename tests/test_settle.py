@@ -129,6 +129,7 @@ def test_nominal_stands(name: str) -> None:
     assert_predicts(pose, run, 1e-6 if name in SKELETON_NAMES else 1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_random_stands(name: str) -> None:
     robot, random, count = load(name), np.random.default_rng(1), 0
@@ -405,6 +406,7 @@ def test_a_foot_that_the_ground_would_have_to_pull_lets_go() -> None:
     assert pose.base_height == pytest.approx(run.base_height, abs=2e-5)
 
 
+@pytest.mark.slow
 def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
     robot, stand = load("v3"), lifted("v3", "RR", 0.02)
     kp = minimum_stiffness(robot, stand, tolerance=0.02)
@@ -433,6 +435,7 @@ def test_long_leg_of_v3_does_not_last() -> None:
         assert any("touches the ground" in failure for failure in run.failures)
 
 
+@pytest.mark.slow
 def test_minimum_stiffness_of_pinned_feet() -> None:
     robot, stand = load("long-leg"), stand_of("long-leg")
     kp = minimum_stiffness(robot, stand, tolerance=0.05)

@@ -344,6 +344,7 @@ def test_feet_on_a_slope_sink_by_what_presses_on_them() -> None:
     assert pressing == pytest.approx(weight * math.cos(slope), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_loads_of_a_path_on_a_slope_are_vertical() -> None:
     robot, slope = load("v3"), 0.3
     task = pa.StandTask(ground=pa.Ground(slope, 0.4), pitch=-0.25)

@@ -25,6 +25,7 @@ BOUNDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), BOUNDS)
 def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
     tracking = track_path(load(name), path_of(name, kind))
@@ -40,6 +41,7 @@ def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
     assert tracking.to_dict()["passed"] is True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["circle", "lift"])
 def test_feet_that_roll_are_where_the_path_has_them(kind: str) -> None:
     """Centres that stay are a wish that friction does not grant."""

@@ -48,6 +48,7 @@ def test_limits_are_tight_in_every_direction(name: str) -> None:
         assert interval.low == pytest.approx(-interval.high, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_shifts_end_where_the_com_leaves_the_polygon_or_the_legs_end() -> None:
     robot = load("v3")
     x = base_workspace(robot).intervals["x"]
@@ -60,6 +61,7 @@ def test_shifts_end_where_the_com_leaves_the_polygon_or_the_legs_end() -> None:
                 pa.stand_statics(robot, pa.solve_stand(robot, beyond))
 
 
+@pytest.mark.slow
 def test_the_task_is_where_it_begins() -> None:
     robot = load("v3")
     level = reachable_heights(robot)
