@@ -109,7 +109,6 @@ def from_pinocchio(
     names = set(joint_names)
     floating = model.nv > len(names)
     root = 1 if floating else 0
-    data = model.createData()
     owner = {0: base, root: base}
     bodies = {base: _body(model.inertias[root])}
     joints: dict[str, Joint] = {}
@@ -117,7 +116,8 @@ def from_pinocchio(
         name = str(model.names[index])
         owner[index] = name
         kind = model.joints[index]
-        motion = np.array(data.joints[index].S).reshape(6)
+        # Of the joint alone: the data of a model grow with the square of its size, and more.
+        motion = np.array(kind.createData().S).reshape(6)
         slides = not motion[3:].any()
         q, v = kind.idx_q, kind.idx_v
         bounded = kind.nq == 1
