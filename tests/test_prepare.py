@@ -317,3 +317,24 @@ def test_bodies_that_overlap_are_kept_from_pushing(tmp_path: Path) -> None:
     robot = load(pair)
     assert "FL_thigh and trunk" in said(robot, "overlap in the start pose")
     stands(robot)
+
+
+def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
+    """The URDF counts one knee from 0.3 rad before the MJCF's zero: the same robot."""
+    pair = quadruped(tmp_path)
+    plain = load(pair)
+    text = pair.urdf.read_text()
+    origin = (
+        '<child link="FL_calf"/><origin xyz="0.0 0.0 -0.2"/><axis xyz="0 1 0"/>'
+        '<limit lower="-2.6" upper="-0.4"'
+    )
+    turned = origin.replace('-0.2"/>', '-0.2" rpy="0 -0.3 0"/>')
+    turned = turned.replace('lower="-2.6" upper="-0.4"', 'lower="-2.3" upper="-0.1"')
+    assert text.count(origin) == 1
+    pair.urdf.write_text(text.replace(origin, turned))
+    robot = load(pair)
+    assert "FL_knee by +0.3" in said(robot, "zero is elsewhere")
+    np.testing.assert_allclose(robot.lower_limits, plain.lower_limits, atol=1e-12)
+    one, two = (pa.sunk_stand(each).qpos for each in (robot, plain))
+    np.testing.assert_allclose(one, two, atol=1e-9)
+    stands(robot)

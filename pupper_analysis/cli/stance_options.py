@@ -177,13 +177,17 @@ class RobotAndTask:
         for foot, frame in (assignment("foot", text) for text in named):
             link, colon, place = frame.partition(":")
             frames[foot] = (link, place) if colon else frame
-        robot = load_robot(
-            urdf=urdf,
-            mjcf=mjcf,
-            feet=frames or None,
-            joints=dict(assignment("map", text) for text in self.pairs),
-            keyframe=self.keyframe,
-        )
+        from rich.console import Console
+
+        # Trials of servos may take some seconds: where somebody watches, it is said what is done.
+        with Console(stderr=True).status("preparing the robot: feet, start pose, servos"):
+            robot = load_robot(
+                urdf=urdf,
+                mjcf=mjcf,
+                feet=frames or None,
+                joints=dict(assignment("map", text) for text in self.pairs),
+                keyframe=self.keyframe,
+            )
         out = console()
         for note in robot.notes:
             out.print(f"note: {note}", soft_wrap=True, markup=False)

@@ -214,6 +214,12 @@ def _said(matched: Match) -> Iterator[str]:
     if renamed:
         pairs = ", ".join(f"{old} = {new}" for old, new in renamed.items())
         yield f"joints that have another name in the URDF: {pairs}"
+    meant = matched.conventions
+    if meant.zeros:
+        moved = ", ".join(f"{name} by {angle:+.4g}" for name, angle in meant.zeros.items())
+        yield f"joints whose zero is elsewhere in the URDF (rad or m): {moved}; the MJCF's is taken"
+    if meant.base is not None and matched.robot.floating:
+        yield "the URDF's base frame is elsewhere on the base; it was put to the MJCF's"
     for names, where in ((matched.only_urdf, "URDF"), (matched.only_mjcf, "MJCF")):
         if names:
             yield f"joints that only the {where} has, held at zero: {', '.join(names)}"
