@@ -239,7 +239,7 @@ def test_a_com_that_may_be_anywhere_inside_is_moved_only_if_need_be() -> None:
         (pa.StandTask(swing={"FL": 0.01, "FR": 0.01}), "swing"),
         (pa.StandTask(ik_seed=[0.0]), "ik_seed"),
         (pa.StandTask(joint_margin=3.0), "joint_margin"),
-        (pa.StandTask(com=(1.0, 0.0), com_margin=0.01), "com_margin"),
+        (pa.StandTask(com=(1.0, 0.0), com_margin=0.01), "outside the support polygon"),
         (pa.StandTask(com_margin=0.5), "com_margin"),
     ],
 )

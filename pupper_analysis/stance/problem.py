@@ -82,9 +82,15 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
     elif not isinstance(task.com, str):
         place = np.array(task.com)
     points = dict(zip(stance_feet, contacts, strict=True))
-    if not by_base and com_margin(np.append(place, 0.0), points) < task.com_margin:
+    inside = com_margin(np.append(place, 0.0), points)
+    if not by_base and inside < min(task.com_margin, 0.0):
+        x, y = place
+        problem = f"({x:.4g}, {y:.4g}) m is {-1e3 * inside:.1f} mm outside the support polygon"
+        raise ConfigurationError("com", f"{problem}; or say com='inside'")
+    if not by_base and inside < task.com_margin:
         raise ConfigurationError(
-            "com_margin", f"{task.com_margin} m is more than the support polygon has at the com"
+            "com_margin",
+            f"{task.com_margin} m is more than the {inside:.4g} m that the support polygon leaves",
         )
     if task.height is None:
         task = replace(task, height=robot.stand_height)
