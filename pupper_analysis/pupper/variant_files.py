@@ -66,9 +66,9 @@ def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path,
     meshdir = description.mjcf.compiler.meshdir
     for mesh in sorted(meshes):
         content = (description.mjcf_source.parent / meshdir / mesh).read_bytes()
-        with whole_file(mjcf_path.parent / meshdir / mesh) as temporary:
-            temporary.write_bytes(content)
+        with whole_file(mjcf_path.parent / meshdir / mesh) as file:
+            file.write(content)
     for path, text in ((urdf_path, description.urdf), (mjcf_path, mjcf_text)):
-        with whole_file(path) as temporary:
-            temporary.write_text(text)
+        with whole_file(path) as file:
+            file.write(text.encode())
     return urdf_path, mjcf_path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -104,13 +105,12 @@ class StancePath(Result):
         header = ["time (s)", *(f"q {name} (rad)" for name in self.joint_names)]
         header += [f"tau {name} (N m)" for name in self.joint_names]
         rows = np.column_stack([self.time, self.joint_positions(), self.torques])
-        with (
-            whole_file(Path(path)) as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as file,
-        ):
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(header)
-            writer.writerows(rows.tolist())
+        text = io.StringIO(newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows.tolist())
+        with whole_file(Path(path)) as file:
+            file.write(text.getvalue().encode())
 
     def to_npz(self, path: str | Path) -> None:
         """Writes the arrays under their names, and ``joints``, (n, nu), beside ``qpos``.
@@ -138,7 +138,7 @@ class StancePath(Result):
         )
         arrays = {key: np.array(getattr(self, key)) for key in (*names, "clearance", "com_margin")}
         arrays["joints"] = self.joint_positions()
-        with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
+        with whole_file(Path(path)) as file:
             # NumPy 2.0 and 2.1 have no allow_pickle; all are numbers and texts, so none is pickled.
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
