@@ -156,4 +156,4 @@ def test_names_in_a_model_are_shown(tmp_path: Path, capfd: pytest.CaptureFixture
         text = out + err
         assert not set("\x1b\x9b\u202e") & set(text) or style == "github"
         assert "::error::forged" in text or style == "github"
-        assert not any(line.lstrip().startswith("::error::") for line in text.splitlines())
+        assert not any(line.lstrip().startswith("::error::forged") for line in text.splitlines())

@@ -63,10 +63,11 @@ def patient_output() -> Iterator[list[PatientStream]]:
     streams = []
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
-        raw = getattr(getattr(stream, "buffer", None), "raw", None)
+        below = getattr(stream, "buffer", None)
+        raw = getattr(below, "raw", below)  # it is the raw stream itself with python -u
         if stream is None:  # closed by who started the process
             setattr(sys, name, io.StringIO())
-        elif raw is not None and not isinstance(raw, PatientStream):
+        elif isinstance(raw, io.RawIOBase) and not isinstance(raw, PatientStream):
             stream.flush()
             patient = PatientStream(raw)
             streams.append(patient)
@@ -74,7 +75,7 @@ def patient_output() -> Iterator[list[PatientStream]]:
                 io.BufferedWriter(patient),
                 encoding=stream.encoding,
                 errors="backslashreplace",
-                line_buffering=stream.line_buffering,
+                line_buffering=stream.line_buffering or below is raw,
             )
             setattr(sys, name, text)
         elif isinstance(stream, io.TextIOWrapper):

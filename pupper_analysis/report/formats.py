@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -111,4 +112,6 @@ def for_machines(
     """Returns what is said to machines: annotations (``github``) or a report (``junit``)."""
     if style == "github":
         return github(annotations)
-    return "\n".join(visible(line) for line in junit(suite, cases).split("\n"))
+    report = "\n".join(visible(line) for line in junit(suite, cases).split("\n"))
+    # A name's own line must not become a workflow command of GitHub's ("::error::", "##[error]").
+    return re.sub(r"(?m)^(\s*)([:#])(?=[:#])", lambda at: f"{at[1]}&#{ord(at[2])};", report)
