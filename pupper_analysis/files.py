@@ -7,6 +7,7 @@ import os
 import secrets
 import stat
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
@@ -86,6 +87,26 @@ def replaceable(there: os.stat_result) -> bool:
     if not stat.S_ISREG(there.st_mode):
         return False
     return _standard_stream(there) is None
+
+
+@contextmanager
+def readable(content: bytes) -> Iterator[Path]:
+    """Yields the path of a file with this content, for libraries that read nothing but files.
+
+    On Linux it is in memory: nothing is left behind, whenever the process is killed.
+    """
+    memory = getattr(os, "memfd_create", None)
+    if memory is None:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "content"
+            file.write_bytes(content)
+            yield file
+        return
+    handle = memory("content")
+    with os.fdopen(handle, "wb") as stream:
+        stream.write(content)
+        stream.flush()
+        yield Path(f"/proc/self/fd/{handle}")
 
 
 @contextmanager
