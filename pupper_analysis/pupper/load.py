@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.pupper.variant_files import describe
 from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot
@@ -15,6 +16,7 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 
+@checked
 def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Robot:
     """Loads one of the package's variants, or any other one.
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pupper_analysis.arguments import checked
+from pupper_analysis.errors import ModelError, VariantError
 from pupper_analysis.files import whole_file
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.places import one_line
 from pupper_analysis.pupper import derive_mjcf
 from pupper_analysis.pupper.variants import BASES, VariantSpec, model_folder, variant_spec
 
@@ -29,10 +32,19 @@ def describe(variant: str | VariantSpec) -> Description:
     if scaled:
         from pupper_analysis.pupper import derive_urdf  # yourdfpy is slow to import
 
-        urdf_text = derive_urdf.derive(urdf_text, spec, source=urdf_source)
     mjcf_spec = mjcf.load(mjcf_source)
     if scaled:
-        derive_mjcf.derive(mjcf_spec, spec)
+        try:
+            urdf_text = derive_urdf.derive(urdf_text, spec, source=urdf_source)
+            derive_mjcf.derive(mjcf_spec, spec)
+            mjcf.compile_spec(mjcf_spec.copy(), mjcf_source)
+        except (ArithmeticError, ValueError, ModelError) as error:
+            scales = f"{spec.leg_scale:g} and {spec.torso_mass_scale:g}"
+            raise VariantError(
+                "leg_scale, torso_mass_scale",
+                scales,
+                f"no robot can be made so ({one_line(error)}); try scales nearer to 1",
+            ) from error
     return Description(
         name=spec.name,
         urdf=urdf_text,
@@ -43,6 +55,7 @@ def describe(variant: str | VariantSpec) -> Description:
     )
 
 
+@checked
 def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path, Path]:
     """Writes a variant's files, with the meshes they use, so that any viewer can open them.
 

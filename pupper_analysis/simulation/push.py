@@ -14,6 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -97,6 +98,7 @@ class PushRecovery(Result):
     rollouts: int
 
 
+@checked
 def push_recovery(
     robot: Robot,
     stand: Stand,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Shapes, shapes_of
@@ -21,6 +22,7 @@ from pupper_analysis.statics.equilibrium import (
 __all__ = ["Stand", "solve_stand", "stand_statics"]
 
 
+@checked
 def solve_stand(
     robot: Robot,
     task: StandTask | None = None,
@@ -66,6 +68,7 @@ def solve_stand(
     raise unreachable(shapes, goal, stand, explain=explain)
 
 
+@checked
 def stand_statics(
     robot: Robot,
     stand: Stand,

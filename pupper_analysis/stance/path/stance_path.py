@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.files import whole_file
 from pupper_analysis.results import Result
@@ -143,6 +144,7 @@ class StancePath(Result):
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
+@checked
 def stance_path(
     robot: Robot,
     stances: Sequence[StandTask],
@@ -280,6 +282,10 @@ def checked_stances(stances: Sequence[StandTask]) -> None:
             raise ConfigurationError("stances", f"{task!r} is not a StandTask")
 
 
+SHORTEST = 1e-3
+"""s: no robot is so fast; of much less, accelerations overflow."""
+
+
 def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
     """Checks the arguments' kinds; returns how many samples a leg has."""
     checked_stances(stances)
@@ -288,6 +294,8 @@ def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
         number = float(value) if isinstance(value, Real) else math.nan
         if isinstance(value, bool) or not 0 < number < math.inf:
             raise ConfigurationError(name, f"{value!r} is not a finite number above 0")
+    if seconds < SHORTEST:
+        raise ConfigurationError("seconds", f"{seconds:g} s is less than {SHORTEST:g} s")
     if max(seconds * rate, LEAST_PER_LEG * len(stances)) > MAX_SAMPLES:
         raise ConfigurationError("seconds, rate", f"that is more than {MAX_SAMPLES} samples")
     return max(LEAST_PER_LEG, math.ceil(seconds * rate / (len(stances) - 1) - 1e-9))
