@@ -9,6 +9,7 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
+from enum import Enum
 from functools import cache, wraps
 from numbers import Integral, Real
 from os import PathLike
@@ -143,6 +144,8 @@ def _is(value: object, hint: Any) -> bool:
     """Whether a value is of a type; True where the type is none that can be told."""
     options = _options(hint)
     if len(options) > 1:
+        if any(inspect.isclass(option) and issubclass(option, Enum) for option in options):
+            return True  # by name as well: who looks it up knows the names
         return any(_is(value, option) for option in options)
     if hint in _NUMBERS:
         return isinstance(value, _NUMBERS[hint][0]) and not isinstance(value, bool | np.bool_)

@@ -37,12 +37,15 @@ def whole_file(path: Path) -> Iterator[io.BytesIO]:
         OutputError: If it cannot be written.
     """
     buffer = io.BytesIO()
-    yield buffer
     try:
-        _write(path, buffer.getvalue())
+        yield buffer
+        try:
+            _write(path, buffer.getvalue())
+        except ValueError as error:  # of a path with a zero byte
+            raise OutputError(path, error) from error
     except BrokenPipeError:
         raise
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise OutputError(path, _reason(error)) from error
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ModelError, VariantError
 from pupper_analysis.files import whole_file
 from pupper_analysis.models import mjcf
@@ -55,7 +55,6 @@ def describe(variant: str | VariantSpec) -> Description:
     )
 
 
-@checked
 def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path, Path]:
     """Writes a variant's files, with the meshes they use, so that any viewer can open them.
 
@@ -71,6 +70,7 @@ def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path,
         OutputError: If a file cannot be written.
     """
     description = describe(variant)
+    check_type("folder", folder, str | Path)
     folder = Path(folder)
     urdf_path = folder / "urdf" / f"{description.name}.urdf"
     mjcf_path = folder / "mjcf" / f"{description.name}.xml"
