@@ -16,6 +16,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from pupper_analysis.drivers import forgive_drivers
+
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis, analyze_variant
     from pupper_analysis.checks.audit import Audit, audit_model
@@ -75,6 +77,8 @@ if TYPE_CHECKING:
     from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
 
 __version__ = "0.1.0"
+
+forgive_drivers()
 
 _HOME = {
     "Analysis": "analysis.robot",

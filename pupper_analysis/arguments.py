@@ -2,10 +2,37 @@
 
 from __future__ import annotations
 
+import inspect
 import math
-from numbers import Real
+import reprlib
+import types
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
+from enum import Enum
+from functools import cache, wraps
+from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
 
 from pupper_analysis.errors import ConfigurationError
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+_MADE_BY = {
+    "Robot": "load_variant and load_robot make one",
+    "Stand": "solve_stand makes one",
+    "StandTask": "for example StandTask(height=0.12)",
+    "StancePath": "stance_path makes one",
+    "Configuration": "Configuration(robot, qpos) is one",
+    "Ground": "for example Ground(slope=0.1)",
+    "VariantSpec": "for example VariantSpec('v3', leg_scale=1.2)",
+}
+"""How those who have none get one."""
 
 
 def finite(name: str, value: object) -> float:
@@ -19,8 +46,146 @@ def finite(name: str, value: object) -> float:
         ConfigurationError: If it is no finite number.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise ConfigurationError(name, f"{value!r} is not a number")
-    number = float(value)
+        raise ConfigurationError(name, f"{reprlib.repr(value)} is not a number")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
     if not math.isfinite(number):
         raise ConfigurationError(name, f"{number} is not finite")
     return number
+
+
+FARTHEST = 1000.0
+"""m: beyond, what is given is no length of a robot; beyond all measure, numbers overflow."""
+
+
+def length(name: str, value: object) -> float:
+    """Returns a length or a coordinate (m).
+
+    Args:
+        name: The argument's name, for the message.
+        value: What was given.
+
+    Raises:
+        ConfigurationError: If it is no finite number, or farther than 1000 m.
+    """
+    number = finite(name, value)
+    if abs(number) > FARTHEST:
+        raise ConfigurationError(name, f"{number:g} m is beyond {FARTHEST:g} m; lengths are in m")
+    return number
+
+
+def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Lets a public function refuse arguments that are not of the types it says.
+
+    What it says no type of (arrays, literals) it has to check itself, and so the values.
+
+    Raises:
+        ConfigurationError: On the call, naming the argument.
+    """
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
+        given = signature.bind(*args, **kwargs).arguments  # a TypeError is Python's own
+        hints = _hints(function)
+        for name, value in given.items():
+            check_type(name, value, hints.get(name, Any))
+        return function(*args, **kwargs)
+
+    return call
+
+
+def check_fields(instance: Any) -> None:
+    """Checks that a dataclass's fields are of the types it says.
+
+    Raises:
+        ConfigurationError: If not, naming the field.
+    """
+    kind: Any = type(instance)
+    hints = _hints(kind)
+    for field in fields(instance):
+        check_type(field.name, getattr(instance, field.name), hints[field.name])
+
+
+def check_type(name: str, value: object, hint: Any) -> None:
+    """Checks that an argument is of a type.
+
+    Raises:
+        ConfigurationError: If not.
+    """
+    if _is(value, hint):
+        return
+    wanted = _words(hint)
+    made_by = [_MADE_BY[kind] for kind in _MADE_BY if kind in wanted.split()]
+    hints = f"; {'; '.join(made_by)}" if made_by else ""
+    raise ConfigurationError(name, f"{reprlib.repr(value)} is not {wanted}{hints}")
+
+
+@cache
+def _hints(described: Any) -> dict[str, Any]:
+    return typing.get_type_hints(described)
+
+
+_NUMBERS: dict[Any, tuple[Any, str]] = {
+    float: (Real, "a number"),
+    int: (Integral, "a whole number"),
+}
+
+
+def _options(hint: Any) -> tuple[Any, ...]:
+    """Returns the types of a union; of no union, itself."""
+    union = typing.get_origin(hint) in (typing.Union, types.UnionType)
+    return typing.get_args(hint) if union else (hint,)
+
+
+def _is(value: object, hint: Any) -> bool:
+    """Whether a value is of a type; True where the type is none that can be told."""
+    options = _options(hint)
+    if len(options) > 1:
+        if any(inspect.isclass(option) and issubclass(option, Enum) for option in options):
+            return True  # by name as well: who looks it up knows the names
+        return any(_is(value, option) for option in options)
+    if hint in _NUMBERS:
+        return isinstance(value, _NUMBERS[hint][0]) and not isinstance(value, bool | np.bool_)
+    if hint is bool:
+        return isinstance(value, bool | np.bool_)
+    if hint in (None, types.NoneType):
+        return value is None
+    if hint is Path:
+        return isinstance(value, PathLike)
+    if inspect.isclass(hint) and typing.get_origin(hint) is None:
+        return isinstance(value, hint)
+    kind, inner = typing.get_origin(hint), typing.get_args(hint)
+    if kind is Mapping:
+        return isinstance(value, Mapping) and all(_is(key, inner[0]) for key in value)
+    if kind in (Sequence, Iterable):
+        listed = isinstance(value, Sequence) and not isinstance(value, str | bytes)
+        if kind is Sequence and not listed and not (isinstance(value, np.ndarray) and value.ndim):
+            return False
+        # What can be looked at but once is looked at by whom it is given to.
+        return isinstance(value, Iterable) and (
+            not listed or all(_is(element, inner[0]) for element in typing.cast(Any, value))
+        )
+    return True
+
+
+def _words(hint: Any) -> str:
+    """Returns a type as the message of an error has it."""
+    words = []
+    for option in _options(hint):
+        kind, inner = typing.get_origin(option), typing.get_args(option)
+        name = getattr(option, "__name__", str(option))
+        if option in _NUMBERS:
+            words.append(_NUMBERS[option][1])
+        elif kind in (Sequence, Iterable):
+            words.append(f"a sequence, each {_words(inner[0])}")
+        elif kind is Mapping:
+            words.append("a mapping of names")
+        elif option is types.NoneType:
+            words.append("None")
+        else:
+            plain = {"str": "a text", "bool": "True or False", "Path": "a path"}
+            words.append(plain.get(name, f"a {name}"))
+    return " or ".join(words)

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+def plain_state(instance: object) -> dict[str, Any]:
+    """Returns an object's attributes for pickling, in which mappings are dictionaries."""
+    return {
+        name: dict(value) if isinstance(value, MappingProxyType) else value
+        for name, value in vars(instance).items()
+    }
 
 
 def rotation_from_quaternion(quaternion: Array) -> Array:

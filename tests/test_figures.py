@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -245,8 +246,8 @@ def test_a_name_is_not_taken_for_a_formula(tmp_path: Path) -> None:
 def test_a_figure_that_fails_leaves_no_file(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def fail(figure: Figure, target: Path, **_: Any) -> None:
-        Path(target).write_bytes(b"half of it")
+    def fail(figure: Figure, target: io.BytesIO, **_: Any) -> None:
+        target.write(b"half of it")
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Figure, "savefig", fail)

@@ -1,17 +1,41 @@
+"""Output: whole or not at all, through links, and into what is there."""
+
 from __future__ import annotations
 
+import errno
+import io
+import json
+import os
+import stat
+import subprocess
+import sys
+import threading
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from conftest import ROOT, answer, run_command
 
-from pupper_analysis.errors import OutputError
+import pupper_analysis as pa
+from pupper_analysis import files
+from pupper_analysis.errors import OutputError, VariantError
 from pupper_analysis.files import whole_file
+
+
+def write(path: Path, text: str = "all of it") -> None:
+    with whole_file(path) as file:
+        file.write(text.encode())
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
 
 
 def test_a_file_that_succeeds_is_there(tmp_path: Path) -> None:
     path = tmp_path / "new" / "file.txt"
-    with whole_file(path) as temporary:
-        temporary.write_text("all of it")
+    with whole_file(path) as file:
+        file.write(b"all of it")
         assert not path.exists()
     assert path.read_text() == "all of it"
     assert list(path.parent.iterdir()) == [path]
@@ -21,13 +45,32 @@ def test_a_file_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "file.txt"
     path.write_text("old")
 
-    def write() -> None:
-        with whole_file(path) as temporary:
-            temporary.write_text("half of")
+    def fail() -> None:
+        with whole_file(path) as file:
+            file.write(b"half of")
             raise KeyError("stop")
 
     with pytest.raises(KeyError):
-        write()
+        fail()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file.txt"
+    path.write_text("old")
+
+    class Full(io.BytesIO):
+        def write(self, data: object) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    def full(handle: int, how: str) -> Full:
+        os.close(handle)
+        return Full()
+
+    monkeypatch.setattr(os, "fdopen", full)
+    with pytest.raises(OutputError, match="No space left"):
+        write(path)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -36,3 +79,184 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
     with pytest.raises(OutputError, match="file"), whole_file(tmp_path / "file" / "x.txt"):
         pass
+
+
+def test_links_are_followed(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    real, link = tmp_path / "there" / "real", tmp_path / "link"
+    link.symlink_to(real)
+    for text in ("made through the link", "replaced through it"):
+        write(link, text)
+        assert link.is_symlink()
+        assert real.read_text() == text
+        assert not real.is_symlink()
+    assert sorted(tmp_path.rglob("*")) == [link, real.parent, real]
+
+
+def test_links_in_a_circle_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    for refuse in (files.check_writable, write):
+        with pytest.raises(OutputError, match="symbolic links"):
+            refuse(tmp_path / "a")
+    assert (tmp_path / "a").is_symlink()
+
+
+def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    read: list[str] = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_text()))
+    reader.start()
+    files.check_writable(pipe)
+    write(pipe)
+    reader.join(10)
+    assert read == ["all of it"]
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert list(tmp_path.iterdir()) == [pipe]
+
+
+@pytest.mark.parametrize("kind", [stat.S_IFCHR, stat.S_IFBLK, stat.S_IFIFO, stat.S_IFSOCK])
+def test_only_a_regular_file_is_replaced(kind: int) -> None:
+    special = SimpleNamespace(st_mode=kind | 0o666, st_dev=-1, st_ino=-1)
+    regular = SimpleNamespace(st_mode=stat.S_IFREG | 0o666, st_dev=-1, st_ino=-1)
+    assert not files.replaceable(special)  # type: ignore[arg-type]
+    assert files.replaceable(regular)  # type: ignore[arg-type]
+
+
+def test_the_file_of_standard_output_is_not_replaced(tmp_path: Path) -> None:
+    code = (
+        "from pathlib import Path; from pupper_analysis.files import whole_file\n"
+        "print('before')\n"
+        "with whole_file(Path('out')) as file: file.write(b'result\\n')\n"
+        "print('after')"
+    )
+    with (tmp_path / "out").open("w") as out:
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        subprocess.run(
+            [sys.executable, "-c", code], stdout=out, cwd=tmp_path, env=environment, check=True
+        )
+    assert (tmp_path / "out").read_text() == "before\nresult\nafter\n"
+
+
+def test_the_mode_is_the_umasks_or_stays(tmp_path: Path) -> None:
+    new, old = tmp_path / "new", tmp_path / "old"
+    old.touch()
+    old.chmod(0o640)
+    before = os.umask(0o027)
+    try:
+        write(new)
+        write(old)
+    finally:
+        os.umask(before)
+    assert (mode(new), mode(old)) == (0o640, 0o640)
+    before = os.umask(0o077)
+    try:
+        write(tmp_path / "secret")
+        write(old)
+    finally:
+        os.umask(before)
+    assert (mode(tmp_path / "secret"), mode(old)) == (0o600, 0o640)
+
+
+@pytest.mark.parametrize("suffix", ["", ".png", "." + "y" * 150])
+def test_a_name_may_be_as_long_as_the_system_allows(suffix: str, tmp_path: Path) -> None:
+    write(tmp_path / f"{'x' * (255 - len(suffix))}{suffix}")
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [("x" * 300, "too long"), ("x\0y", "null"), ("folder", "a folder"), ("file/x", "not a folder")],
+)
+def test_what_cannot_be_written_is_found_before_the_work(
+    name: str, problem: str, tmp_path: Path
+) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match=problem):
+        files.check_writable(tmp_path / name)
+
+
+@pytest.mark.parametrize("denied", [os.W_OK, os.X_OK])
+def test_folders_without_leave_are_found_before_the_work(
+    denied: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # By a stand-in: who runs the tests may be root, who may do everything.
+    monkeypatch.setattr(os, "access", lambda path, how: not how & denied)
+    with pytest.raises(OutputError, match="no file may be made"):
+        files.check_writable(tmp_path / "new")
+    if denied == os.W_OK:
+        (tmp_path / "file").touch()
+        with pytest.raises(OutputError, match="may not be written"):
+            files.check_writable(tmp_path / "file")
+        with pytest.raises(OutputError, match="may not be written"):
+            write(tmp_path / "file")
+
+
+def test_a_folder_that_cannot_be_searched_is_an_output_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def deny(path: Path, **_: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "stat", deny)
+    for check in (files.check_writable, files.check_folder):
+        with pytest.raises(OutputError, match="Permission denied"):
+            check(tmp_path / "folder" / "new")
+
+
+def test_dash_is_standard_output(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    os.chdir(tmp_path)
+    status, out, err = run_command(capfd, "workspace", "v3", "--json", "-")
+    assert status == 0
+    assert "intervals" in json.loads(out) or json.loads(out)
+    assert "height" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_dash_can_be_asked_for_once(tmp_path: Path) -> None:
+    result = answer("path", "v3", "--seconds", "1", "--csv", "-", "--json", "-", folder=tmp_path)
+    assert result.returncode == 2
+    assert "two results" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "name", ["../../x", "/x", "a/b", "a\\b", ".", "..", ".x", "a\nb", "a\0b", "x" * 250, 5, "c:x"]
+)
+def test_a_variants_name_is_that_of_a_file(name: str) -> None:
+    with pytest.raises(VariantError, match="name"):
+        pa.VariantSpec(name=name)
+
+
+def test_a_write_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
+    """SIGTERM while the temporary file is there: the command line takes it away."""
+    code = (
+        "import os, time; from pupper_analysis import cli, files\n"
+        "import click\n"
+        "@click.command()\n"
+        "def slow():\n"
+        "    with files.whole_file(files.Path('out')) as file: file.write(b'x')\n"
+        "real = os.fdopen\n"
+        "def held(*a):\n"
+        "    print('writing', flush=True); time.sleep(60); return real(*a)\n"
+        "os.fdopen = held\n"
+        "cli.run(slow, [])\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=tmp_path,
+        env=environment,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "writing\n"
+    time.sleep(0.1)
+    assert len(list(tmp_path.iterdir())) == 1
+    process.terminate()
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 143
+    assert err.strip().splitlines() == ["terminated"]
+    assert list(tmp_path.iterdir()) == []

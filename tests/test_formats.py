@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from conftest import run_command
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pupper_analysis.report.formats import Annotation, Case, github, junit
+from pupper_analysis.report.console import SafeConsole, escape, titled_table
+from pupper_analysis.report.formats import Annotation, Case, github, junit, visible
 
 
 def read_command(line: str) -> tuple[str, dict[str, str], str]:
@@ -109,3 +113,47 @@ def test_junit_is_xml_whatever_the_names(names: list[str], failure: str | None) 
     assert int(root.get("failures", "-1")) == (0 if failure is None else len(names))
     for element in root.iter("failure"):
         assert element.get("message") == failure
+
+
+HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] :smile:"
+
+
+def test_what_would_act_is_shown() -> None:
+    shown = visible(HOSTILE)
+    assert shown.startswith("a\\n::error::forged\\x1b[31mred\\x9b31m\\u202eb\\u2028c\\rd")
+    assert shown.isprintable()
+    assert visible("Füße ≤ 3°") == "Füße ≤ 3°"
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_the_console_shows_what_would_act(terminal: bool) -> None:
+    out = SafeConsole(file=io.StringIO(), force_terminal=terminal, width=400, emoji=False)
+    out.print(f"robot {escape(HOSTILE)}", style="bold")
+    out.print(f"robot {HOSTILE.replace(chr(10), '')}")
+    table = titled_table(out, "title", "name")
+    table.add_row(HOSTILE)
+    out.print(table)
+    assert isinstance(out.file, io.StringIO)
+    text = out.file.getvalue()
+    plain = re.sub("\x1b\\[[0-9;]*m", "", text) if terminal else text
+    assert not set("\x1b\x9b\u202e\u2028\r") & set(plain)
+    assert not any(line.lstrip().startswith("::") for line in plain.splitlines())
+    assert "\x1b[31m" not in text
+    assert "[bold]e" in plain
+    assert ":smile:" in plain
+
+
+def test_names_in_a_model_are_shown(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "robot\n::error::forged.urdf"
+    name = "a&#10;::error::forged&#x9b;31m&#x202e;"
+    file.write_text(
+        f'<robot name="r"><link name="{name}"><inertial><mass value="-1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
+    )
+    for style in ("text", "github", "junit"):
+        status, out, err = run_command(capfd, "audit", str(file), "--format", style)
+        assert status in (1, 2)
+        text = out + err
+        assert not set("\x1b\x9b\u202e") & set(text) or style == "github"
+        assert "::error::forged" in text or style == "github"
+        assert not any(line.lstrip().startswith("::error::forged") for line in text.splitlines())

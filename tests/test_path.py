@@ -320,8 +320,8 @@ FL, FR, RL = ({foot: 0.02} for foot in ("FL", "FR", "RL"))
     [
         ([], 1.0, 50.0, "stances: .* at least 2"),
         ([Task()], 1.0, 50.0, "stances: .* at least 2"),
-        (Task(), 1.0, 50.0, "stances: .* at least 2"),
-        ([Task(), None], 1.0, 50.0, "stances: None"),
+        (Task(), 1.0, 50.0, "stances: .* not a sequence"),
+        ([Task(), None], 1.0, 50.0, "stances: .*, None. is not"),
         ([Task(), Task()], 0.0, 50.0, "seconds"),
         ([Task(), Task()], -1.0, 50.0, "seconds"),
         ([Task(), Task()], math.inf, 50.0, "seconds"),

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.results import Result
@@ -137,6 +138,7 @@ class Analysis(Result):
     failures: tuple[str, ...]
 
 
+@checked
 def analyze_variant(
     robot: Robot, task: StandTask | None = None, *, progress: bool = False
 ) -> Analysis:

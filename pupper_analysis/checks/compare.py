@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.checks.attribution import EXPLAINED, align, explain
 from pupper_analysis.checks.differences import Difference, Explanation
 from pupper_analysis.checks.engines import CrossCheck, cross_check
@@ -14,6 +15,7 @@ from pupper_analysis.checks.matching import Match, match
 from pupper_analysis.checks.notes import armature_notes, damping_notes
 from pupper_analysis.checks.patterns import Cause, causes
 from pupper_analysis.checks.places import mjcf_place, path_of, shares, urdf_place
+from pupper_analysis.checks.states import check_states
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
@@ -75,6 +77,7 @@ class Comparison(Result):
     agree: bool
 
 
+@checked
 def compare_models(
     urdf: str | Path,
     mjcf: str | Path,
@@ -111,6 +114,7 @@ def compare_models(
         UnknownNameError: If a name is not in its file.
         ConfigurationError: If an argument is out of its range.
     """
+    check_states(configurations, seed)
     tolerances = tolerances or Tolerances()
     urdf_file, mjcf_file = read_urdf(urdf, packages), read_mjcf(mjcf)
     matched = match(

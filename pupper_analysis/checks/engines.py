@@ -22,6 +22,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.checks.backends.mujoco import mujoco_evaluation
 from pupper_analysis.checks.backends.pinocchio import pinocchio_evaluation
 from pupper_analysis.checks.backends.quantities import Evaluation, Quantity
@@ -30,7 +31,7 @@ from pupper_analysis.checks.passive.extra import as_it_is, without
 from pupper_analysis.checks.passive.find import extras
 from pupper_analysis.checks.passive.mimics import Mimics, split_mimics, urdf_mimics
 from pupper_analysis.checks.passive.reference import Reference
-from pupper_analysis.checks.states import States, random_states
+from pupper_analysis.checks.states import States, check_states, random_states
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
 from pupper_analysis.models.xml import parse_text
@@ -128,6 +129,7 @@ class CrossCheck(Result):
     notes: tuple[str, ...]
 
 
+@checked
 def cross_check(
     robot: Robot,
     *,
@@ -158,8 +160,7 @@ def cross_check(
     Raises:
         ConfigurationError: If an argument is out of its range.
     """
-    if configurations < 1:
-        raise ConfigurationError("configurations", f"{configurations} is less than 1")
+    check_states(configurations, seed)
     if not tolerance > 0:
         raise ConfigurationError("tolerance", f"{tolerance} is not positive")
     states = random_states(robot, configurations, seed)

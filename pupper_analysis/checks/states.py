@@ -28,14 +28,26 @@ class States:
     torques: Array
 
 
-def random_states(robot: Robot, count: int, seed: int) -> States:
-    """Draws states: joints inside their limits, the base anywhere, with velocities and torques.
+MOST = 100_000
+"""Configurations that are compared: more find nothing, and fill the memory."""
+
+
+def check_states(count: int, seed: int) -> None:
+    """Checks what random states are asked for.
 
     Raises:
-        ConfigurationError: If the seed is not a whole number from 0.
+        ConfigurationError: If there are none or too many, or the seed is not a whole number from 0.
     """
+    if count < 1:
+        raise ConfigurationError("configurations", f"{count} is less than 1")
+    if count > MOST:
+        raise ConfigurationError("configurations", f"{count} is more than {MOST}")
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ConfigurationError("seed", f"{seed!r} is not a whole number from 0")
+
+
+def random_states(robot: Robot, count: int, seed: int) -> States:
+    """Draws states: joints inside their limits, the base anywhere, with velocities and torques."""
     rng = np.random.default_rng(seed)
     lower = np.where(np.isfinite(robot.lower_limits), robot.lower_limits, -np.pi)
     upper = np.where(np.isfinite(robot.upper_limits), robot.upper_limits, np.pi)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
+from pupper_analysis.arguments import check_fields
 from pupper_analysis.errors import ConfigurationError
 
 
@@ -46,6 +47,7 @@ class Tolerances:
     dynamics: float = 1e-3
 
     def __post_init__(self) -> None:
+        check_fields(self)
         for kind in fields(self):
             value = getattr(self, kind.name)
             if not value > 0:

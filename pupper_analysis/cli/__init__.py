@@ -3,46 +3,87 @@
 from __future__ import annotations
 
 import sys
+import traceback
 
 import click
 
 from pupper_analysis.cli.models import audit_command, crosscheck
 from pupper_analysis.cli.motions import path, push
-from pupper_analysis.cli.shared import BAD_INPUT, CONTEXT, VERIFIED
+from pupper_analysis.cli.process import Ended, endings, go_on, patient_output
+from pupper_analysis.cli.shared import BAD_INPUT, CONTEXT, INTERNAL, VERIFIED
 from pupper_analysis.cli.stances import best, payload, stand, workspace
 from pupper_analysis.cli.variants import analyze
 from pupper_analysis.cli.windows import drop, view
 from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.report.formats import visible
 
 __all__ = ["BAD_INPUT", "analyze", "drop", "group", "main", "run", "view"]
+
+DEBUG = "--debug"
 
 
 def run(command: click.Command, arguments: list[str] | None = None) -> None:
     """Runs a command and leaves the process with its exit status.
 
     An error of the package, or of the command line, becomes one line on standard error and exit
-    status 2.
+    status 2; an error that nobody foresaw one line and exit status 3, with ``--debug`` all of it.
+    A signal that ends the process becomes one line and the shell's exit status, 130 for Ctrl-C.
     """
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    debug = DEBUG in given
+    given = [argument for argument in given if argument != DEBUG]
+    status = BAD_INPUT
+    with patient_output() as streams:
+        with endings() as ending:
+            try:
+                status = _status(command, given, debug=debug)
+            except (Ended, KeyboardInterrupt):
+                ending.signal = ending.signal or 2
+            except BaseException:
+                if not ending.signal:
+                    raise
+        if ending.signal:
+            click.echo(str(ending), err=True)
+            status = ending.status
+        sys.stdout.flush()
+        failure = next((stream.failure for stream in streams if stream.failure), None)
+        if failure is not None:
+            click.echo(f"error: cannot write standard output: {failure.strerror}", err=True)
+            status = BAD_INPUT
+    sys.exit(status)
+
+
+def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int:
+    """Runs a command; says what went wrong, and returns the exit status."""
     try:
-        status = command.main(args=arguments, standalone_mode=False)
+        return command.main(args=arguments, standalone_mode=False) or VERIFIED
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
-        status = BAD_INPUT
     except click.UsageError as error:
         where = error.ctx.command_path if error.ctx else command.name
-        click.echo(f"error: {error.format_message()} (see: {where} --help)", err=True)
-        status = BAD_INPUT
+        _say(f"{error.format_message()} (see: {where} --help)")
     except (PupperAnalysisError, click.ClickException) as error:
-        click.echo(f"error: {error}", err=True)
-        status = BAD_INPUT
-    except click.Abort:
-        click.echo("interrupted", err=True)
-        status = 130
-    except BrokenPipeError:
-        # The reader of a pipe, such as head, has seen enough.
-        sys.stdout = None
-        status = VERIFIED
-    sys.exit(status)
+        _say(str(error))
+    except click.Abort as error:
+        raise KeyboardInterrupt from error
+    except BrokenPipeError:  # the reader of a pipe that a result was written to
+        return VERIFIED
+    except SystemExit as error:
+        return error.code if isinstance(error.code, int) else VERIFIED
+    except Exception as error:
+        go_on()
+        if debug:
+            traceback.print_exc()
+        what = f"{type(error).__name__}: {error}".rstrip(": ")
+        hint = "" if debug else f"; {DEBUG} shows where"
+        _say(f"unforeseen: {what}. This is a bug: please report it to the maintainers{hint}")
+        return INTERNAL
+    return BAD_INPUT
+
+
+def _say(text: str) -> None:
+    go_on()  # what went wrong may be what a library made of the signal
+    click.echo(f"error: {visible(text)}", err=True)
 
 
 def main() -> None:
@@ -52,11 +93,15 @@ def main() -> None:
 
 @click.group("pupper-analysis", context_settings=CONTEXT)
 @click.version_option(package_name="pupper-analysis")
+@click.option(
+    DEBUG, is_flag=True, expose_value=False, help="Of an unforeseen error, show the traceback."
+)
 def group() -> None:
     """Know that a legged robot's models are right, what its motors hold and how it can stand.
 
     \b
-    Exit status: 0 verified, 1 something failed verification or the cross-check, 2 bad input.
+    Exit status: 0 verified, 1 something failed verification or the cross-check, 2 bad input,
+    3 a bug of this program, 130 interrupted.
     """  # noqa: D301 - click reads the \b
 
 

@@ -9,13 +9,16 @@ import click
 
 from pupper_analysis.errors import ConfigurationError, OutputError
 
-VERIFIED, FAILED, BAD_INPUT = 0, 1, 2
+VERIFIED, FAILED, BAD_INPUT, INTERNAL = 0, 1, 2, 3
 """Exit statuses."""
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 json_option = click.option(
-    "--json", "json_path", type=click.Path(path_type=Path), help="Write all results here."
+    "--json",
+    "json_path",
+    type=click.Path(path_type=Path),
+    help="Write all results here, or to -: standard output.",
 )
 figure_option = click.option("--figure", type=click.Path(path_type=Path), help="Draw it: a PNG.")
 format_option = click.option(
@@ -29,16 +32,24 @@ format_option = click.option(
 
 
 def check_outputs(*files: Path | None, folders: tuple[Path | None, ...] = ()) -> None:
-    """Finds out before the work begins that its results cannot be written."""
-    for path in (*folders, *(file.parent for file in files if file is not None)):
-        if path is None:
-            continue
-        existing = next(parent for parent in (path, *path.absolute().parents) if parent.exists())
-        if not existing.is_dir():
-            raise OutputError(path, f"{existing} is not a folder")
-    for file in files:
-        if file is not None and file.is_dir():
-            raise OutputError(file, "it is a folder; give the name of a file")
+    """Finds out before the work begins that its results cannot be written.
+
+    Where one of them goes to standard output (``-``), all else that is printed from here on goes
+    to standard error.
+    """
+    from pupper_analysis import files as outputs
+
+    for folder in folders:
+        if folder is not None:
+            outputs.check_folder(folder)
+    given = [file for file in files if file is not None]
+    for file in given:
+        outputs.check_writable(file)
+    twice = next((file for file in given if given.count(file) > 1), None)
+    if twice is not None:
+        raise OutputError(twice, "two results cannot go to one file")
+    if outputs.STANDARD_OUTPUT in given:
+        click.get_current_context().with_resource(outputs.results_on_standard_output())
 
 
 UNITS = {
@@ -111,12 +122,14 @@ def length(option: str, text: str) -> tuple[str, float]:
 
 def write_json(path: Path | None, content: object) -> None:
     """Writes results as JSON, if there is a file to write to."""
+    from pupper_analysis.cli.process import go_on
     from pupper_analysis.files import whole_file
     from pupper_analysis.results import to_json
 
+    go_on()
     if path is not None:
-        with whole_file(path) as temporary:
-            temporary.write_text(to_json(content) + "\n")
+        with whole_file(path) as file:
+            file.write(f"{to_json(content)}\n".encode())
 
 
 def finish(json_path: Path | None, content: object, *, passed: bool) -> None:

@@ -170,7 +170,7 @@ class RobotAndTask:
     def _own_robot(self, urdf: Path, mjcf: Path) -> Robot:
         """Loads the robot of two files, and prints what was assumed."""
         from pupper_analysis.prepare.load import load_robot
-        from pupper_analysis.report.console import console
+        from pupper_analysis.report.console import console, escape
 
         named = [foot if "=" in foot else f"{foot}={foot}" for foot in self.feet]
         frames: dict[str, str | tuple[str, str]] = {}
@@ -190,7 +190,7 @@ class RobotAndTask:
             )
         out = console()
         for note in robot.notes:
-            out.print(f"note: {note}", soft_wrap=True, markup=False)
+            out.print(f"note: {escape(note)}", soft_wrap=True)
         return robot
 
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:

@@ -130,7 +130,7 @@ def _finish(
     from pupper_analysis.pupper import comparison
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
-    from pupper_analysis.report.console import console
+    from pupper_analysis.report.console import console, escape
 
     references = {}
     for name in {spec.base for spec in specs}:
@@ -146,14 +146,14 @@ def _finish(
     comparison.print_comparison(out, rows)
     if folder is not None:
         for line in _draw(robots, analyses, folder):
-            out.print(line)
+            out.print(escape(line))
     if json_path is not None:
         content: dict[str, Any] = {
             "variants": {analysis.name: analysis for analysis in analyses},
             "comparison": rows,
         }
         write_json(json_path, content)
-        out.print(f"results: {json_path}")
+        out.print(escape(f"results: {json_path}"))
     good = sum(analysis.verified for analysis in analyses)
     out.print(f"{good} of {len(analyses)} verified")
 

@@ -24,7 +24,11 @@ def view(fixed: bool, headless: bool) -> None:
 @click.option("--headless", is_flag=True, help="Open no window: simulate, and print the result.")
 @click.option("--seconds", type=float, help="Simulated time of the drop (s).  [default: 6]")
 @click.option("--demo", type=click.Choice(["squat", "sway", "lift"]), help="Let it move instead.")
-@click.option("--csv", type=click.Path(path_type=Path), help="Write the path of a demo here.")
+@click.option(
+    "--csv",
+    type=click.Path(path_type=Path),
+    help="Write the path of a demo here, or to -.",
+)
 def drop(headless: bool, seconds: float | None, demo: str | None, csv: Path | None) -> None:
     """Drop Pupper v3 from its home pose, and see that it stands (on macOS, run with mjpython).
 

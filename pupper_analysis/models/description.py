@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import mujoco
+
+from pupper_analysis.arrays import plain_state
+from pupper_analysis.models.spec_state import spec_from, state_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +21,8 @@ class Description:
         name: The robot's name.
         urdf: The URDF's text.
         urdf_source: The file it came from.
-        mjcf: The MJCF's spec, not to be changed (take ``mjcf.copy()``).
+        mjcf: The MJCF's spec, not to be changed (take ``mjcf.copy()``). In copies it is read
+            again from what MuJoCo writes of it, all digits kept.
         mjcf_source: The file it came from.
         feet: For each contact point, the URDF's link and the MJCF's site, body or geom. A foot that
             is a sphere has one, of its own name.
@@ -39,3 +44,9 @@ class Description:
     soles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     foot_geoms: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**plain_state(self), "mjcf": state_of(self.mjcf)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update({**state, "mjcf": spec_from(state["mjcf"])})

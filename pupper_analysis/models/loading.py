@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from pupper_analysis.arguments import check_type
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
 from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
@@ -23,6 +24,7 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
     Raises:
         ModelError: If it cannot be loaded; one line that tells where and why.
     """
+    check_type("path", path, str | Path)
     path = Path(path)
     text, root = parse(path)
     if root.tag in ("mujoco", "mujocoinclude"):

@@ -12,6 +12,7 @@ from typing import Final
 import mujoco
 from lxml import etree
 
+from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.missing import leave_out_missing
 from pupper_analysis.models.mjcf import quiet, spec_of
@@ -140,6 +141,7 @@ def read_mjcf(path: str | Path) -> MjcfFile:
         ModelError: If it cannot be loaded, or MuJoCo does not compile it; one line that tells where
             and why.
     """
+    check_type("mjcf", path, str | Path)
     path = Path(path)
     _, root = parse(path)
     file = mjcf_from(path, root)

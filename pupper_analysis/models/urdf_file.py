@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 from lxml import etree
 
+from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.packages import existing, folders_of_package
 from pupper_analysis.models.places import Place, line_of, refusal_at, source_name
@@ -108,6 +109,7 @@ def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> U
     Raises:
         ModelError: If it cannot be loaded; one line that tells where and why.
     """
+    check_type("urdf", path, str | Path)
     path = Path(path)
     text, root = parse(path)
     return urdf_from(path, text, root, packages)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import check_type
 from pupper_analysis.pupper.variant_files import describe
 from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot
@@ -30,6 +31,7 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
         ModelError: If a model file is missing or damaged.
     """
     spec = variant_spec(variant)
+    check_type("fixed_base", fixed_base, bool)
     base = BASES[spec.base]
     robot = build_robot(
         describe(spec), fixed_base=fixed_base, foot_depth=base.foot_depth(spec.leg_scale)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pupper_analysis.arguments import check_type
+from pupper_analysis.errors import ModelError, VariantError
 from pupper_analysis.files import whole_file
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.places import one_line
 from pupper_analysis.pupper import derive_mjcf
 from pupper_analysis.pupper.variants import BASES, VariantSpec, model_folder, variant_spec
 
@@ -29,10 +32,19 @@ def describe(variant: str | VariantSpec) -> Description:
     if scaled:
         from pupper_analysis.pupper import derive_urdf  # yourdfpy is slow to import
 
-        urdf_text = derive_urdf.derive(urdf_text, spec, source=urdf_source)
     mjcf_spec = mjcf.load(mjcf_source)
     if scaled:
-        derive_mjcf.derive(mjcf_spec, spec)
+        try:
+            urdf_text = derive_urdf.derive(urdf_text, spec, source=urdf_source)
+            derive_mjcf.derive(mjcf_spec, spec)
+            mjcf.compile_spec(mjcf_spec.copy(), mjcf_source)
+        except (ArithmeticError, ValueError, ModelError) as error:
+            scales = f"{spec.leg_scale:g} and {spec.torso_mass_scale:g}"
+            raise VariantError(
+                "leg_scale, torso_mass_scale",
+                scales,
+                f"no robot can be made so ({one_line(error)}); try scales nearer to 1",
+            ) from error
     return Description(
         name=spec.name,
         urdf=urdf_text,
@@ -58,6 +70,7 @@ def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path,
         OutputError: If a file cannot be written.
     """
     description = describe(variant)
+    check_type("folder", folder, str | Path)
     folder = Path(folder)
     urdf_path = folder / "urdf" / f"{description.name}.urdf"
     mjcf_path = folder / "mjcf" / f"{description.name}.xml"
@@ -66,9 +79,9 @@ def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path,
     meshdir = description.mjcf.compiler.meshdir
     for mesh in sorted(meshes):
         content = (description.mjcf_source.parent / meshdir / mesh).read_bytes()
-        with whole_file(mjcf_path.parent / meshdir / mesh) as temporary:
-            temporary.write_bytes(content)
+        with whole_file(mjcf_path.parent / meshdir / mesh) as file:
+            file.write(content)
     for path, text in ((urdf_path, description.urdf), (mjcf_path, mjcf_text)):
-        with whole_file(path) as temporary:
-            temporary.write_text(text)
+        with whole_file(path) as file:
+            file.write(text.encode())
     return urdf_path, mjcf_path

@@ -12,6 +12,9 @@ from types import MappingProxyType
 
 from pupper_analysis.errors import ModelError, VariantError
 
+_LONGEST_NAME = 200
+"""Bytes: file systems allow 255, of which prefixes and suffixes take some."""
+
 
 @dataclass(frozen=True)
 class Box:
@@ -76,6 +79,18 @@ BASES: Mapping[str, Base] = MappingProxyType(
 )
 
 
+def _check_name(name: object) -> None:
+    """Refuses a name that is no file's, as it would be written into other folders."""
+    if not isinstance(name, str):
+        raise VariantError("name", name, "it must be a text")
+    if name.startswith(".") or set(name) & set("/\\:") or not name.isprintable():
+        raise VariantError(
+            "name", name, "it names files: no '/', '\\' or ':' in it, no '.' at its beginning"
+        )
+    if len(name.encode()) > _LONGEST_NAME:
+        raise VariantError("name", name, f"it names files: at most {_LONGEST_NAME} bytes")
+
+
 @dataclass(frozen=True)
 class VariantSpec:
     """A robot derived from a base model by scaling.
@@ -87,7 +102,8 @@ class VariantSpec:
         name: A name for tables and files; made from the values where it is not given.
 
     Raises:
-        VariantError: If the base is unknown, or a scale is not a finite positive number.
+        VariantError: If the base is unknown, or a scale is not a finite positive number, or the
+            name cannot be that of a file.
     """
 
     base: str = "skeleton"
@@ -104,6 +120,7 @@ class VariantSpec:
             if not number or not math.isfinite(value) or value <= 0:
                 raise VariantError(what, value, "it must be a finite number greater than 0")
             object.__setattr__(self, what, float(value))
+        _check_name(self.name)
         if not self.name:
             made = f"{self.base}-leg{self.leg_scale:g}-torso{self.torso_mass_scale:g}"
             object.__setattr__(self, "name", made)

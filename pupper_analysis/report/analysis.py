@@ -11,7 +11,7 @@ from rich.bar import Bar
 from rich.console import Console
 
 from pupper_analysis.analysis.robot import Analysis
-from pupper_analysis.report.console import titled_table
+from pupper_analysis.report.console import escape, titled_table
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -29,9 +29,11 @@ def print_analysis(out: Console, analysis: Analysis) -> None:
     _print_sweep(out, analysis)
     _print_check(out, analysis)
     if analysis.verified:
-        out.print(f"[bold green]VERIFIED[/] {analysis.name}\n")
+        out.print(f"[bold green]VERIFIED[/] {escape(analysis.name)}\n")
     else:
-        out.print(f"[bold red]FAILED[/] {analysis.name}: {'; '.join(analysis.failures)}\n")
+        out.print(
+            f"[bold red]FAILED[/] {escape(analysis.name)}: {escape('; '.join(analysis.failures))}\n"
+        )
 
 
 def _vector(values: Iterable[float], digits: int = 4) -> str:
@@ -80,7 +82,7 @@ def _print_structure(out: Console, analysis: Analysis) -> None:
         )
     out.print(table)
     for note in analysis.notes:
-        out.print(f"note: {note}", style="yellow")
+        out.print(f"note: {escape(note)}", style="yellow")
 
 
 def _millimetres(length: float | None) -> str:
@@ -100,7 +102,7 @@ def _masses(masses: Mapping[str, float]) -> str:
 
 def _print_stand(out: Console, analysis: Analysis) -> None:
     stand = analysis.stand
-    out.print(f"\n[bold]Stand[/] (PlaCo, {stand.iterations} iterations): {stand.task}")
+    out.print(f"\n[bold]Stand[/] (PlaCo, {stand.iterations} iterations): {escape(str(stand.task))}")
     out.print(
         f"errors: feet {stand.foot_error:.1e} m (by MuJoCo "
         f"{analysis.verification.mujoco_foot_error:.1e} m), orientation "
@@ -211,7 +213,7 @@ def print_loads(
         )
     out.print(table)
     for foot, load in statics.foot_loads.items() if flat else ():
-        out.print(f"centre of pressure of {foot}: {_vector(load.centre_of_pressure, 4)} m")
+        out.print(f"centre of pressure of {escape(foot)}: {_vector(load.centre_of_pressure, 4)} m")
     margin = "-" if statics.com_margin is None else f"{1e3 * statics.com_margin:.1f} mm"
     out.print(
         f"balance residual {statics.residual_force:.1e} N, {statics.residual_torque:.1e} N m "
@@ -257,7 +259,7 @@ def _print_verification(out: Console, analysis: Analysis) -> None:
     out.print(table)
     for run, how in zip(both, ("with", "without"), strict=True):
         for failure in run.failures:
-            out.print(f"{how} feed-forward: {failure}", style="red")
+            out.print(f"{how} feed-forward: {escape(failure)}", style="red")
 
 
 def _range(values: Array) -> str:
@@ -311,4 +313,4 @@ def _print_check(out: Console, analysis: Analysis) -> None:
         )
     out.print(table)
     for note in check.notes:
-        out.print(f"note: {note}", style="yellow")
+        out.print(f"note: {escape(note)}", style="yellow")

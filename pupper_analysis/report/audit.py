@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from rich.console import Console
-from rich.markup import escape
 
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
+from pupper_analysis.report.console import escape
 from pupper_analysis.report.formats import Annotation, Case
 
 _STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}

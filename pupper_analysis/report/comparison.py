@@ -7,13 +7,12 @@ from collections.abc import Iterable, Sequence
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.engines import EDGES, EXTRAS
 from pupper_analysis.checks.patterns import Cause
+from pupper_analysis.report.console import SafeTable, escape
 from pupper_analysis.report.formats import Annotation, Case
 
 SHOWN = 20
@@ -164,7 +163,7 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
     if not extras:
         sides.remove(EXTRAS)  # a column of zeros: the MJCF has none
     # With that column, 80 characters are enough only if the columns share their padding.
-    table = Table(
+    table = SafeTable(
         box=SIMPLE_HEAD,
         show_edge=False,
         pad_edge=False,
@@ -182,7 +181,7 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
     for note in check.notes:
         out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
     for engine in comparison.engines:
-        out.print(f"note: the engines differ on one model: {engine}", style="yellow")
+        out.print(f"note: the engines differ on one model: {escape(engine)}", style="yellow")
 
 
 def remarks(comparison: Comparison) -> list[Annotation]:

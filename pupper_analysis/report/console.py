@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+from rich import markup
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.table import Table
+from rich.text import Text
+
+from pupper_analysis.report.formats import visible
 
 Array = NDArray[np.float64]
 
@@ -14,9 +20,31 @@ WIDTH = 120
 """Least width of the output: a narrow terminal wraps its lines, but no number is cut off."""
 
 
+def escape(text: str) -> str:
+    """Returns a text that holds others' names as the console shows it: no markup, one line."""
+    return str(markup.escape(visible(text)))
+
+
+class SafeConsole(Console):
+    """A console that shows what would act on the terminal (ESC, U+202E), and does not do it."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Returns what is shown of a text, its own lines apart."""
+        return super().render_str("\n".join(map(visible, text.split("\n"))), **options)
+
+
+class SafeTable(Table):
+    """A table in whose cells a name is one line."""
+
+    def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
+        """Adds a row."""
+        shown = (visible(cell) if isinstance(cell, str) else cell for cell in cells)
+        super().add_row(*shown, **options)
+
+
 def console() -> Console:
     """Returns a console on standard output."""
-    out = Console(highlight=False)
+    out = SafeConsole(highlight=False, emoji=False)
     out.width = max(WIDTH, out.width)
     return out
 
@@ -24,7 +52,7 @@ def console() -> Console:
 def titled_table(out: Console, title: str, *columns: str, left: int = 1) -> Table:
     """Prints a title; returns a table with ``left`` columns of text, the others of numbers."""
     out.print(f"\n{title}", style="bold")
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, header_style="dim")
+    table = SafeTable(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, header_style="dim")
     for index, column in enumerate(columns):
         table.add_column(column, justify="left" if index < left else "right", no_wrap=True)
     return table

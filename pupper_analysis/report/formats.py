@@ -2,9 +2,29 @@
 
 from __future__ import annotations
 
+import re
+import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
 from xml.etree import ElementTree
+
+_HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Unicode's categories of what is not seen but acts: controls, directions, ends of lines."""
+
+
+def visible(text: str) -> str:
+    """Returns a text with what would act on a terminal, or begin a line, shown as its number.
+
+    Names in model files, and names of files, are anybody's.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        letter.encode("unicode_escape").decode()
+        if unicodedata.category(letter) in _HIDDEN
+        else letter
+        for letter in text
+    )
 
 
 @dataclass(frozen=True)
@@ -90,4 +110,8 @@ def for_machines(
     style: str, suite: str, annotations: Iterable[Annotation], cases: Iterable[Case]
 ) -> str:
     """Returns what is said to machines: annotations (``github``) or a report (``junit``)."""
-    return github(annotations) if style == "github" else junit(suite, cases)
+    if style == "github":
+        return github(annotations)
+    report = "\n".join(visible(line) for line in junit(suite, cases).split("\n"))
+    # A name's own line must not become a workflow command of GitHub's ("::error::", "##[error]").
+    return re.sub(r"(?m)^(\s*)([:#])(?=[:#])", lambda at: f"{at[1]}&#{ord(at[2])};", report)

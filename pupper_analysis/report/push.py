@@ -7,10 +7,9 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 
 from pupper_analysis.analysis.push import PushedStance
-from pupper_analysis.report.console import titled_table
+from pupper_analysis.report.console import escape, titled_table
 
 
 def print_pushes(out: Console, stances: Mapping[str, PushedStance]) -> None:

@@ -7,14 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.markup import escape
 
 from pupper_analysis.analysis.best import BestStudy
 from pupper_analysis.analysis.path import PathThere
 from pupper_analysis.analysis.payload import LoadedStance
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.report.analysis import print_loads
-from pupper_analysis.report.console import titled_table
+from pupper_analysis.report.console import escape, titled_table
 from pupper_analysis.report.push import rigid_note, sunk_note
 from pupper_analysis.simulation.tracking import PathTracking
 from pupper_analysis.stance.optimize.best import BestStance
@@ -136,14 +135,15 @@ def _print_limit(out: Console, loaded: LoadedStance) -> None:
         count = len(payload.unlimited)
         motors = "1 motor has" if count == 1 else f"{count} motors have"
         text += f"; {motors} no effort limit, and set{'s' if count == 1 else ''} no payload"
+    out.print(escape(text), soft_wrap=True)
     if trial is not None:
-        text += f"\nsimulated with {kilograms(trial.mass)} on it, {trial.duration:g} s, nudged: "
+        text = f"simulated with {kilograms(trial.mass)} on it, {trial.duration:g} s, nudged: "
         text += (
             "it stays up"
             if trial.failure is None
             else f"at {trial.time:.2f} s {trial.failure.value} ({', '.join(trial.where)})"
         )
-    out.print(escape(text), soft_wrap=True)
+        out.print(escape(text), soft_wrap=True)
 
 
 def kilograms(mass: float) -> str:
@@ -154,7 +154,9 @@ def kilograms(mass: float) -> str:
 def _print_clearance(out: Console, stand: Stand) -> None:
     near, links = stand.ground_clearance, stand.self_clearance
     if near is not None:
-        out.print(f"lowest part but the feet: {near.links[0]}, {1e3 * near.distance:.1f} mm")
+        out.print(
+            f"lowest part but the feet: {escape(near.links[0])}, {1e3 * near.distance:.1f} mm"
+        )
     if links is not None:
         out.print(
             f"nearest links: {' and '.join(links.links)}, {1e3 * links.distance:.1f} mm apart"

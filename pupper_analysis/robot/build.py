@@ -238,6 +238,13 @@ def _pinocchio_model(
             model = pin.buildModelFromXML(description.urdf)
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, f"not a valid URDF: {' '.join(str(error).split())}") from error
+    for joint in list(model.joints)[2 if floating else 1 :]:
+        if joint.nv != 1:
+            raise ModelError(
+                source,
+                f"joint {model.names[joint.id]!r} is planar or floating; revolute, continuous and "
+                "prismatic joints, and a free base, can be analysed",
+            )
     joints = set(list(model.names)[2 if floating else 1 :])
     for missing, where, there in (
         (joints - set(joint_names), description.mjcf_source, source),

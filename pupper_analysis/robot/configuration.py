@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import check_type
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.robot.robot import Robot
@@ -41,6 +42,7 @@ class Configuration:
             ConfigurationError: If a vector has a wrong length, a value is not finite, or the
                 quaternion is zero.
         """
+        check_type("robot", robot, Robot)
         self.robot = robot
         self.qpos = _vector("qpos", qpos, robot.nq)
         self.qvel = _vector("qvel", np.zeros(robot.nv) if qvel is None else qvel, robot.nv)

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import finite
+from pupper_analysis.arguments import check_fields, finite, length
 from pupper_analysis.errors import ConfigurationError
 
 Array = NDArray[np.float64]
@@ -32,11 +32,12 @@ class Ground:
     heights: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         object.__setattr__(self, "slope", finite("slope", self.slope))
         object.__setattr__(self, "uphill", finite("uphill", self.uphill))
         if not 0 <= self.slope < math.pi / 2:
             raise ConfigurationError("slope", f"{self.slope} rad is not from 0 to below pi/2")
-        heights = {foot: finite(f"heights[{foot}]", h) for foot, h in self.heights.items()}
+        heights = {foot: length(f"heights[{foot}]", h) for foot, h in self.heights.items()}
         object.__setattr__(self, "heights", heights)
 
     @property

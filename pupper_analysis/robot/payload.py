@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import checked, length
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
@@ -19,6 +21,7 @@ Array = NDArray[np.float64]
 _NAME = "payload"
 
 
+@checked
 def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:
     """Welds a point mass to a robot's base, in the URDF's model and in the MJCF's.
 
@@ -94,5 +97,5 @@ def point_on_base(point: Sequence[float]) -> Array:
     except (TypeError, ValueError):
         place = np.zeros(0)
     if place.shape != (3,) or not np.isfinite(place).all():
-        raise ConfigurationError("point", f"{point!r} is not a point (3,)")
-    return place
+        raise ConfigurationError("point", f"{reprlib.repr(point)} is not a point (3,)")
+    return np.array([length("point", value) for value in place])

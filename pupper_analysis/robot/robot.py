@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import plain_state
 from pupper_analysis.errors import UnknownNameError
 from pupper_analysis.models.conversion import gravity
 from pupper_analysis.models.description import Description
@@ -74,6 +77,13 @@ class Robot:
     mj_convention: MujocoConvention
     fingerprint: str
     notes: tuple[str, ...] = field(default=())
+
+    def __getstate__(self) -> dict[str, Any]:
+        return plain_state(self)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            vars(self)[name] = MappingProxyType(value) if isinstance(value, dict) else value
 
     @property
     def nq(self) -> int:

@@ -123,6 +123,10 @@ def servos(
     return Servos(model, stiffness, damping, gear, used)
 
 
+STIFFEST = 1e9
+"""N m/rad (kd: N m s/rad): more than any machine's; what overflows is far beyond."""
+
+
 def _gain(name: str, value: ArrayLike, size: int) -> Array:
     try:
         gain: Array = np.broadcast_to(np.asarray(value, dtype=float), (size,)).copy()
@@ -130,6 +134,8 @@ def _gain(name: str, value: ArrayLike, size: int) -> Array:
         raise ConfigurationError(name, f"not a number, nor {size} of them") from error
     if not np.isfinite(gain).all() or (gain < 0).any():
         raise ConfigurationError(name, f"{value!r} is not finite and >= 0")
+    if (gain > STIFFEST).any():
+        raise ConfigurationError(name, f"{value!r} is more than {STIFFEST:g}, which no servo has")
     return gain
 
 

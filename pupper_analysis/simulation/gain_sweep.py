@@ -13,6 +13,7 @@ import mujoco.rollout
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -68,6 +69,7 @@ class GainSweep(Result):
     integrator: str
 
 
+@checked
 def sweep_gains(
     robot: Robot,
     stand: Stand,

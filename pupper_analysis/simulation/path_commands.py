@@ -128,4 +128,6 @@ def _timestep(model: mujoco.MjModel, given: float | None) -> float:
     number = float(value) if isinstance(value, Real) else math.nan
     if isinstance(value, bool) or not 0 < number < math.inf:
         raise ConfigurationError("timestep", f"{given!r} is not a finite number above 0")
+    if not 1e-6 <= number <= 1.0:
+        raise ConfigurationError("timestep", f"{given!r} s is not from 1e-6 to 1 s")
     return number

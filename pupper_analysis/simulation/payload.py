@@ -10,6 +10,7 @@ import mujoco.rollout
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.payload import point_on_base, with_payload
@@ -81,6 +82,7 @@ class PayloadTrial(Result):
     dry_friction: bool
 
 
+@checked
 def payload_trial(
     robot: Robot,
     stand: Stand,

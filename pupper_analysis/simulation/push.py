@@ -14,6 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -97,6 +98,11 @@ class PushRecovery(Result):
     rollouts: int
 
 
+FINEST = 1e-6
+"""N s: no simulation is true to so little."""
+
+
+@checked
 def push_recovery(
     robot: Robot,
     stand: Stand,
@@ -153,6 +159,8 @@ def push_recovery(
         raise ConfigurationError("directions", f"{directions} is not between 3 and 360")
     if not (math.isfinite(resolution) and resolution > 0):
         raise ConfigurationError("resolution", f"{resolution} N s is not positive and finite")
+    if resolution < FINEST:
+        raise ConfigurationError("resolution", f"{resolution:g} N s is finer than {FINEST:g} N s")
     config = Configuration(robot, stand.qpos)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     torques = stand_statics(

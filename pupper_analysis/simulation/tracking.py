@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -78,6 +79,7 @@ class PathTracking(Result):
     height: Array
 
 
+@checked
 def track_path(
     robot: Robot,
     path: StancePath,

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
@@ -121,6 +122,7 @@ class StandVerification(Result):
     height: Array
 
 
+@checked
 def verify_stand(
     robot: Robot,
     stand: Stand,

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import functools
 import json
-import tempfile
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import coal  # comes with pin
 import numpy as np
@@ -16,6 +14,7 @@ import pinocchio as pin
 import placo
 from numpy.typing import NDArray
 
+from pupper_analysis.files import readable
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.ground import STEP_HALF_WIDTH, Ground
@@ -93,9 +92,7 @@ class Shapes:
         self._paired = True
 
     def _load(self, pairs: set[tuple[str, str]]) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "pairs.json"
-            file.write_text(json.dumps(sorted(pairs)))
+        with readable(json.dumps(sorted(pairs)).encode()) as file:
             self.wrapper.load_collision_pairs(str(file))
 
     def _move(self, qpos: Array) -> None:

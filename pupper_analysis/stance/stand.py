@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from pupper_analysis.arguments import checked
+from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Shapes, shapes_of
@@ -21,6 +23,7 @@ from pupper_analysis.statics.equilibrium import (
 __all__ = ["Stand", "solve_stand", "stand_statics"]
 
 
+@checked
 def solve_stand(
     robot: Robot,
     task: StandTask | None = None,
@@ -54,6 +57,7 @@ def solve_stand(
         StanceUnreachableError: If it is out of reach; names the feet and how far they miss, and the
             demands of which one would have to give.
     """
+    check_bodies(robot)
     goal = goal_of(robot, task or StandTask(), depths or {})
     # Distances between links remember where they were found last: they begin anew.
     shapes = shapes_of(robot) if goal.task.self_clearance is None else Shapes(robot)
@@ -66,6 +70,7 @@ def solve_stand(
     raise unreachable(shapes, goal, stand, explain=explain)
 
 
+@checked
 def stand_statics(
     robot: Robot,
     stand: Stand,

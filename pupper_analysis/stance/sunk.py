@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import NotSettlingError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
@@ -56,6 +57,7 @@ DEPTH_TOLERANCE = 1e-9
 _MAX_ITERATIONS = 50
 
 
+@checked
 def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = True) -> Stand:
     """Finds the stand that satisfies a task on ground as soft as MuJoCo's.
 

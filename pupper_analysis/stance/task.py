@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import finite
+from pupper_analysis.arguments import FARTHEST, check_fields, finite, length
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.ground import Ground
 
@@ -70,9 +70,12 @@ class StandTask:
         def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
+        check_fields(self)
         if self.self_clearance is not None:
-            put("self_clearance", finite("self_clearance", self.self_clearance))
-        for name in ("roll", "pitch", "yaw", "com_margin", "joint_margin", "ground_clearance"):
+            put("self_clearance", length("self_clearance", self.self_clearance))
+        for name in ("com_margin", "ground_clearance"):
+            put(name, length(name, getattr(self, name)))
+        for name in ("roll", "pitch", "yaw", "joint_margin"):
             put(name, finite(name, getattr(self, name)))
         for name in ("roll", "pitch", "yaw"):
             if abs(getattr(self, name)) > math.pi:
@@ -81,8 +84,11 @@ class StandTask:
         for name in ("com_margin", "joint_margin", "ground_clearance", "self_clearance"):
             if (getattr(self, name) or 0.0) < 0:
                 raise ConfigurationError(name, f"{getattr(self, name)} is negative")
+        if self.joint_margin > FARTHEST:
+            problem = f"{self.joint_margin:g} rad is more than any joint turns"
+            raise ConfigurationError("joint_margin", problem)
         if self.height is not None:
-            put("height", finite("height", self.height))
+            put("height", length("height", self.height))
             if not self.height > 0:
                 raise ConfigurationError("height", f"{self.height} m is not above the ground")
         if self.offset is not None:
@@ -95,7 +101,7 @@ class StandTask:
         both = sorted(set(self.feet) & set(self.foot_offsets))
         if both:
             raise ConfigurationError("feet", f"{both[0]} is in feet and in foot_offsets")
-        swing = {foot: finite(f"swing[{foot}]", h) for foot, h in self.swing.items()}
+        swing = {foot: length(f"swing[{foot}]", h) for foot, h in self.swing.items()}
         for foot, height in swing.items():
             if height <= 0:
                 raise ConfigurationError("swing", f"{foot}: {height} m is not above the ground")
@@ -152,4 +158,4 @@ def _millimetres(point: Point) -> str:
 def _point(name: str, value: object) -> Point:
     if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2:
         raise ConfigurationError(name, f"{value!r} is not a point (x, y)")
-    return finite(name, value[0]), finite(name, value[1])
+    return length(name, value[0]), length(name, value[1])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -66,6 +67,7 @@ class BaseWorkspace(Result):
     intervals: dict[str, Interval]
 
 
+@checked
 def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
     """Finds the least and the greatest height of the base (m) with all else as the task has it.
 
@@ -80,6 +82,7 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
     return _interval(robot, solve_stand(robot, task), "height")
 
 
+@checked
 def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace:
     """Finds how far the base can rise, roll, pitch, yaw and shift with its feet planted.
 

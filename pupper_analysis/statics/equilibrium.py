@@ -11,6 +11,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.compliance import GroundLaw
@@ -89,6 +90,7 @@ class GravityCompensation(Result):
     residual_torque: float
 
 
+@checked
 def gravity_compensation(
     config: Configuration,
     contacts: Iterable[str] | None = None,
@@ -370,6 +372,10 @@ def _normal(foot: str, normal: ArrayLike) -> Array:
     return unit
 
 
+MOST_FRICTION = 1e6
+"""Far beyond all that does not slide; of much more, the cone programmes overflow."""
+
+
 def _friction(
     config: Configuration, foot: str, friction: float | Mapping[str, float] | None
 ) -> float:
@@ -379,6 +385,7 @@ def _friction(
             raise ConfigurationError("friction", f"{robot.name} has no ground; give a coefficient")
         return robot.contacts[foot].sliding_friction
     value: object = friction.get(foot) if isinstance(friction, Mapping) else friction
-    if not isinstance(value, Real) or not math.isfinite(value) or value < 0:
-        raise ConfigurationError("friction", f"{foot}: {value} is no coefficient; it must be >= 0")
+    if not isinstance(value, Real) or not 0 <= float(value) <= MOST_FRICTION:
+        problem = f"{foot}: {value} is no coefficient; it must be >= 0, and <= {MOST_FRICTION:g}"
+        raise ConfigurationError("friction", problem)
     return float(value)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, Infeasibility
 from pupper_analysis.results import Result
 from pupper_analysis.robot.compliance import GroundLaw
@@ -59,6 +60,7 @@ class InverseDynamics(Result):
     residual_torque: float
 
 
+@checked
 def inverse_dynamics(
     config: Configuration,
     qacc: ArrayLike,
@@ -98,7 +100,11 @@ def inverse_dynamics(
             contacts.
         StaticsInfeasibleError: If no forces do; it says why.
     """
-    robot, acceleration = config.robot, np.array(qacc, dtype=float)
+    robot = config.robot
+    try:
+        acceleration = np.array(qacc, dtype=float)
+    except (TypeError, ValueError):
+        acceleration = np.zeros(0)
     if acceleration.shape != (robot.nv,) or not np.isfinite(acceleration).all():
         raise ConfigurationError("qacc", f"it must be {robot.nv} finite numbers")
     feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.checks.audit import rules as _rules  # noqa: F401  (registers the rules)
 from pupper_analysis.checks.audit.from_mjcf import mjcf_view
 from pupper_analysis.checks.audit.from_urdf import urdf_view
@@ -23,6 +24,7 @@ from pupper_analysis.models.urdf_file import UrdfFile
 __all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 
 
+@checked
 def audit_model(
     path: str | Path,
     *,

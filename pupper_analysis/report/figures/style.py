@@ -89,5 +89,5 @@ def save(figure: Figure, path: str | Path) -> None:
         OutputError: If the file cannot be written.
     """
     FigureCanvasAgg(figure)
-    with whole_file(Path(path)) as temporary:
-        figure.savefig(temporary, format="png")
+    with whole_file(Path(path)) as file:
+        figure.savefig(file, format="png")

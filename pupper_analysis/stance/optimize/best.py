@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -54,6 +55,7 @@ class BestStance(Result):
     evaluations: int
 
 
+@checked
 def best_stance(
     robot: Robot,
     objective: Objective = Objective.UTILISATION,

@@ -11,6 +11,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -103,6 +104,7 @@ the time. With none most are off by more; with 0.25 all are confirmed, but five 
 """
 
 
+@checked
 def fastest_path(
     robot: Robot,
     stances: Sequence[StandTask],

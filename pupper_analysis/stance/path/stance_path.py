@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.files import whole_file
 from pupper_analysis.results import Result
@@ -104,13 +106,12 @@ class StancePath(Result):
         header = ["time (s)", *(f"q {name} (rad)" for name in self.joint_names)]
         header += [f"tau {name} (N m)" for name in self.joint_names]
         rows = np.column_stack([self.time, self.joint_positions(), self.torques])
-        with (
-            whole_file(Path(path)) as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as file,
-        ):
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(header)
-            writer.writerows(rows.tolist())
+        text = io.StringIO(newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows.tolist())
+        with whole_file(Path(path)) as file:
+            file.write(text.getvalue().encode())
 
     def to_npz(self, path: str | Path) -> None:
         """Writes the arrays under their names, and ``joints``, (n, nu), beside ``qpos``.
@@ -138,11 +139,12 @@ class StancePath(Result):
         )
         arrays = {key: np.array(getattr(self, key)) for key in (*names, "clearance", "com_margin")}
         arrays["joints"] = self.joint_positions()
-        with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
+        with whole_file(Path(path)) as file:
             # NumPy 2.0 and 2.1 have no allow_pickle; all are numbers and texts, so none is pickled.
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
+@checked
 def stance_path(
     robot: Robot,
     stances: Sequence[StandTask],
@@ -280,6 +282,10 @@ def checked_stances(stances: Sequence[StandTask]) -> None:
             raise ConfigurationError("stances", f"{task!r} is not a StandTask")
 
 
+SHORTEST = 1e-3
+"""s: no robot is so fast; of much less, accelerations overflow."""
+
+
 def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
     """Checks the arguments' kinds; returns how many samples a leg has."""
     checked_stances(stances)
@@ -288,6 +294,8 @@ def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
         number = float(value) if isinstance(value, Real) else math.nan
         if isinstance(value, bool) or not 0 < number < math.inf:
             raise ConfigurationError(name, f"{value!r} is not a finite number above 0")
+    if seconds < SHORTEST:
+        raise ConfigurationError("seconds", f"{seconds:g} s is less than {SHORTEST:g} s")
     if max(seconds * rate, LEAST_PER_LEG * len(stances)) > MAX_SAMPLES:
         raise ConfigurationError("seconds, rate", f"that is more than {MAX_SAMPLES} samples")
     return max(LEAST_PER_LEG, math.ceil(seconds * rate / (len(stances) - 1) - 1e-9))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -85,6 +86,7 @@ class PayloadLimit(Result):
         return self.bound.where
 
 
+@checked
 def payload_limit(
     robot: Robot,
     stand: Stand,

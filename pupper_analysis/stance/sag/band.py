@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -62,6 +63,7 @@ class SteadyStateBand(Result):
         return tuple(found)
 
 
+@checked
 def steady_state_band(
     robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, feedforward: bool = False
 ) -> SteadyStateBand:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
@@ -89,6 +89,7 @@ class SteadyState(Result):
     failures: tuple[str, ...]
 
 
+@checked
 def steady_state(
     robot: Robot,
     stand: Stand,
@@ -139,6 +140,10 @@ def steady_state(
     return settle(way, feedforward=feedforward, seconds=seconds)
 
 
+LONGEST = 1e9
+"""s, some thirty years: of much more creep, numbers overflow."""
+
+
 def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
     """Checks what a prediction is asked for.
 
@@ -152,7 +157,7 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
         robot.check_foot(foot)
     if feet not in ("pinned", "sliding"):
         raise ConfigurationError("feet", f"{feet!r} is neither 'pinned' nor 'sliding'")
-    if not 0 <= seconds < math.inf or (seconds and feet == "sliding"):
+    if not 0 <= seconds <= LONGEST or (seconds and feet == "sliding"):
         raise ConfigurationError("seconds", f"{seconds} s: feet that are pinned creep for >= 0 s")
     if feet == "sliding" and stand.task.ground.slope:
         raise ConfigurationError("feet", "on a slope only friction holds a robot: they are pinned")
@@ -191,6 +196,7 @@ def release_margin(way: Way) -> float:
     return way.system.friction_left(overshot)
 
 
+@checked
 def minimum_stiffness(
     robot: Robot, stand: Stand, *, feet: Feet = "pinned", tolerance: float = 0.01
 ) -> float:

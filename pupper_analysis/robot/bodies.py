@@ -1,0 +1,29 @@
+"""Bodies that can be: what stands and falls has mass."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.robot.robot import Robot
+
+_ROUNDING = 1e-6
+"""Of a body's largest moment of inertia: so much less than nothing is rounding, also a file's."""
+
+
+def check_bodies(robot: Robot) -> None:
+    """Checks that what moves with each joint has no negative mass or moment of inertia.
+
+    Raises:
+        ModelError: If one has; it names the joint.
+    """
+    model = robot.pin_model
+    for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
+        moments = np.linalg.eigvalsh(inertia.inertia)
+        if inertia.mass < 0 or moments[0] < -_ROUNDING * np.abs(moments).max():
+            body = "the base" if name == "root_joint" else f"what joint {name!r} moves"
+            raise ModelError(
+                robot.description.urdf_source,
+                f"{body} has a mass of {inertia.mass:.6g} kg and moments of inertia from "
+                f"{moments[0]:.6g} kg m^2, which no body has; `audit` tells which link",
+            )

@@ -1,0 +1,194 @@
+"""Wrong arguments of every public function are refused by name, and by nothing else."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Files, load, stand_of
+
+import pupper_analysis as pa
+from pupper_analysis.arguments import check_type, checked, finite, length
+
+FUNCTIONS = [
+    name
+    for name in pa.__all__
+    if inspect.isfunction(getattr(pa, name)) and name not in ("to_json", "load_robot")
+]
+JUNK = ("v3", b"v3", -1, 0, 1e308, math.nan, None, object(), [], {}, [None], {"x": None}, ())
+SLOW = {"push_recovery", "best_stance", "payload_trial", "fastest_path", "sweep_gains"}
+
+
+@pytest.fixture
+def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
+    """Arguments that are right, by their names."""
+    robot, stand = load("v3"), stand_of("v3")
+    return {
+        "robot": robot,
+        "stand": stand,
+        "variant": "v3",
+        "folder": tmp_path,
+        "path": str(tiny_files.mjcf),
+        "urdf": tiny_files.urdf,
+        "mjcf": tiny_files.mjcf,
+        "config": pa.Configuration(robot, stand.qpos),
+        "qacc": np.zeros(robot.nv),
+        "stances": [pa.StandTask(), pa.StandTask(pitch=0.01)],
+        "seconds": 0.5,
+        "mass": 0.1,
+        "configurations": 2,
+        "duration": 2.0,
+        "directions": 3,
+    }
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_wrong_arguments_are_the_packages_errors(
+    name: str, usual: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    function = getattr(pa, name)
+    parameters = inspect.signature(function).parameters
+    if name == "track_path":
+        usual["path"] = pa.stance_path(usual["robot"], usual["stances"], 0.5)
+    right = {key: usual[key] for key in parameters if key in usual}
+    wrong = 0
+    for key, parameter in parameters.items():
+        hint = str(parameter.annotation)
+        for junk in JUNK:
+            if (junk is None and "None" in hint) or (name in SLOW and _fits(junk, hint)):
+                continue
+            refusal = _refusal(function, {**right, key: junk})
+            if refusal is not None:
+                wrong += 1
+                assert refusal
+                assert "\n" not in refusal
+    assert wrong >= len(parameters)
+
+
+def _refusal(function: Callable[..., object], arguments: dict[str, Any]) -> str | None:
+    """What a function says of arguments; None if it takes them."""
+    try:
+        function(**arguments)
+    except pa.PupperAnalysisError as error:
+        return str(error)
+    return None
+
+
+def _fits(junk: object, hint: str) -> bool:
+    """Whether a value may be right, so that a function would do its work for nothing."""
+    if "Array" in hint:  # that of gains, which is looked at when servos are made
+        return True
+    kinds = {bool: "bool", int: "int", float: "float", str: "str"}
+    if isinstance(junk, int | float) and not isinstance(junk, bool):
+        return "float" in hint or "int" in hint or "Array" in hint
+    return kinds.get(type(junk), "Mapping" if junk == {} else "?") in hint or junk is None
+
+
+@pytest.mark.parametrize("field", [*pa.StandTask.__dataclass_fields__])
+@pytest.mark.parametrize("junk", [object(), b"x", 1e308, float("nan"), [None], {"x": None}, {5: 1}])
+def test_a_wrong_task_is_refused(field: str, junk: Any) -> None:
+    with pytest.raises(pa.ConfigurationError, match=field.split("_")[0]):
+        pa.solve_stand(load("v3"), pa.StandTask(**{field: junk}))
+
+
+@pytest.mark.parametrize("kind", [pa.Ground, pa.Tolerances, pa.VariantSpec])
+@pytest.mark.parametrize("junk", [object(), b"x", [None], {5: 1}])
+def test_wrong_values_are_refused(kind: type, junk: Any) -> None:
+    for field in kind.__dataclass_fields__:  # type: ignore[attr-defined]
+        with pytest.raises(pa.PupperAnalysisError):
+            kind(**{field: junk})
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: pa.analyze_variant("v3"), "robot: 'v3' is not a Robot; load_variant"),
+        (lambda: pa.verify_stand(load("v3"), load("v3")), "is not a Stand; solve_stand makes"),
+        (lambda: pa.solve_stand(load("v3"), 0.12), "task: 0.12 is not a StandTask or None"),
+        (lambda: pa.solve_stand(load("v3"), explain="x"), "explain: 'x' is not True or False"),
+        (lambda: pa.stance_path(load("v3"), pa.StandTask(), 1.0), "stances:"),
+        (lambda: pa.stance_path(load("v3"), ["x"], 1.0), "each a StandTask"),
+        (lambda: pa.gravity_compensation(load("v3")), "is not a Configuration"),
+        (lambda: pa.Configuration("v3", []), "is not a Robot"),
+        (lambda: pa.load_variant(5), "name 5 is not valid; known variants"),
+        (lambda: pa.compare_models("a", "b", seed=-1), "seed: -1 is not a whole number"),
+        (lambda: pa.cross_check(load("v3"), seed=-1), "seed: -1 is not a whole number"),
+        (lambda: pa.compare_models(5, "b"), "urdf: 5 is not a text or a path"),
+        (lambda: pa.load_robot(urdf=5, mjcf=6), "urdf: 5 is not a text or a path"),
+        (lambda: pa.audit_model(5), "path: 5 is not a text or a path"),
+        (lambda: pa.StandTask(height=1e6), "height: 1e+06 m is beyond 1000 m"),
+        (lambda: pa.StandTask(offset=(1e308, 0.0)), "offset: 1e+308 m is beyond"),
+        (lambda: pa.StandTask(self_clearance=1e15), "self_clearance: 1e+15 m is beyond"),
+        (lambda: pa.load_variant(pa.VariantSpec(leg_scale=1e-6)), "try scales nearer to 1"),
+        (lambda: pa.load_variant(pa.VariantSpec("v3", 1e-9)), "try scales nearer to 1"),
+        (lambda: pa.load_variant(pa.VariantSpec("v3", 1e300)), "try scales nearer to 1"),
+        (lambda: pa.load_variant(pa.VariantSpec("v3", 1.0, 1e-300)), "try scales nearer to 1"),
+    ],
+)
+def test_what_is_wrong_is_named(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(pa.PupperAnalysisError) as caught:
+        call()
+    assert message in str(caught.value)
+
+
+def test_types_are_told() -> None:
+    for value, hint in (
+        (1, float),
+        (np.float32(1), float),
+        (np.int64(1), int),
+        (np.True_, bool),
+        (None, float | None),
+        (Path("x"), str | Path),
+        ("x", str | Path),
+        ({"a": 1.0}, Mapping[str, float]),
+        ([1.0], Sequence[float]),
+        (np.ones(3), Sequence[float]),
+    ):
+        check_type("x", value, hint)
+    for value, hint in (
+        (True, float),
+        (1.5, int),
+        (np.True_, int),
+        (1, bool),
+        ("x", Sequence[str]),
+        (np.array(1.0), Sequence[float]),
+        ([1], Mapping[str, float]),
+        ({1: 1.0}, Mapping[str, float]),
+        (None, float),
+    ):
+        with pytest.raises(pa.ConfigurationError, match=r"^x: "):
+            check_type("x", value, hint)
+
+
+def test_a_function_stays_what_it_is() -> None:
+    @checked
+    def twice(number: float, *, times: int = 2) -> float:
+        """Documented."""
+        return number * times
+
+    assert (twice(2), twice(2.0, times=3)) == (4, 6.0)
+    assert (twice.__name__, twice.__doc__) == ("twice", "Documented.")
+    assert list(inspect.signature(twice).parameters) == ["number", "times"]
+    with pytest.raises(TypeError, match="missing"):
+        twice()  # type: ignore[call-arg]
+
+
+def test_lengths_are_lengths() -> None:
+    assert length("x", -1000) == -1000.0
+    for value in (1000.1, float("inf"), 10**400):
+        with pytest.raises(pa.ConfigurationError):
+            length("x", value)
+    with pytest.raises(pa.ConfigurationError, match="not finite"):
+        finite("x", 10**400)
+
+
+def test_a_message_stays_short() -> None:
+    with pytest.raises(pa.ConfigurationError) as caught:
+        pa.solve_stand(load("v3"), load("v3"))  # type: ignore[arg-type]
+    assert len(str(caught.value)) < 200

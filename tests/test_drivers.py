@@ -1,0 +1,61 @@
+"""OpenGL that is asked for and missing stops nothing but what draws with it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+
+def run(*arguments: str, folder: Path, gl: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MUJOCO_GL": gl}
+    return subprocess.run(
+        [sys.executable, *arguments],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env=environment,
+        timeout=100,
+        check=False,
+    )
+
+
+BROKEN = """
+import sys
+class Broken:
+    '''OpenGL as PyOpenGL is without its libraries, whatever this machine has.'''
+    def find_spec(self, name, path=None, target=None):
+        if name == "OpenGL" or name == "mujoco.osmesa" or name == "mujoco.egl":
+            raise AttributeError("'NoneType' object has no attribute 'glGetError'")
+sys.meta_path.insert(0, Broken())
+sys.argv = ["pupper-analysis", *sys.argv[1:]]
+from pupper_analysis.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize("gl", ["osmesa", "egl", "bogus"])
+def test_commands_need_no_opengl(gl: str, tmp_path: Path) -> None:
+    result = run(
+        "-c", BROKEN, "audit", str(ROOT / "mjcf" / "pupper_v3.xml"), folder=tmp_path, gl=gl
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "rules" in result.stdout
+
+
+def test_pictures_are_drawn_without(tmp_path: Path) -> None:
+    command = ("analyze", "original", "--output", "out")
+    result = run("-c", BROKEN, *command, folder=tmp_path, gl="osmesa")
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "note: no OpenGL (osmesa: " in result.stdout
+    assert (tmp_path / "out" / "variants.png").is_file()
+
+
+def test_what_works_is_left_alone(tmp_path: Path) -> None:
+    code = "import pupper_analysis, mujoco; print(mujoco.MjModel.__name__)"
+    result = run("-c", code, folder=tmp_path, gl="disable")
+    assert result.stdout == "MjModel\n", result.stderr

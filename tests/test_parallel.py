@@ -1,0 +1,309 @@
+"""Robots, results and errors go to other processes and threads, and come back the same."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import multiprocessing
+import os
+import pickle
+import pkgutil
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import Files, load, stand_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pupper_analysis as pa
+from pupper_analysis.models.spec_state import spec_from, state_of
+from pupper_analysis.stance.clearance import Shapes
+
+METHODS = multiprocessing.get_all_start_methods()
+REBUILT = 1e-14  # of the largest number of its kind
+HEIGHTS = np.linspace(0.10, 0.14, 20)
+
+
+def pickled(value: Any) -> Any:
+    return pickle.loads(pickle.dumps(value))
+
+
+COPIES = pytest.mark.parametrize("copied", [pickled, copy.deepcopy, copy.copy])
+
+# -------------------------------------------------------------------------------------- errors
+
+
+def all_errors() -> list[type[pa.PupperAnalysisError]]:
+    """Every class of the package's errors, wherever it is defined."""
+    for module in pkgutil.walk_packages(pa.__path__, "pupper_analysis."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+
+    def below(kind: type[pa.PupperAnalysisError]) -> list[type[pa.PupperAnalysisError]]:
+        return [kind, *(each for sub in kind.__subclasses__() for each in below(sub))]
+
+    return sorted(
+        (
+            kind
+            for kind in set(below(pa.PupperAnalysisError))
+            if "pupper_analysis" in kind.__module__
+        ),
+        key=str,
+    )
+
+
+VALUES = st.none() | st.text() | st.floats(allow_nan=False)
+ATTRIBUTES = st.dictionaries(
+    st.text(min_size=1),
+    st.none()
+    | st.text()
+    | st.floats(allow_nan=False)
+    | st.dictionaries(st.text(), st.floats(0, 1)),
+    max_size=4,
+)
+
+
+@pytest.mark.parametrize("kind", all_errors(), ids=lambda kind: kind.__name__)
+@COPIES
+@given(message=st.text(), attributes=ATTRIBUTES)
+def test_every_error_comes_back_whole(
+    kind: type[pa.PupperAnalysisError],
+    copied: Callable[[Any], Any],
+    message: str,
+    attributes: dict[str, Any],
+) -> None:
+    attributes.pop("at", None)
+    error = kind.__new__(kind, message)
+    vars(error).update(attributes)
+    for one in (error, error.at("there")):
+        back = copied(one)
+        assert type(back) is kind
+        assert (back.args, vars(back), str(back)) == (one.args, vars(one), str(one))
+
+
+@COPIES
+def test_an_error_with_a_stand_comes_back_whole(copied: Callable[[Any], Any]) -> None:
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(load("v3"), pa.StandTask(height=0.5))
+    error, back = caught.value, copied(caught.value)
+    assert isinstance(back.nearest, pa.Stand)
+    assert (back.shortfall, back.limits, back.possible) == (
+        error.shortfall,
+        error.limits,
+        error.possible,
+    )
+    np.testing.assert_array_equal(back.nearest.qpos, error.nearest.qpos)
+
+
+# -------------------------------------------------------------------------------------- robots
+
+
+def assert_same_model(one: mujoco.MjModel, two: mujoco.MjModel, tolerance: float = 0.0) -> None:
+    """Compares all numbers; where the spec was compiled again, but for the last digit."""
+    compared = 0
+    for name in dir(one):
+        value = getattr(one, name) if not name.startswith("_") else None
+        if isinstance(value, np.ndarray):
+            size = np.abs(value).max(initial=1.0) if value.dtype.kind == "f" else 0.0
+            np.testing.assert_allclose(
+                getattr(two, name), value, rtol=0, atol=tolerance * size, err_msg=name
+            )
+            compared += 1
+    assert compared > 300
+    for name in ("timestep", "gravity", "integrator", "cone", "impratio", "noslip_iterations"):
+        np.testing.assert_array_equal(getattr(one.opt, name), getattr(two.opt, name))
+
+
+@COPIES
+def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any]) -> None:
+    robot = load(variant)
+    back = copied(robot)
+    assert back.fingerprint == robot.fingerprint
+    assert back.pin_model == robot.pin_model
+    assert_same_model(robot.mj_model, back.mj_model)
+    assert_same_model(
+        robot.description.mjcf.copy().compile(), back.description.mjcf.copy().compile(), REBUILT
+    )
+    assert {type(back.soles), type(back.contacts)} == {type(robot.soles)}
+    assert (back.soles, back.contacts, back.notes) == (robot.soles, robot.contacts, robot.notes)
+    assert (back.description.urdf, back.feet) == (robot.description.urdf, robot.feet)
+
+
+@pytest.mark.parametrize("variant", ["v3-heavy", "long-leg"])
+def test_it_stands_the_same(variant: str) -> None:
+    robot = load(variant)
+    back = pickled(robot)
+    task = pa.StandTask(pitch=0.03, ground=pa.Ground(heights={robot.feet[0]: 0.01}))
+    one, two = pa.solve_stand(robot, task), pa.solve_stand(back, task)
+    np.testing.assert_array_equal(one.qpos, two.qpos)
+    np.testing.assert_array_equal(
+        pa.stand_statics(robot, one).joint_torques, pa.stand_statics(back, two).joint_torques
+    )
+    # A stand of one is one of the other; steps are built into the spec, which was written.
+    for first, second in ((robot, back), (back, robot)):
+        simulated = pa.verify_stand(first, one, duration=2.0).base_height
+        again = pa.verify_stand(second, two, duration=2.0).base_height
+        assert again == pytest.approx(simulated, rel=1e-9)
+
+
+def test_a_changed_robot_comes_back_changed(tiny: pa.Robot) -> None:
+    heavy = pa.with_payload(tiny, 0.123456789, (0.0123456789, 0.0, 0.1))
+    back = pickled(heavy)
+    assert back.total_mass == heavy.total_mass
+    assert_same_model(heavy.mj_model, back.mj_model)
+    assert_same_model(
+        heavy.description.mjcf.copy().compile(), back.description.mjcf.copy().compile(), REBUILT
+    )
+
+
+DIGITS = """
+<mujoco model="digits">
+  <compiler angle="radian"/>
+  <option timestep="0.00123456789" gravity="0 0 -9.80665123"/>
+  <default><joint armature="0.0123456789"/></default>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 1" friction="0.87654321 0.01 0.001"/>
+    <body name="base" pos="0 0 0.512345678">
+      <freejoint/>
+      <geom type="box" size="0.123456789 0.1 0.1" mass="2.3456789" rgba="0.123456789 0 0 1"/>
+      <frame pos="0.0123456789 0 0" euler="0.123456789 0 0">
+        <body name="tail" euler="0.3 0.2 0.1">
+          <inertial pos="0 0 0" mass="0.1" diaginertia="1e-3 2e-3 2.5e-3" euler="0 0.3333333 0"/>
+          <joint name="wag" axis="1 2 3"/>
+        </body>
+      </frame>
+      <body name="arm" pos="0.123456789 0 0">
+        <inertial pos="0 0 0" mass="0.1" fullinertia="1e-3 2e-3 2.5e-3 1e-4 1e-5 2e-4"/>
+        <joint name="turn" axis="0 0.6 0.8" range="-1.23456789 1" damping="0.0123456789"/>
+        <geom type="sphere" size="0.0212345678" mass="0.345678912" solref="0.0123456789 1"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position joint="turn" kp="12.3456789" kv="0.123456789" forcerange="-1.23456789 1.23456789"/>
+  </actuator>
+  <sensor><jointpos joint="turn" noise="0.00123456789"/></sensor>
+  <keyframe><key name="home" qpos="0 0 0.5123456789 1 0 0 0 0.1 0.123456789"/></keyframe>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("angle", ["radian", "degree"])
+def test_a_spec_keeps_all_its_digits(angle: str) -> None:
+    spec = mujoco.MjSpec.from_string(DIGITS.replace("radian", angle))
+    back = spec_from(pickled(state_of(spec)))
+    assert_same_model(spec.copy().compile(), back.copy().compile(), REBUILT)
+    again = spec_from(pickled(state_of(back)))
+    assert_same_model(spec.copy().compile(), again.compile(), REBUILT)
+
+
+def test_a_robot_needs_no_files_any_more(tiny_files: Files, tmp_path: Path) -> None:
+    for file in tiny_files:
+        (tmp_path / file.name).write_text(file.read_text())
+    robot = pa.load_robot(urdf=tmp_path / "tiny.urdf", mjcf=tmp_path / "tiny.xml", feet=["foot"])
+    data = pickle.dumps(robot)
+    for file in tmp_path.iterdir():
+        file.unlink()
+    back = pickle.loads(data)
+    assert_same_model(robot.mj_model, back.description.mjcf.copy().compile(), REBUILT)
+
+
+def test_meshes_come_along(tmp_path: Path) -> None:
+    pa.write_variant("v3", tmp_path)
+    spec = mujoco.MjSpec.from_file(str(tmp_path / "mjcf" / "v3.xml"))
+    model, state = spec.copy().compile(), state_of(spec)
+    for mesh in (tmp_path / "mjcf" / "meshes").iterdir():
+        mesh.unlink()
+    assert_same_model(model, spec_from(state).compile(), REBUILT)
+
+
+# -------------------------------------------------------------------------------------- results
+
+
+@COPIES
+def test_results_come_back_the_same(copied: Callable[[Any], Any]) -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    for result in (
+        stand,
+        stand.task,
+        pa.gravity_compensation(pa.Configuration(robot, stand.qpos)),
+        pa.verify_stand(robot, stand, duration=2.0),
+        pa.steady_state(robot, stand),
+        pa.payload_limit(robot, stand),
+        pa.stance_path(robot, [pa.StandTask(), pa.StandTask(pitch=0.02)], 0.5),
+        pa.base_workspace(robot),
+        pa.cross_check(robot, configurations=3),
+        pa.Tolerances(),
+        pa.VARIANTS["v3"],
+    ):
+        back = copied(result)
+        assert type(back) is type(result)
+        assert pa.to_json(back) == pa.to_json(result)
+    config = copied(pa.Configuration(robot, stand.qpos))
+    np.testing.assert_array_equal(
+        config.mass_matrix(), pa.Configuration(robot, stand.qpos).mass_matrix()
+    )
+
+
+# -------------------------------------------------------------------------------------- processes
+
+
+def heights(robot: pa.Robot, height: float) -> list[float]:
+    stand = pa.solve_stand(robot, pa.StandTask(height=height, self_clearance=0.001))
+    return [float(value) for value in stand.qpos]
+
+
+@pytest.mark.parametrize(
+    "method", sorted({"spawn", "fork"} & {*multiprocessing.get_all_start_methods()})
+)
+def test_workers_solve_and_refuse(method: str) -> None:
+    """An error that cannot be unpickled would hang the pool."""
+    robot = load("v3")
+    with multiprocessing.get_context(method).Pool(1) as pool:
+        solved = pool.apply_async(heights, (robot, 0.12))
+        refused = pool.apply_async(heights, (robot, 0.5))
+        assert solved.get(100) == heights(robot, 0.12)
+        with pytest.raises(pa.StanceUnreachableError, match="out of reach") as caught:
+            refused.get(100)
+    assert caught.value.nearest.robot == robot.fingerprint
+
+
+def test_twenty_threads_at_once() -> None:
+    robot = load("v3")
+    expected = [heights(robot, height) for height in HEIGHTS]
+    with ThreadPoolExecutor(20) as pool:
+        found = list(pool.map(lambda height: heights(robot, height), HEIGHTS))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_twenty_threads_load_their_own() -> None:
+    with ThreadPoolExecutor(20) as pool:
+        robots = list(pool.map(lambda _: pa.load_variant("v3-heavy"), range(20)))
+    assert {robot.fingerprint for robot in robots} == {load("v3-heavy").fingerprint}
+
+
+@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="Linux alone has files in memory")
+def test_a_killed_worker_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As none is made, none can be left, at whatever moment it is killed."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a temporary file on disk")
+
+    for name in ("mkstemp", "mkdtemp", "TemporaryDirectory", "NamedTemporaryFile"):
+        monkeypatch.setattr(tempfile, name, refuse)
+    shapes = Shapes(load("v3"))
+    near = shapes.between_links(stand_of("v3").qpos)
+    assert near is not None
+    assert near.distance > 0
+
+
+def test_without_files_in_memory_it_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = Shapes(load("v3")).between_links(stand_of("v3").qpos)
+    monkeypatch.delattr(os, "memfd_create", raising=False)
+    assert Shapes(load("v3")).between_links(stand_of("v3").qpos) == one
