@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -150,6 +150,12 @@ class Configuration:
         placements, numbers = self._data.oMf, self._structure.feet
         return {foot: np.array(placements[at].translation) for foot, at in numbers.items()}
 
+    def foot_places(self, feet: Iterable[str]) -> Array:
+        """Returns the centres (n, 3) of some feet's spheres, in the world (m)."""
+        placements, numbers = self._data.oMf, self._structure.feet
+        places = np.array([placements[numbers[foot]].translation for foot in feet])
+        return places.reshape(-1, 3)
+
     def foot_jacobians(self) -> dict[str, Array]:
         """Returns the Jacobian of each foot's centre, {foot: (3, nv)}, in world axes.
 
@@ -187,12 +193,24 @@ class Configuration:
         """
         robot = self.robot
         names = [robot.check_foot(foot) for foot in (robot.feet if feet is None else feet)]
-        both = self._jacobians(names)
-        radii = np.array([robot.foot_radius[foot] for foot in names])[:, None]
-        # v + omega x (0, 0, -r): of the lowest point.
-        both[:, 0] -= radii * both[:, 4]
-        both[:, 1] += radii * both[:, 3]
-        return dict(zip(names, both[:, :3], strict=True))
+        offsets = np.zeros((len(names), 3))
+        offsets[:, 2] = [-robot.foot_radius[foot] for foot in names]
+        return dict(zip(names, self.point_jacobians(names, offsets), strict=True))
+
+    def point_jacobians(self, feet: Sequence[str], offsets: Array) -> Array:
+        """Returns the Jacobians (n, 3, nv) of points that move with feet, in world axes.
+
+        Args:
+            feet: n names of feet.
+            offsets: (n, 3) from each foot's centre to its point, in world axes (m).
+        """
+        both = self._jacobians(feet)
+        arms = np.zeros((len(feet), 3, 3))  # omega x offset = arms omega
+        x, y, z = offsets.T
+        arms[:, 0, 1], arms[:, 0, 2], arms[:, 1, 2] = z, -y, x
+        arms[:, 1, 0], arms[:, 2, 0], arms[:, 2, 1] = -z, y, -x
+        moved: Array = both[:, :3] + arms @ both[:, 3:]
+        return moved
 
     def center_of_mass(self) -> Array:
         """Returns the centre of mass (3,) in the world (m)."""
