@@ -61,7 +61,7 @@ class Configuration:
         # Held for as long as this configuration, or a copy of it, exists.
         self._workspace = structure.workspace()
         self._data = self._workspace.data
-        self._q = structure.q(self.qpos)
+        self._q = robot.pin_convention.q(self.qpos)
         pin.computeJointJacobians(self._model, self._data, self._q)
         pin.updateFramePlacements(self._model, self._data)
 

@@ -72,14 +72,6 @@ class Structure:
         self._columns = np.concatenate([base, convention.v_index])
         one, other = np.meshgrid(self._columns, self._columns, indexing="ij")
         self._upper = np.minimum(one, other) * convention.nv + np.maximum(one, other)
-        base_q = np.array([0, 1, 2, 4, 5, 6, 3] if convention.floating else [], dtype=np.int64)
-        turning = bool(convention.unbounded.any())
-        coordinates = np.concatenate([base_q, np.arange(len(convention.q_index)) + len(base_q)])
-        self._q_order: IntArray | None = None
-        if not turning:
-            order = np.empty(convention.nq, dtype=np.int64)
-            order[np.concatenate([np.arange(len(base_q)), convention.q_index])] = coordinates
-            self._q_order = order
         self._spare: list[pin.Data] = []
 
     def workspace(self) -> Workspace:
@@ -89,13 +81,6 @@ class Structure:
         except IndexError:
             data = self.model.createData()
         return Workspace(data, self._spare)
-
-    def q(self, qpos: Array) -> Array:
-        """Returns Pinocchio's q (model.nq,) of a public qpos whose quaternion is normalised."""
-        if self._q_order is None:
-            return self.convention.q(qpos)
-        q: Array = qpos.take(self._q_order)
-        return q
 
     def columns(self, jacobian: Array, turn: Array | None) -> Array:
         """Returns J_pin T: Pinocchio's Jacobians (..., nv) in public coordinates.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,7 +88,8 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
             "com_margin", f"{task.com_margin} m is more than the support polygon has at the com"
         )
     if task.height is None:
-        task = replace(task, height=robot.stand_height)
+        task = copy.copy(task)  # its values have been checked
+        object.__setattr__(task, "height", robot.stand_height)
     assert task.height is not None
     return Goal(
         task=task,

@@ -296,10 +296,10 @@ class Solver:
 def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
     """Returns the stand at a configuration, with its errors and clearances."""
     config = Configuration(shapes.robot, qpos)
-    feet = config.foot_positions()
+    com = config.center_of_mass()
     turn = goal.task.rotation().T @ config.base_rotation()
-    at = config.qpos[:2] if goal.by_base else config.center_of_mass()[:2]
-    errors = [float(np.linalg.norm(feet[foot] - target)) for foot, target in goal.targets.items()]
+    at = config.qpos[:2] if goal.by_base else com[:2]
+    missed = config.foot_places(goal.targets) - np.array(list(goal.targets.values()))
     normal = goal.task.ground.normal()
     contacts = dict(zip(goal.stance_feet, goal.contacts, strict=True))
     return Stand(
@@ -310,11 +310,11 @@ def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
         stance_feet=goal.stance_feet,
         normals=dict.fromkeys(goal.stance_feet, normal),
         contact_points=contacts,
-        foot_error=max(errors),
-        orientation_error=float(np.linalg.norm(pin.log3(turn))),
+        foot_error=max(math.hypot(*miss) for miss in missed.tolist()),
+        orientation_error=math.hypot(*pin.log3(turn)),
         height_error=abs(float(config.qpos[2]) - goal.height),
-        com_error=float(np.linalg.norm(at - goal.place)),
-        com_margin=com_margin(config.center_of_mass(), contacts),
+        com_error=math.hypot(*(at - goal.place)),
+        com_margin=com_margin(com, contacts),
         ground_clearance=shapes.above_ground(
             config.qpos, goal.task.ground, goal.targets, goal.depths
         ),
