@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import coal  # comes with pin
 import numpy as np
@@ -57,10 +58,12 @@ class Shapes:
     Attributes:
         robot: The robot.
         wrapper: PlaCo's robot.
+        tasks: Whatever a solver made for this robot once, and uses again.
     """
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
+        self.tasks: dict[object, Any] = {}
         self.wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _primitives(robot))
         self._objects = list(self.wrapper.collision_model.geometryObjects)
         self._links = [self.wrapper.model.frames[o.parentFrame].name for o in self._objects]
