@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -164,6 +164,15 @@ class Configuration:
         feet = self._structure.feet
         return dict(zip(feet, self._jacobians(feet)[:, :3], strict=True))
 
+    def foot_rotations(self, feet: Iterable[str]) -> list[Array]:
+        """Returns the rotation (3, 3) of each of some feet's frames, to the world's axes."""
+        placements, numbers = self._data.oMf, self._structure.feet
+        return [np.array(placements[numbers[foot]].rotation) for foot in feet]
+
+    def foot_twists(self, feet: Sequence[str]) -> Array:
+        """Returns the Jacobians (n, 6, nv) of some feet, of centre and rotation, in world axes."""
+        return self._jacobians(feet)
+
     def contact_points(self, feet: Iterable[str] | None = None) -> dict[str, Array]:
         """Returns where each foot's sphere touches level ground, {foot: (3,)}, in the world (m).
 
@@ -245,6 +254,38 @@ class Configuration:
         """Returns g (nv,): the bias forces at rest. Its first three rows are the weight (N)."""
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
         return self._structure.dual(forces, self._turn)
+
+    def static_rates(self, wrenches: Mapping[str, Array]) -> Array:
+        """Returns the derivative (nv, nv) of gravity less wrenches on feet: of g - sum J^T w.
+
+        By a step in the directions of qvel. J is the Jacobian (6, nv) of a foot's centre.
+
+        Args:
+            wrenches: {foot: (6,)} force (N), and moment about the foot's centre (N m), in world
+                axes, in which they do not change.
+        """
+        model, data, structure = self._model, self._data, self._structure
+        external = pin.StdVec_Force()
+        external.extend([pin.Force.Zero() for _ in range(model.njoints)])
+        bearing, turning = self.gravity(), np.zeros((self.robot.nv, self.robot.nv))
+        for jacobian, (foot, wrench) in zip(
+            self._jacobians(tuple(wrenches)), wrenches.items(), strict=True
+        ):
+            joint = structure.parents[foot]
+            force, moment = wrench[:3], wrench[3:]
+            centre = data.oMf[structure.feet[foot]].translation
+            about_origin = pin.Force(force, moment + np.cross(centre, force))
+            external[joint] = external[joint] + data.oMi[joint].actInv(about_origin)
+            bearing -= jacobian.T @ wrench
+            # Pinocchio's turn with their link: they would change by omega x w.
+            both = np.concatenate([pin.skew(force), pin.skew(moment)])
+            turning += jacobian.T @ both @ jacobian[3:]
+        held = structure.workspace()
+        rates = pin.computeStaticTorqueDerivatives(model, held.data, self._q, external)
+        changed = structure.square(np.atleast_2d(rates), self._turn) - turning
+        if self._turn is not None:  # the base's first three are a force that Pinocchio turns
+            changed[:3, 3:6] -= pin.skew(bearing[:3]) @ self._turn
+        return changed
 
     def forward_dynamics(self, force: ArrayLike) -> Array:
         """Returns the acceleration qacc (nv,) under a generalised force, without contacts.

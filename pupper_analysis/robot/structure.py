@@ -47,6 +47,7 @@ class Structure:
         links: {link: number of its frame}.
         joints: {joint: its number}.
         feet: {foot: number of its frame}.
+        parents: {foot: number of the joint that carries it}.
         total_mass: kg.
         fixed: Mass of what does not move, a fixed base's, in parts of the total.
         lever: (3,) its centre (m).
@@ -65,6 +66,9 @@ class Structure:
         self.links: dict[str, int] = {name: number for number, name in reversed(frames)}
         self.joints: dict[str, int] = {name: int(model.getJointId(name)) for name in joint_names}
         self.feet = {foot: self.links[frame] for foot, frame in foot_frames.items()}
+        self.parents = {
+            foot: int(model.frames[frame].parentJoint) for foot, frame in self.feet.items()
+        }
         self.total_mass = float(sum(inertia.mass for inertia in model.inertias))
         self.fixed = float(model.inertias[0].mass) / self.total_mass if self.total_mass else 0.0
         self.lever = np.array(model.inertias[0].lever)
@@ -103,7 +107,14 @@ class Structure:
 
     def inertia(self, upper: Array, turn: Array | None) -> Array:
         """Returns T^T M_pin T of a matrix (nv, nv) whose upper triangle counts."""
-        public: Array = upper.take(self._upper)
+        return self._turned(upper.take(self._upper), turn)
+
+    def square(self, matrix: Array, turn: Array | None) -> Array:
+        """Returns T^T A T of any matrix A (nv, nv)."""
+        return self._turned(matrix.take(self._columns, axis=0).take(self._columns, axis=1), turn)
+
+    @staticmethod
+    def _turned(public: Array, turn: Array | None) -> Array:
         if turn is not None:
             public[:3] = turn @ public[:3]
             public[:, :3] = public[:, :3] @ turn.T

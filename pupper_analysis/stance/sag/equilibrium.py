@@ -16,6 +16,7 @@ from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.sag.solution import Anchor, Solution, move
+from pupper_analysis.stance.sag.touch import Touch
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
@@ -28,7 +29,6 @@ TOUCHING = 1e-9
 
 _MAX_ITERATIONS = 25
 _TRUST = 0.5  # rad, m: a longer Newton step has left the branch
-_STEP = 1e-6  # rad, m: of the numeric derivatives
 _WEAK = 1e-3  # N/m: holds a sliding robot in its place as creep does, with 1e-5 N
 _HEIGHT_TOLERANCE = 1e-8  # m: by less than this the base is at the end of friction's range
 _RHO = 1e3  # N/m: weighs slip against force in telling which way a foot slips; any would do
@@ -110,30 +110,23 @@ class Equilibrium:
         """Returns the servos' torques (nu,)."""
         return np.clip(self.kp * (self.target - qpos[7:]), self.lower, self.upper)
 
+    def touch(self, qpos: Array) -> Touch:
+        """Looks at the feet that touch."""
+        config = Configuration(self.robot, qpos)
+        return Touch(config, self.anchors, self.frame, self.depths(config))
+
     def terms(self, qpos: Array, forces: Array) -> tuple[Array, Array, Array]:
         """Returns the balance (nv,), slips and depths (n, 3), and the Jacobian (3 n, nv)."""
         config = Configuration(self.robot, qpos)
-        depths = self.depths(config)
-        balance, places, jacobians = config.gravity(), [], []
-        for (foot, anchor), force in zip(self.anchors.items(), forces, strict=True):
-            frame, radius = self.robot.foot_frames[foot], self.robot.foot_radius[foot]
-            # MuJoCo has the contact half way into the penetration.
-            arm = (radius - depths[foot] / 2) * self.normal
-            both = config.frame_jacobian(frame, -arm)
-            turn = pin.log3(config.frame_rotation(frame) @ anchor.turned.T)
-            moved = config.frame_position(frame) - anchor.place
-            slip = self.frame @ (moved - pin.skew(turn) @ arm)  # less what the sphere has rolled
-            places.append((slip[0], slip[1], depths[foot]))
-            jacobians.append(self.frame @ both[:3])
-            balance -= jacobians[-1].T @ force
-            if foot in self.moments:
-                balance -= (self.frame @ both[3:]).T @ self.moments[foot]
+        touch = Touch(config, self.anchors, self.frame, self.depths(config))
+        balance = config.gravity() - touch.push(forces, self._turning())
         balance[6:] -= self.torques(qpos) + self.joint_friction
-        return (
-            balance,
-            np.array(places).reshape(-1, 3),
-            np.array(jacobians).reshape(-1, len(balance)),
-        )
+        return balance, touch.places, touch.jacobians.reshape(-1, len(balance))
+
+    def _turning(self) -> Array:
+        """Returns the moments (n, 3) on the feet that touch."""
+        moments = [self.moments.get(foot, np.zeros(3)) for foot in self.anchors]
+        return np.array(moments).reshape(-1, 3)
 
     def residual(self, qpos: Array, forces: Array) -> Array:
         """Returns the equations (nv + 3 n,): balance, and per foot two of slip, one of depth."""
@@ -170,18 +163,17 @@ class Equilibrium:
         return np.array([self.laws[point].rate(-self.laws[point].margin) for point in self.anchors])
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
-        """Returns the residual's derivative: by qpos numeric, by forces in closed form."""
-        n = self.robot.nv
+        """Returns the residual's derivative, in closed form."""
+        n, touch = self.robot.nv, self.touch(qpos)
+        places, jacobian = touch.places, touch.jacobians.reshape(-1, n)
         by_qpos = np.zeros((n + forces.size, n))
-        for column in range(n):
-            step = np.zeros(n)
-            step[column] = _STEP
-            ahead, behind = (self.terms(move(qpos, way), forces) for way in (step, -step))
-            by_qpos[:n, column] = (ahead[0] - behind[0]) / (2 * _STEP)
-            by_qpos[n:, column] = (ahead[1] - behind[1]).ravel() / (2 * _STEP)
+        by_qpos[:n] = touch.balance_rates(forces, self._turning())
+        servos = self.kp * (self.target - qpos[7:])
+        moving = (servos > self.lower) & (servos < self.upper)
+        by_qpos[:n, :n][np.arange(6, n), np.arange(6, n)] += np.where(moving, self.kp, 0.0)
+        by_qpos[n:] = touch.place_rates().reshape(-1, n)
         if self.feet == "sliding":
             by_qpos[n:].reshape(-1, 3, n)[:, :2] *= _WEAK
-        _, places, jacobian = self.terms(qpos, forces)
         sole = self._in_sole()
         rates = self._pressed(places[:, 2])[:, 1] / self._scales()
         by_qpos[n:].reshape(-1, 3, n)[sole, 2] *= rates[sole, None]
