@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.arrays import crosses, rotation_from_quaternion
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.structure import Workspace
@@ -214,11 +214,7 @@ class Configuration:
             offsets: (n, 3) from each foot's centre to its point, in world axes (m).
         """
         both = self._jacobians(feet)
-        arms = np.zeros((len(feet), 3, 3))  # omega x offset = arms omega
-        x, y, z = offsets.T
-        arms[:, 0, 1], arms[:, 0, 2], arms[:, 1, 2] = z, -y, x
-        arms[:, 1, 0], arms[:, 2, 0], arms[:, 2, 1] = -z, y, -x
-        moved: Array = both[:, :3] + arms @ both[:, 3:]
+        moved: Array = both[:, :3] - crosses(offsets) @ both[:, 3:]
         return moved
 
     def center_of_mass(self) -> Array:
@@ -274,7 +270,7 @@ class Configuration:
             joint = structure.parents[foot]
             force, moment = wrench[:3], wrench[3:]
             centre = data.oMf[structure.feet[foot]].translation
-            about_origin = pin.Force(force, moment + np.cross(centre, force))
+            about_origin = pin.Force(force, moment + pin.skew(centre) @ force)
             external[joint] = external[joint] + data.oMi[joint].actInv(about_origin)
             bearing -= jacobian.T @ wrench
             # Pinocchio's turn with their link: they would change by omega x w.

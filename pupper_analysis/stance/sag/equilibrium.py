@@ -14,7 +14,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import gains
 from pupper_analysis.stance.sag.solution import Anchor, Solution, move
 from pupper_analysis.stance.sag.touch import Touch
 from pupper_analysis.stance.stand import Stand
@@ -65,13 +65,13 @@ class Equilibrium:
         feet: Feet,
         lift: float = 0.0,
     ) -> None:
-        drive = servos(robot, kp, None if kp is None else 0.0)
+        stiffness, _, gear, _ = gains(robot, kp, None if kp is None else 0.0)
         actuators = robot.mj_convention.actuator_index
-        limited = drive.model.actuator_forcelimited[actuators].astype(bool)
-        limits = drive.model.actuator_forcerange[actuators] * drive.gear[:, None]
+        limited = robot.mj_model.actuator_forcelimited[actuators].astype(bool)
+        limits = robot.mj_model.actuator_forcerange[actuators] * gear[:, None]
         self.lower = np.where(limited, limits.min(axis=1), -np.inf)
         self.upper = np.where(limited, limits.max(axis=1), np.inf)
-        self.robot, self.stand, self.feet, self.kp = robot, stand, feet, drive.kp
+        self.robot, self.stand, self.feet, self.kp = robot, stand, feet, stiffness
         self.ground, self.normal = stand.task.ground, stand.task.ground.normal()
         self.frame = pin.Quaternion.FromTwoVectors(self.normal, UP).matrix()
         self.laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
@@ -86,6 +86,8 @@ class Equilibrium:
             for points in robot.soles.values()
             for point in points
         }
+        self._touch: tuple[tuple[tuple[str, Anchor], ...], Array, Touch] | None = None
+        self._sunk: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
         self.yielding: dict[str, float] = {}  # m/N: creep in this step per force
         self.friction, self.lift = DryFriction.of(robot), lift
@@ -103,25 +105,31 @@ class Equilibrium:
 
     def sunk(self, forces: Array) -> Array:
         """Returns how deep the feet that touch sink (n,) under forces (n, 3)."""
-        laws = (self.laws[foot] for foot in self.anchors)
-        return np.array([law.depth(f) for law, f in zip(laws, forces[:, 2], strict=True)])
+        asked = tuple(zip(self.anchors, forces[:, 2].tolist(), strict=True))
+        if asked != self._sunk[0]:
+            depths = [self.laws[foot].depth(force) for foot, force in asked]
+            self._sunk = asked, np.array(depths)
+        return self._sunk[1].copy()
 
     def torques(self, qpos: Array) -> Array:
         """Returns the servos' torques (nu,)."""
         return np.clip(self.kp * (self.target - qpos[7:]), self.lower, self.upper)
 
     def touch(self, qpos: Array) -> Touch:
-        """Looks at the feet that touch."""
-        config = Configuration(self.robot, qpos)
-        return Touch(config, self.anchors, self.frame, self.depths(config))
+        """Looks at the feet that touch, or has looked at them just now."""
+        held, seen = tuple(self.anchors.items()), self._touch
+        if seen is None or seen[0] != held or not np.array_equal(seen[1], qpos):
+            config = Configuration(self.robot, qpos)
+            touch = Touch(config, self.anchors, self.frame, self.depths(config))
+            seen = self._touch = held, qpos.copy(), touch
+        return seen[2]
 
     def terms(self, qpos: Array, forces: Array) -> tuple[Array, Array, Array]:
         """Returns the balance (nv,), slips and depths (n, 3), and the Jacobian (3 n, nv)."""
-        config = Configuration(self.robot, qpos)
-        touch = Touch(config, self.anchors, self.frame, self.depths(config))
-        balance = config.gravity() - touch.push(forces, self._turning())
+        touch = self.touch(qpos)
+        balance = touch.config.gravity() - touch.push(forces, self._turning())
         balance[6:] -= self.torques(qpos) + self.joint_friction
-        return balance, touch.places, touch.jacobians.reshape(-1, len(balance))
+        return balance, touch.places.copy(), touch.jacobians.reshape(-1, len(balance))
 
     def _turning(self) -> Array:
         """Returns the moments (n, 3) on the feet that touch."""
@@ -165,7 +173,7 @@ class Equilibrium:
     def derivative(self, qpos: Array, forces: Array) -> Array:
         """Returns the residual's derivative, in closed form."""
         n, touch = self.robot.nv, self.touch(qpos)
-        places, jacobian = touch.places, touch.jacobians.reshape(-1, n)
+        places, jacobian = touch.places.copy(), touch.jacobians.reshape(-1, n)
         by_qpos = np.zeros((n + forces.size, n))
         by_qpos[:n] = touch.balance_rates(forces, self._turning())
         servos = self.kp * (self.target - qpos[7:])
@@ -360,10 +368,10 @@ class Equilibrium:
 
     def stiffness(self, solution: Solution) -> float:
         """Returns the least eigenvalue of the Hessian where the feet allow it to move."""
-        config, n = Configuration(self.robot, solution.qpos), self.robot.nv
-        forces = self._stacked(solution)
+        n, forces = self.robot.nv, self._stacked(solution)
         derivative = self.derivative(solution.qpos, forces)
-        _, places, jacobian = self.terms(solution.qpos, forces)
+        touch = self.touch(solution.qpos)
+        config, places, jacobian = touch.config, touch.places, touch.jacobians.reshape(-1, n)
         normal = jacobian[2::3]
         rates = np.array(
             [self.laws[f].rate(d) for f, d in zip(self.anchors, places[:, 2], strict=True)]

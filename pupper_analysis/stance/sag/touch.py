@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import crosses
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.sag.solution import Anchor
 
@@ -24,6 +25,7 @@ class Touch:
         depths: {foot: how deep it is in the ground (m)}.
 
     Attributes:
+        config: The configuration.
         places: (n, 3) slips along the ground's two tangents, less what the sphere has rolled, and
             depths (m).
         jacobians: (n, 3, nv) of the material point at each contact, in the ground's frame.
@@ -37,7 +39,7 @@ class Touch:
         frame: Array,
         depths: Mapping[str, float],
     ) -> None:
-        self._config, self._frame, self._normal = config, frame, frame[2]
+        self.config, self._frame, self._normal = config, frame, frame[2]
         feet = self._feet = tuple(anchors)
         radius, size = config.robot.foot_radius, config.robot.nv
         deep = np.array([depths[foot] for foot in feet])
@@ -46,7 +48,7 @@ class Touch:
         self._arms = reach[:, None] * self._normal  # from the contact to the centre
         both = config.foot_twists(feet)
         self._centre, self.turning = both[:, :3], both[:, 3:]
-        offsets = _crosses(self._arms)
+        offsets = crosses(self._arms)
         self.jacobians = frame @ (self._centre + offsets @ self.turning)
         self._turned = [
             rotation @ anchor.turned.T
@@ -69,7 +71,7 @@ class Touch:
         ]
         rates: Array = self._centre + self._offsets @ np.array(turns).reshape(-1, 3, self._size)
         # The arm gets shorter by half of what the foot goes deeper.
-        sideways = np.cross(self._turns, self._normal) / 2
+        sideways = crosses(self._turns) @ (self._normal / 2)
         rates += sideways[:, :, None] * deeper[:, None, :]
         rates = self._frame @ rates
         rates[:, 2] = deeper
@@ -95,20 +97,12 @@ class Touch:
             moments: (n, 3) likewise (N m).
         """
         pushing = forces @ self._frame
-        about = np.cross(-self._arms, pushing) + moments @ self._frame
+        offsets = self._offsets
+        about = (pushing[:, None, :] @ offsets)[:, 0] + moments @ self._frame  # pushing x arm
         wrenches = np.concatenate([pushing, about], axis=1)
-        rates = self._config.static_rates(dict(zip(self._feet, wrenches, strict=True)))
+        rates = self.config.static_rates(dict(zip(self._feet, wrenches, strict=True)))
         # As a foot goes deeper its contact comes nearer to the centre.
-        nearer = np.cross(self._normal, pushing) / 2
-        moved = np.einsum("nij,ni->nj", self.turning, nearer)
+        nearer = pushing @ (crosses(self._normal[None])[0].T / 2)
+        moved = (nearer[:, None, :] @ self.turning)[:, 0]
         change: Array = rates - moved.T @ self._deeper()
         return change
-
-
-def _crosses(vectors: Array) -> Array:
-    """Returns the matrices (n, 3, 3) that take x to v x x, of vectors v (n, 3)."""
-    matrices = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
-    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
-    return matrices
