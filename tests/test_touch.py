@@ -41,7 +41,7 @@ def test_derivative_is_that_of_the_residual(
         task = pa.StandTask(ground=pa.Ground(slope=slope, uphill=0.4), yaw=0.1)
         stand = pa.solve_stand(robot, task)
     system = Equilibrium(robot, stand, None, feet)
-    forces = rng.normal(size=(len(system.anchors), 3)) + [0.0, 0.0, 8.0]
+    forces = rng.normal(size=(len(system.anchors), 3)) + np.array([0.0, 0.0, 8.0])
     system.moments = {foot: 0.1 * rng.normal(size=3) for foot in system.anchors}
     qpos = move(stand.qpos, 2e-4 * rng.normal(size=robot.nv))  # the feet stick
     n = robot.nv
