@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 def rotation_from_quaternion(quaternion: Array) -> Array:
     """Returns the (3, 3) rotation matrix of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quaternion
+    w, x, y, z = quaternion.tolist()
     rotation: Array = pin.Quaternion(w, x, y, z).toRotationMatrix()
     return rotation
 

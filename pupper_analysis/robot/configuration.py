@@ -61,7 +61,7 @@ class Configuration:
         # Held for as long as this configuration, or a copy of it, exists.
         self._workspace = structure.workspace()
         self._data = self._workspace.data
-        self._q = robot.pin_convention.q(self.qpos)
+        self._q = robot.pin_convention.unit_q(self.qpos)
         pin.computeJointJacobians(self._model, self._data, self._q)
         pin.updateFramePlacements(self._model, self._data)
 
@@ -110,14 +110,13 @@ class Configuration:
         # Pinocchio's is flat for one joint.
         return self._structure.columns(local.reshape(6, -1), self._turn)
 
-    def _jacobians(self, feet: Iterable[str]) -> Array:
-        """Returns the Jacobians (n, 6, nv) of some feet's centres."""
+    def _jacobians(self, feet: Iterable[str], rows: int = 6) -> Array:
+        """Returns the first rows of the Jacobians (n, 6, nv) of some feet's centres."""
         numbers, size = self._structure.feet, self.robot.nv
-        local = [
-            pin.getFrameJacobian(self._model, self._data, numbers[foot], pin.LOCAL_WORLD_ALIGNED)
-            for foot in feet
-        ]
-        return self._structure.columns(np.array(local).reshape(-1, 6, size), self._turn)
+        model, data, frame = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
+        local = [pin.getFrameJacobian(model, data, numbers[foot], frame) for foot in feet]
+        wanted = np.array(local).reshape(-1, 6, size)[:, :rows]
+        return self._structure.columns(wanted, self._turn)
 
     def joint_position(self, name: str) -> Array:
         """Returns where a joint is (3,), in the world (m).
@@ -162,7 +161,7 @@ class Configuration:
         J qvel is the foot's velocity in the world (m/s).
         """
         feet = self._structure.feet
-        return dict(zip(feet, self._jacobians(feet)[:, :3], strict=True))
+        return dict(zip(feet, self._jacobians(feet, 3), strict=True))
 
     def foot_rotations(self, feet: Iterable[str]) -> list[Array]:
         """Returns the rotation (3, 3) of each of some feet's frames, to the world's axes."""

@@ -70,14 +70,19 @@ class PinocchioConvention:
 
     def q(self, qpos: Array) -> Array:
         """Returns Pinocchio's q (model.nq,) of a public qpos."""
-        if self._order is not None:
-            q: Array = qpos.take(self._order)
-        else:
-            q = self.with_joints(np.empty(self.nq), qpos[7 if self.floating else 0 :])
-            if self.floating:
-                q[:7] = qpos[[0, 1, 2, 4, 5, 6, 3]]
+        q = self.unit_q(qpos)
         if self.floating:
             q[3:7] /= math.hypot(*q[3:7].tolist())
+        return q
+
+    def unit_q(self, qpos: Array) -> Array:
+        """Returns Pinocchio's q (model.nq,) of a public qpos whose quaternion is normalised."""
+        if self._order is not None:
+            q: Array = qpos.take(self._order)
+            return q
+        q = self.with_joints(np.empty(self.nq), qpos[7 if self.floating else 0 :])
+        if self.floating:
+            q[:7] = qpos[[0, 1, 2, 4, 5, 6, 3]]
         return q
 
     @cached_property

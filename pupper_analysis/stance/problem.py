@@ -83,7 +83,8 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
     elif not isinstance(task.com, str):
         place = np.array(task.com)
     points = dict(zip(stance_feet, contacts, strict=True))
-    if not by_base and com_margin(np.append(place, 0.0), points) < task.com_margin:
+    inside = isinstance(task.com, str) and task.com_margin == 0.0  # as the centre always is
+    if not (by_base or inside) and com_margin(np.append(place, 0.0), points) < task.com_margin:
         raise ConfigurationError(
             "com_margin", f"{task.com_margin} m is more than the support polygon has at the com"
         )

@@ -146,10 +146,11 @@ class Equilibrium:
             for row, mu, tried in self._slipping(forces, places):
                 along = tried / np.linalg.norm(tried)
                 places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
-        sole = self._in_sole()
-        pressed = self._pressed(places[:, 2])
+        sole, depths = self._in_sole(), places[:, 2].copy()
         places[:, 2] -= self.sunk(forces)
-        places[sole, 2] = ((pressed[:, 0] - forces[:, 2]) / self._scales())[sole]
+        if sole.any():
+            away = self._pressed(depths)[:, 0] - forces[:, 2]
+            places[sole, 2] = (away / self._scales())[sole]
         return np.concatenate([balance, places.ravel()])
 
     def _in_sole(self) -> NDArray[np.bool_]:
@@ -182,17 +183,16 @@ class Equilibrium:
         by_qpos[n:] = touch.place_rates().reshape(-1, n)
         if self.feet == "sliding":
             by_qpos[n:].reshape(-1, 3, n)[:, :2] *= _WEAK
-        sole = self._in_sole()
-        rates = self._pressed(places[:, 2])[:, 1] / self._scales()
-        by_qpos[n:].reshape(-1, 3, n)[sole, 2] *= rates[sole, None]
         diagonal = np.zeros((len(forces), 3))
         diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._yields()[:, None]
-        laws = self.laws
         diagonal[:, 2] = [
-            -1 / laws[foot].rate(depth)
-            for foot, depth in zip(self.anchors, self.sunk(forces), strict=True)
+            -1 / self.laws[foot].rate(depth)
+            for foot, depth in zip(self.anchors, self.sunk(forces).tolist(), strict=True)
         ]
-        diagonal[sole, 2] = -1 / self._scales()[sole]
+        if (sole := self._in_sole()).any():
+            rates, scales = self._pressed(places[:, 2])[:, 1], self._scales()
+            by_qpos[n:].reshape(-1, 3, n)[sole, 2] *= (rates / scales)[sole, None]
+            diagonal[sole, 2] = -1 / scales[sole]
         by_force = np.diag(diagonal.ravel())
         if self.feet == "pinned":
             places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
