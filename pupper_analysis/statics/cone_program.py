@@ -29,6 +29,9 @@ _PEAK_SLACK = 1e-7
 """How much above the least peak the second search may be: ten times the first one's rounding."""
 
 
+_ROUNDING = 1e-16
+"""Residual that one more solution, for it alone, would not make less, relative to the weight."""
+
 _INDEPENDENT = 1e-8
 """Reciprocal condition from which on rows or columns count as independent. Four feet in a square
 have 1e-2; below it singular values decide, slowly."""
@@ -51,7 +54,17 @@ class Balance:
             friction: (n,) coefficients.
             grip: (n,) the feet's viscosities, relative to each other.
         """
-        return self.solve(friction, _Metric(self.normals, grip), np.zeros(3 * len(grip)))
+        metric = _Metric(self.normals, grip)
+        forces = metric.shortest(self.base, self.weight)
+        if forces is not None:
+            left = self.weight - self.base @ forces
+            if np.abs(left).max() > _ROUNDING * np.abs(self.weight).max():
+                again = metric.shortest(self.base, left)
+                forces = forces if again is None else forces + again
+            held = friction is None or self._violation(forces, friction) <= 0
+            if held and self._balances(forces):
+                return forces
+        return self.solve(friction, metric, np.zeros(3 * len(grip)))
 
     def minimum_peak(self, friction: Array | None, limits: Array) -> Array | None:
         """Returns the f (3 n,) of least peak |tau| / limit, or None if there is none.
@@ -213,11 +226,30 @@ class _Metric:
         self._normals, self._weights = normals, (_TANGENTIAL / np.sqrt(grip))[:, None]
 
     def __matmul__(self, forces: Array) -> Array:
+        return self._times(self._weights, forces)
+
+    def _times(self, weights: Array, forces: Array) -> Array:
         columns = forces.reshape(len(self._normals), 3, -1)
         normals = self._normals[:, :, None]
         along = normals * (normals * columns).sum(axis=1, keepdims=True)
-        product: Array = along + self._weights[:, :, None] * (columns - along)
+        product: Array = along + weights[:, :, None] * (columns - along)
         return product.reshape(forces.shape)
+
+    def shortest(self, rows: Array, right: Array) -> Array | None:
+        """Returns the f (3 n,) of rows f = right with the shortest product with this matrix W.
+
+        That is W^-1 u, u being the shortest with rows W^-1 u = right: no square of W's condition.
+        None if the rows are dependent, or nearly so.
+        """
+        count, size = rows.shape
+        if size < count:
+            return None
+        wanted = np.zeros(size)
+        wanted[:count] = right
+        triangle, found, _ = lapack.dgels(self._times(1 / self._weights, rows.T).T, wanted)
+        if lapack.dtrcon(triangle[:, :count], uplo="L")[0] < _INDEPENDENT:
+            return None
+        return self._times(1 / self._weights, found.ravel())
 
 
 def _along(normals: Array, forces: Array) -> Array:
