@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable
 
+import bare
 import click
 import mujoco
 import numpy as np
@@ -89,6 +90,39 @@ def main(variant: str, repeats: int) -> None:
     speed = steps_per_second(robot, stand, 16, 1000)
     table.add_row("mujoco.rollout, 2 threads", f"{speed / 1e3:.0f} k steps/s")
     Console().print(table)
+    Console().print(engines(variant, repeats))
+
+
+def engines(variant: str, repeats: int) -> Table:
+    """Compares with the bare engines; ours and theirs take turns, so that both meet the same."""
+    columns = ("what", "ours", "bare engine", "ratio", "goal", "engine", "accuracy")
+    table = Table(*columns, title=f"{variant} against the bare engines, medians")
+    for job in bare.jobs(variant):
+        ours, theirs = take_turns((job.ours, job.bare), repeats)
+        table.add_row(
+            job.name,
+            f"{1e3 * ours:.3f} ms",
+            f"{1e3 * theirs:.3f} ms",
+            f"{ours / theirs:.2f}",
+            f"{job.goal:.2f}",
+            job.engine,
+            job.accuracy(),
+        )
+    return table
+
+
+def take_turns(both: tuple[Callable[[], object], ...], repeats: int) -> list[float]:
+    """Returns the median time of each of some jobs, run by turns for a second or longer (s)."""
+    times: list[list[float]] = [[] for _ in both]
+    for job in both:
+        job()
+    end = time.perf_counter() + 1.0
+    while len(times[0]) < repeats or time.perf_counter() < end:
+        for job, taken in zip(both, times, strict=True):
+            start = time.perf_counter()
+            job()
+            taken.append(time.perf_counter() - start)
+    return [statistics.median(taken) for taken in times]
 
 
 if __name__ == "__main__":

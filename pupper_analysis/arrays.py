@@ -22,6 +22,15 @@ def plain_state(instance: object) -> dict[str, Any]:
 
 def rotation_from_quaternion(quaternion: Array) -> Array:
     """Returns the (3, 3) rotation matrix of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quaternion
+    w, x, y, z = quaternion.tolist()
     rotation: Array = pin.Quaternion(w, x, y, z).toRotationMatrix()
     return rotation
+
+
+def crosses(vectors: Array) -> Array:
+    """Returns the matrices (n, 3, 3) that take x to v x x, of vectors v (n, 3)."""
+    matrices = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
+    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
+    return matrices

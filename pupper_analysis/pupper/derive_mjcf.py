@@ -161,7 +161,7 @@ def _draw_ballast(body: mujoco.MjsBody, ballast: Box) -> None:
 
 def _keyframe_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
     """Returns how far the lowest foot is below the base: at zero angles, then at each keyframe."""
-    model = spec.copy().compile()
+    model = _bones(spec).compile()
     data = mujoco.MjData(model)
     ids = [model.site(name).id for name in sites]  # type: ignore[attr-defined]
     depths = []
@@ -172,6 +172,17 @@ def _keyframe_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
         mujoco.mj_kinematics(model, data)
         depths.append(-float(data.site_xpos[ids, 2].min()))
     return depths
+
+
+def _bones(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Returns a copy that moves alike, without what takes time to compile: shapes, textures."""
+    bones = spec.copy()
+    for element in (*bones.geoms, *bones.meshes, *bones.materials, *bones.textures):
+        bones.delete(element)
+    for body in bones.bodies[1:]:
+        if not body.explicitinertial:  # its mass was that of its shapes; any is as good
+            body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
+    return bones
 
 
 def _raise_keyframes(

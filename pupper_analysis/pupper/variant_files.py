@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
+
+import mujoco
 
 from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ModelError, VariantError
@@ -12,6 +15,9 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.places import one_line
 from pupper_analysis.pupper import derive_mjcf
 from pupper_analysis.pupper.variants import BASES, VariantSpec, model_folder, variant_spec
+
+_USUAL = 20.0
+"""Scales up to this, or its inverse, compile; whether others do is tried, which takes its time."""
 
 
 def describe(variant: str | VariantSpec) -> Description:
@@ -27,32 +33,60 @@ def describe(variant: str | VariantSpec) -> Description:
     base = BASES[spec.base]
     urdf_source = model_folder("urdf") / base.urdf
     mjcf_source = model_folder("mjcf") / base.mjcf
-    urdf_text = urdf_source.read_text()
-    scaled = spec.leg_scale != 1.0 or spec.torso_mass_scale != 1.0
-    if scaled:
-        from pupper_analysis.pupper import derive_urdf  # yourdfpy is slow to import
-
-    mjcf_spec = mjcf.load(mjcf_source)
-    if scaled:
-        try:
-            urdf_text = derive_urdf.derive(urdf_text, spec, source=urdf_source)
-            derive_mjcf.derive(mjcf_spec, spec)
-            mjcf.compile_spec(mjcf_spec.copy(), mjcf_source)
-        except (ArithmeticError, ValueError, ModelError) as error:
-            scales = f"{spec.leg_scale:g} and {spec.torso_mass_scale:g}"
-            raise VariantError(
-                "leg_scale, torso_mass_scale",
-                scales,
-                f"no robot can be made so ({one_line(error)}); try scales nearer to 1",
-            ) from error
+    urdf_text, mjcf_spec = _derived(
+        spec, spec.name, urdf_source, mjcf_source, _stamp(urdf_source), _stamp(mjcf_source)
+    )
     return Description(
         name=spec.name,
         urdf=urdf_text,
         urdf_source=urdf_source,
-        mjcf=mjcf_spec,
+        mjcf=mjcf_spec.copy(),
         mjcf_source=mjcf_source,
         feet={foot: (frame, frame) for foot, frame in base.feet.items()},
     )
+
+
+def _stamp(file: Path) -> tuple[int, int]:
+    """Returns what tells that a file has changed; reading it tells that there is none."""
+    if not file.is_file():
+        return 0, 0
+    found = file.stat()
+    return found.st_mtime_ns, found.st_size
+
+
+@lru_cache(maxsize=32)
+def _derived(
+    spec: VariantSpec,
+    _name: str,  # which does not count where specs are compared
+    urdf_source: Path,
+    mjcf_source: Path,
+    _urdf_stamp: tuple[int, int],
+    mjcf_stamp: tuple[int, int],
+) -> tuple[str, mujoco.MjSpec]:
+    """Derives a variant's URDF and MJCF once, unless a base file changes."""
+    urdf_text, mjcf_spec = urdf_source.read_text(), _read(mjcf_source, mjcf_stamp).copy()
+    if spec.leg_scale != 1.0 or spec.torso_mass_scale != 1.0:
+        from pupper_analysis.pupper import derive_urdf  # yourdfpy is slow to import
+
+        scales = spec.leg_scale, spec.torso_mass_scale
+        try:
+            urdf_text = derive_urdf.derive(urdf_text, spec, source=urdf_source)
+            derive_mjcf.derive(mjcf_spec, spec)
+            if max(*scales, *(1 / scale for scale in scales)) > _USUAL:
+                mjcf.compile_spec(mjcf_spec.copy(), mjcf_source)
+        except (ArithmeticError, ValueError, ModelError) as error:
+            raise VariantError(
+                "leg_scale, torso_mass_scale",
+                f"{scales[0]:g} and {scales[1]:g}",
+                f"no robot can be made so ({one_line(error)}); try scales nearer to 1",
+            ) from error
+    return urdf_text, mjcf_spec
+
+
+@lru_cache(maxsize=8)
+def _read(source: Path, _stamp: tuple[int, int]) -> mujoco.MjSpec:
+    """Reads a base MJCF once, unless the file changes; that it compiles is known then."""
+    return mjcf.load(source)
 
 
 def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path, Path]:

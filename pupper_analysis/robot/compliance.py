@@ -10,6 +10,12 @@ import numpy as np
 
 from pupper_analysis.robot.robot import Robot
 
+_MAX_ITERATIONS = 200  # in search of a depth: 5 do, but for laws that no Newton step fits
+
+_QUADRATIC = 1e-9  # of a depth: a Newton step as short as that leaves the square of it
+
+_ROUNDING = 4e-16  # of a depth
+
 
 @dataclass(frozen=True)
 class GroundLaw:
@@ -95,14 +101,41 @@ class GroundLaw:
 
     def depth(self, force: float) -> float:
         """Returns the penetration (m) under a normal force (N); linear where the foot pulls."""
-        from scipy import optimize  # slow to import
-
         start = -self.margin
         linear = force / self.rate(start)
         if force <= 0:
             return start + linear
-        end = start + 2 * linear
-        return float(optimize.brentq(lambda r: self.force(r) - force, start, end, xtol=1e-16))
+        high = 2 * linear
+        while self.force(start + high) < force:  # on ground that gets softer as a foot sinks
+            high *= 2
+        # Newton's iteration, held between bounds that close in on x, how deep beyond the margin.
+        low, x, last = 0.0, linear, math.inf
+        for _ in range(_MAX_ITERATIONS):
+            left = self.force(start + x) - force
+            low, high = (x, high) if left < 0 else (low, x)
+            slope = self._slope(start + x)
+            tried = x - left / slope if slope > 0 else math.inf
+            if abs(tried - x) <= _QUADRATIC * x:
+                return start + tried
+            if not low < tried < high or abs(left) > last / 2:
+                tried = math.sqrt(low * high) or high / 2
+            if high - low <= _ROUNDING * x:
+                return start + tried
+            x, last = tried, abs(left)
+        return start + x
+
+    def _slope(self, depth: float) -> float:
+        """Returns the derivative of ``force`` (N/m)."""
+        dmin, dmax, width, midpoint, power = self.solimp
+        d, x = self.impedance(depth), 1.0
+        if dmin != dmax and width > mujoco.mjMINVAL:
+            x = min(abs(depth + self.margin) / width, 1.0)
+        steeper = 0.0
+        if x < 1:
+            share = x / midpoint if x <= midpoint else (1 - x) / (1 - midpoint)
+            steeper = power * share ** (power - 1) * (dmax - dmin) / width
+        changing = steeper * (2 - d) * d / (1 - d) ** 2 * (depth + self.margin)
+        return self.stiffness * (changing + d**2 / (1 - d)) / self.normal
 
     def viscosity(self, depth: float) -> float:
         """Returns c (N s/m), tangential force per creep velocity, at a penetration (m)."""

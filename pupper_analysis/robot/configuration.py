@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import check_type
-from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.arrays import crosses, rotation_from_quaternion
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.structure import Workspace
 
 Array = NDArray[np.float64]
 
@@ -45,21 +47,23 @@ class Configuration:
         check_type("robot", robot, Robot)
         self.robot = robot
         self.qpos = _vector("qpos", qpos, robot.nq)
-        self.qvel = _vector("qvel", np.zeros(robot.nv) if qvel is None else qvel, robot.nv)
+        self.qvel = np.zeros(robot.nv) if qvel is None else _vector("qvel", qvel, robot.nv)
+        self._structure = structure = robot.structure
+        self._turn: Array | None = None
         if robot.floating:
-            norm = np.linalg.norm(self.qpos[3:7])
+            norm = math.hypot(*self.qpos[3:7].tolist())
             if norm < 1e-9:
                 raise ConfigurationError("qpos", "its quaternion, qpos[3:7], is zero")
             self.qpos[3:7] /= norm
+            self._turn = rotation_from_quaternion(self.qpos[3:7])
         self.qpos.flags.writeable = False
         self.qvel.flags.writeable = False
 
-        convention = robot.pin_convention
-        self._model = robot.pin_model
-        self._data = self._model.createData()
-        self._q = convention.q(self.qpos)
-        self._map = convention.velocity_map(self.qpos)
-        self._v = self._map @ self.qvel
+        self._model = structure.model
+        # Held for as long as this configuration, or a copy of it, exists.
+        self._workspace = structure.workspace()
+        self._data = self._workspace.data
+        self._q = robot.pin_convention.unit_q(self.qpos)
         pin.computeJointJacobians(self._model, self._data, self._q)
         pin.updateFramePlacements(self._model, self._data)
 
@@ -91,19 +95,30 @@ class Configuration:
         Raises:
             UnknownNameError: If the URDF has no such frame.
         """
-        local = pin.getFrameJacobian(
-            self._model, self._data, self._frame(name), pin.LOCAL_WORLD_ALIGNED
-        )
-        jacobian: Array = local.reshape(6, -1) @ self._map  # Pinocchio's is flat for one joint
+        jacobian = self._jacobian(self._frame(name))
         if offset is not None:
             jacobian[:3] -= pin.skew(np.asarray(offset, dtype=float)) @ jacobian[3:]
         return jacobian
 
     def _frame(self, name: str) -> int:
-        if not self._model.existFrame(name, pin.FrameType.BODY):
+        number = self._structure.links.get(name)
+        if number is None:
             links = [f.name for f in self._model.frames if f.type == pin.FrameType.BODY]
             raise UnknownNameError(self.robot.name, "link", name, links)
-        return int(self._model.getFrameId(name, pin.FrameType.BODY))
+        return number
+
+    def _jacobian(self, frame: int) -> Array:
+        local = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
+        # Pinocchio's is flat for one joint.
+        return self._structure.columns(local.reshape(6, -1), self._turn)
+
+    def _jacobians(self, feet: Iterable[str], rows: int = 6) -> Array:
+        """Returns the first rows of the Jacobians (n, 6, nv) of some feet's centres."""
+        numbers, size = self._structure.feet, self.robot.nv
+        model, data, frame = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
+        local = [pin.getFrameJacobian(model, data, numbers[foot], frame) for foot in feet]
+        wanted = np.array(local).reshape(-1, 6, size)[:, :rows]
+        return self._structure.columns(wanted, self._turn)
 
     def joint_position(self, name: str) -> Array:
         """Returns where a joint is (3,), in the world (m).
@@ -126,22 +141,38 @@ class Configuration:
         return np.array(axis / np.linalg.norm(axis))
 
     def _joint(self, name: str) -> int:
-        if name not in self.robot.joint_names:
+        number = self._structure.joints.get(name)
+        if number is None:
             raise UnknownNameError(self.robot.name, "joint", name, self.robot.joint_names)
-        return int(self._model.getJointId(name))
+        return number
 
     def foot_positions(self) -> dict[str, Array]:
         """Returns the centre of each foot's sphere, {foot: (3,)}, in the world (m)."""
-        return {foot: self.frame_position(frame) for foot, frame in self.robot.foot_frames.items()}
+        placements, numbers = self._data.oMf, self._structure.feet
+        return {foot: np.array(placements[at].translation) for foot, at in numbers.items()}
+
+    def foot_places(self, feet: Iterable[str]) -> Array:
+        """Returns the centres (n, 3) of some feet's spheres, in the world (m)."""
+        placements, numbers = self._data.oMf, self._structure.feet
+        places = np.array([placements[numbers[foot]].translation for foot in feet])
+        return places.reshape(-1, 3)
 
     def foot_jacobians(self) -> dict[str, Array]:
         """Returns the Jacobian of each foot's centre, {foot: (3, nv)}, in world axes.
 
         J qvel is the foot's velocity in the world (m/s).
         """
-        return {
-            foot: self.frame_jacobian(frame)[:3] for foot, frame in self.robot.foot_frames.items()
-        }
+        feet = self._structure.feet
+        return dict(zip(feet, self._jacobians(feet, 3), strict=True))
+
+    def foot_rotations(self, feet: Iterable[str]) -> list[Array]:
+        """Returns the rotation (3, 3) of each of some feet's frames, to the world's axes."""
+        placements, numbers = self._data.oMf, self._structure.feet
+        return [np.array(placements[numbers[foot]].rotation) for foot in feet]
+
+    def foot_twists(self, feet: Sequence[str]) -> Array:
+        """Returns the Jacobians (n, 6, nv) of some feet, of centre and rotation, in world axes."""
+        return self._jacobians(feet)
 
     def contact_points(self, feet: Iterable[str] | None = None) -> dict[str, Array]:
         """Returns where each foot's sphere touches level ground, {foot: (3,)}, in the world (m).
@@ -170,60 +201,88 @@ class Configuration:
         Raises:
             UnknownNameError: If a foot is unknown.
         """
-        return {
-            foot: self.frame_jacobian(
-                self.robot.foot_frames[self.robot.check_foot(foot)],
-                -self.robot.foot_radius[foot] * UP,
-            )[:3]
-            for foot in (self.robot.feet if feet is None else feet)
-        }
+        robot = self.robot
+        names = [robot.check_foot(foot) for foot in (robot.feet if feet is None else feet)]
+        offsets = np.zeros((len(names), 3))
+        offsets[:, 2] = [-robot.foot_radius[foot] for foot in names]
+        return dict(zip(names, self.point_jacobians(names, offsets), strict=True))
+
+    def point_jacobians(self, feet: Sequence[str], offsets: Array) -> Array:
+        """Returns the Jacobians (n, 3, nv) of points that move with feet, in world axes.
+
+        Args:
+            feet: n names of feet.
+            offsets: (n, 3) from each foot's centre to its point, in world axes (m).
+        """
+        both = self._jacobians(feet)
+        moved: Array = both[:, :3] - crosses(offsets) @ both[:, 3:]
+        return moved
 
     def center_of_mass(self) -> Array:
         """Returns the centre of mass (3,) in the world (m)."""
         moving: Array = np.array(pin.centerOfMass(self._model, self._data, self._q, False))
-        com: Array = moving + self._fixed_share * (np.array(self._fixed.lever) - moving)
+        structure = self._structure  # Pinocchio leaves what does not move out of the com
+        com: Array = moving + structure.fixed * (structure.lever - moving)
         return com
 
     def com_jacobian(self) -> Array:
         """Returns the Jacobian (3, nv) of the centre of mass: J qvel is its velocity (m/s)."""
         local = pin.jacobianCenterOfMass(self._model, self._data, self._q)
-        moving = local.reshape(3, -1) @ self._map
-        jacobian: Array = (1 - self._fixed_share) * moving
+        moving = self._structure.columns(local.reshape(3, -1), self._turn)
+        jacobian: Array = (1 - self._structure.fixed) * moving
         return jacobian
-
-    @property
-    def _fixed(self) -> pin.Inertia:
-        """The inertia of what does not move, a fixed base's; Pinocchio leaves it out of the com."""
-        return self._model.inertias[0]
-
-    @property
-    def _fixed_share(self) -> float:
-        return float(self._fixed.mass) / self.robot.total_mass
 
     def mass_matrix(self) -> Array:
         """Returns the joint-space inertia matrix M (nv, nv), armature included."""
-        upper = np.triu(np.atleast_2d(pin.crba(self._model, self._data, self._q)))
-        full = upper + np.triu(upper, 1).T
-        matrix: Array = self._map.T @ full @ self._map
-        return matrix
+        upper = np.atleast_2d(pin.crba(self._model, self._data, self._q))
+        return self._structure.inertia(upper, self._turn)
 
     def bias_forces(self) -> Array:
         """Returns h (nv,): Coriolis, centrifugal and gravity forces.
 
         In M qacc + h = tau + J^T f, with no passive joint forces in h.
         """
-        drift = self.robot.pin_convention.velocity_map_rate(self.qpos, self.qvel)
+        drift = self._structure.drift(self.qvel, self._turn)
         forces = pin.rnea(self._model, self._data, self._q, self._v, drift)
         # Armature belongs to the public coordinates, in which there is no drift.
-        bias: Array = self._map.T @ (forces - self._model.armature * drift)
-        return bias
+        return self._structure.dual(forces - self._model.armature * drift, self._turn)
 
     def gravity(self) -> Array:
         """Returns g (nv,): the bias forces at rest. Its first three rows are the weight (N)."""
-        forces: Array = self._map.T @ pin.computeGeneralizedGravity(
-            self._model, self._data, self._q
-        )
-        return forces
+        forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
+        return self._structure.dual(forces, self._turn)
+
+    def static_rates(self, wrenches: Mapping[str, Array]) -> Array:
+        """Returns the derivative (nv, nv) of gravity less wrenches on feet: of g - sum J^T w.
+
+        By a step in the directions of qvel. J is the Jacobian (6, nv) of a foot's centre.
+
+        Args:
+            wrenches: {foot: (6,)} force (N), and moment about the foot's centre (N m), in world
+                axes, in which they do not change.
+        """
+        model, data, structure = self._model, self._data, self._structure
+        external = pin.StdVec_Force()
+        external.extend([pin.Force.Zero() for _ in range(model.njoints)])
+        bearing, turning = self.gravity(), np.zeros((self.robot.nv, self.robot.nv))
+        for jacobian, (foot, wrench) in zip(
+            self._jacobians(tuple(wrenches)), wrenches.items(), strict=True
+        ):
+            joint = structure.parents[foot]
+            force, moment = wrench[:3], wrench[3:]
+            centre = data.oMf[structure.feet[foot]].translation
+            about_origin = pin.Force(force, moment + pin.skew(centre) @ force)
+            external[joint] = external[joint] + data.oMi[joint].actInv(about_origin)
+            bearing -= jacobian.T @ wrench
+            # Pinocchio's turn with their link: they would change by omega x w.
+            both = np.concatenate([pin.skew(force), pin.skew(moment)])
+            turning += jacobian.T @ both @ jacobian[3:]
+        held = structure.workspace()
+        rates = pin.computeStaticTorqueDerivatives(model, held.data, self._q, external)
+        changed = structure.square(np.atleast_2d(rates), self._turn) - turning
+        if self._turn is not None:  # the base's first three are a force that Pinocchio turns
+            changed[:3, 3:6] -= pin.skew(bearing[:3]) @ self._turn
+        return changed
 
     def forward_dynamics(self, force: ArrayLike) -> Array:
         """Returns the acceleration qacc (nv,) under a generalised force, without contacts.
@@ -235,12 +294,12 @@ class Configuration:
             ConfigurationError: If the vector has a wrong length or a value is not finite.
         """
         wanted = _vector("force", force, self.robot.nv)
-        drift = self.robot.pin_convention.velocity_map_rate(self.qpos, self.qvel)
+        drift = self._structure.drift(self.qvel, self._turn)
         # T^-T = T: T is orthogonal. On the armature see bias_forces.
-        given = self._map @ wanted + self._model.armature * drift
+        own = self._structure.velocity(wanted, self._turn)
+        given = own + self._model.armature * drift
         acceleration = pin.aba(self._model, self._data, self._q, self._v, given)
-        qacc: Array = self._map.T @ (acceleration - drift)
-        return qacc
+        return self._structure.dual(acceleration - drift, self._turn)
 
     def foot_accelerations(self, qacc: ArrayLike) -> dict[str, Array]:
         """Returns the acceleration of each foot, {foot: (6,)}, in world axes.
@@ -251,10 +310,10 @@ class Configuration:
         Args:
             qacc: (nv,) generalised acceleration.
         """
-        data, found = self._accelerated(qacc), {}
-        for foot, frame in self.robot.foot_frames.items():
+        held, found = self._accelerated(qacc), {}
+        for foot, number in self._structure.feet.items():
             motion = pin.getFrameClassicalAcceleration(
-                self._model, data, self._frame(frame), pin.LOCAL_WORLD_ALIGNED
+                self._model, held.data, number, pin.LOCAL_WORLD_ALIGNED
             )
             found[foot] = np.concatenate([motion.linear, motion.angular])
         return found
@@ -265,19 +324,24 @@ class Configuration:
         Args:
             qacc: (nv,) generalised acceleration.
         """
-        data = self._accelerated(qacc)
-        pin.centerOfMass(self._model, data, pin.ACCELERATION, False)
-        moving: Array = np.array(data.acom[0])
-        return (1 - self._fixed_share) * moving
+        held = self._accelerated(qacc)
+        pin.centerOfMass(self._model, held.data, pin.ACCELERATION, False)
+        moving: Array = np.array(held.data.acom[0])
+        return (1 - self._structure.fixed) * moving
 
-    def _accelerated(self, qacc: ArrayLike) -> pin.Data:
-        """Returns Pinocchio's data with this acceleration."""
-        drift = self.robot.pin_convention.velocity_map_rate(self.qpos, self.qvel)
-        a = self._map @ _vector("qacc", qacc, self.robot.nv) + drift
-        data = self._model.createData()
-        pin.forwardKinematics(self._model, data, self._q, self._v, a)
-        pin.updateFramePlacements(self._model, data)
-        return data
+    def _accelerated(self, qacc: ArrayLike) -> Workspace:
+        """Returns a workspace with this acceleration."""
+        drift = self._structure.drift(self.qvel, self._turn)
+        wanted = _vector("qacc", qacc, self.robot.nv)
+        a = self._structure.velocity(wanted, self._turn) + drift
+        held = self._structure.workspace()
+        pin.forwardKinematics(self._model, held.data, self._q, self._v, a)
+        pin.updateFramePlacements(self._model, held.data)
+        return held
+
+    @property
+    def _v(self) -> Array:
+        return self._structure.velocity(self.qvel, self._turn)
 
     def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:
         """Returns what a gyro and an accelerometer at a frame read.
@@ -299,7 +363,8 @@ class Configuration:
         if frame is None:
             raise ConfigurationError("name", f"{self.robot.name} has no IMU; name a frame")
         index = self._frame(frame)
-        data = self._accelerated(qacc)
+        held = self._accelerated(qacc)
+        data = held.data
         gyro = pin.getFrameVelocity(self._model, data, index, pin.LOCAL).angular
         linear = pin.getFrameClassicalAcceleration(self._model, data, index, pin.LOCAL).linear
         gravity = data.oMf[index].rotation.T @ self.robot.gravity
@@ -307,8 +372,8 @@ class Configuration:
 
     def base_rotation(self) -> Array:
         """Returns the rotation (3, 3) from the base's axes to the world's."""
-        if self.robot.floating:
-            return rotation_from_quaternion(self.qpos[3:7])
+        if self._turn is not None:
+            return self._turn.copy()
         return self.frame_rotation(self.robot.base)
 
 

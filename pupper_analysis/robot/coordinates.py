@@ -16,8 +16,10 @@ velocity-dependent forces are h = T^T (h_pin + M_pin dT/dt qvel).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -68,14 +70,31 @@ class PinocchioConvention:
 
     def q(self, qpos: Array) -> Array:
         """Returns Pinocchio's q (model.nq,) of a public qpos."""
-        q = np.empty(self.nq)
-        joints = qpos
+        q = self.unit_q(qpos)
         if self.floating:
-            w, x, y, z = qpos[3:7] / np.linalg.norm(qpos[3:7])
-            q[:3] = qpos[:3]
-            q[3:7] = x, y, z, w
-            joints = qpos[7:]
-        return self.with_joints(q, joints)
+            q[3:7] /= math.hypot(*q[3:7].tolist())
+        return q
+
+    def unit_q(self, qpos: Array) -> Array:
+        """Returns Pinocchio's q (model.nq,) of a public qpos whose quaternion is normalised."""
+        if self._order is not None:
+            q: Array = qpos.take(self._order)
+            return q
+        q = self.with_joints(np.empty(self.nq), qpos[7 if self.floating else 0 :])
+        if self.floating:
+            q[:7] = qpos[[0, 1, 2, 4, 5, 6, 3]]
+        return q
+
+    @cached_property
+    def _order(self) -> IntArray | None:
+        """Where each element of q is in qpos; None where one is a cosine."""
+        if self.unbounded.any():
+            return None
+        base = [0, 1, 2, 4, 5, 6, 3] if self.floating else []
+        order = np.empty(self.nq, dtype=np.int64)
+        order[: len(base)] = base
+        order[self.q_index] = len(base) + np.arange(len(self.q_index))
+        return order
 
     def with_joints(self, q: Array, joints: Array) -> Array:
         """Returns Pinocchio's q (model.nq,) with other joint positions (n,), and the same base."""

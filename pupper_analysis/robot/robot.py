@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -18,6 +19,7 @@ from pupper_analysis.models.conversion import gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.robot.contact import ContactParameters
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
+from pupper_analysis.robot.structure import Structure
 
 Array = NDArray[np.float64]
 
@@ -108,7 +110,12 @@ class Robot:
     @property
     def total_mass(self) -> float:
         """Mass of the URDF's model (kg)."""
-        return float(sum(inertia.mass for inertia in self.pin_model.inertias))
+        return self.structure.total_mass
+
+    @cached_property
+    def structure(self) -> Structure:
+        """What configurations need to know of the robot; worked out once."""
+        return Structure(self.pin_model, self.pin_convention, self.joint_names, self.foot_frames)
 
     @property
     def lower_limits(self) -> Array:

@@ -81,26 +81,8 @@ def servos(
             both given.
     """
     model = copy.copy(robot.mj_model)
+    stiffness, damping, gear, servo = gains(robot, kp, kd)
     actuators = robot.mj_convention.actuator_index
-    for name, actuator in zip(robot.joint_names, actuators, strict=True):
-        if actuator < 0:
-            raise ModelError(robot.description.mjcf_source, f"joint {name!r} has no actuator")
-    gear = model.actuator_gear[actuators, 0].copy()
-    gain = model.actuator_gainprm[actuators, 0] * gear**2
-    bias = -model.actuator_biasprm[actuators, 1:3] * gear[:, None] ** 2
-    affine = model.actuator_biastype[actuators] == mujoco.mjtBias.mjBIAS_AFFINE.value
-    servo = affine & np.isclose(gain, bias[:, 0]) & (gain > 0)
-    if (kp is None or kd is None) and not servo.all():
-        index = int(np.flatnonzero(~servo)[0])
-        raise ModelError(
-            robot.description.mjcf_source,
-            f"the actuator of joint {robot.joint_names[index]!r} is no position servo; "
-            "give kp and kd to drive it as one",
-        )
-    stiffness = gain if kp is None else _gain("kp", kp, robot.nu)
-    damping = bias[:, 1] if kd is None else _gain("kd", kd, robot.nu)
-    if kp is not None and (stiffness <= 0).any():
-        raise ConfigurationError("kp", f"{stiffness.min()} N m/rad is not positive")
     if kp is not None or kd is not None:
         model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
         model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
@@ -125,6 +107,42 @@ def servos(
 
 STIFFEST = 1e9
 """N m/rad (kd: N m s/rad): more than any machine's; what overflows is far beyond."""
+
+
+def gains(
+    robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
+) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Returns what ``servos`` works out, without a model that has it.
+
+    Returns:
+        kp and kd at the joints, gear (nu,), and which motors are servos in the robot's model.
+
+    Raises:
+        ConfigurationError: As ``servos``.
+        ModelError: Likewise.
+    """
+    model = robot.mj_model
+    actuators = robot.mj_convention.actuator_index
+    for name, actuator in zip(robot.joint_names, actuators, strict=True):
+        if actuator < 0:
+            raise ModelError(robot.description.mjcf_source, f"joint {name!r} has no actuator")
+    gear = model.actuator_gear[actuators, 0].copy()
+    gain = model.actuator_gainprm[actuators, 0] * gear**2
+    bias = -model.actuator_biasprm[actuators, 1:3] * gear[:, None] ** 2
+    affine = model.actuator_biastype[actuators] == mujoco.mjtBias.mjBIAS_AFFINE.value
+    servo = affine & np.isclose(gain, bias[:, 0]) & (gain > 0)
+    if (kp is None or kd is None) and not servo.all():
+        index = int(np.flatnonzero(~servo)[0])
+        raise ModelError(
+            robot.description.mjcf_source,
+            f"the actuator of joint {robot.joint_names[index]!r} is no position servo; "
+            "give kp and kd to drive it as one",
+        )
+    stiffness = gain if kp is None else _gain("kp", kp, robot.nu)
+    damping = bias[:, 1] if kd is None else _gain("kd", kd, robot.nu)
+    if kp is not None and (stiffness <= 0).any():
+        raise ConfigurationError("kp", f"{stiffness.min()} N m/rad is not positive")
+    return stiffness, damping, gear, servo
 
 
 def _gain(name: str, value: ArrayLike, size: int) -> Array:

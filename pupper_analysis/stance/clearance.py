@@ -7,6 +7,7 @@ import json
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import coal  # comes with pin
 import numpy as np
@@ -56,14 +57,19 @@ class Shapes:
     Attributes:
         robot: The robot.
         wrapper: PlaCo's robot.
+        tasks: Whatever a solver made for this robot once, and uses again.
     """
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
+        self.tasks: dict[object, Any] = {}
         self.wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _primitives(robot))
         self._objects = list(self.wrapper.collision_model.geometryObjects)
         self._links = [self.wrapper.model.frames[o.parentFrame].name for o in self._objects]
         self._paired = False
+        self._data = self.wrapper.model.createData()
+        self._placed = pin.GeometryData(self.wrapper.collision_model)
+        self._looked_at = [*self._not_feet()]
 
     def pair(self) -> None:
         """Makes PlaCo look at the distances between links, but not between neighbours.
@@ -136,9 +142,8 @@ class Shapes:
             places: {foot: (3,) of its centre (m)}, for the steps.
             depths: {foot: how deep it is in the ground (m)}.
         """
-        data = self.wrapper.model.createData()
         heights = np.full(len(self._objects), np.inf)
-        for index, near, depth in self._above(data, qpos, ground, places, depths):
+        for index, near, depth in self._above(qpos, ground, places, depths):
             heights[index] = near.min_distance + depth
         return heights
 
@@ -150,10 +155,10 @@ class Shapes:
         Zero for the feet. What is nearest moves as the part of the shape that is there.
         """
         robot, model = self.robot, self.wrapper.model
-        data = model.createData()
+        data = self._data
         pin.computeJointJacobians(model, data, robot.pin_convention.q(qpos))
         rates = np.zeros((len(self._objects), 2 + robot.nu))
-        for index, near, _ in self._above(data, qpos, ground, places, depths):
+        for index, near, _ in self._above(qpos, ground, places, depths):
             out, joint = -near.normal, int(self._objects[index].parentJoint)
             jacobian = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
             jacobian = jacobian[:, robot.pin_convention.v_index]
@@ -163,17 +168,42 @@ class Shapes:
 
     def _above(
         self,
-        data: pin.Data,
         qpos: Array,
         ground: Ground,
         places: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Iterator[tuple[int, coal.DistanceResult, float]]:
         """Yields each shape's number, what of the ground is nearest, and how deep it may be."""
+        shapes, placed = self.wrapper.collision_model, self._placed
+        q = self.robot.pin_convention.q(qpos)
+        pin.updateGeometryPlacements(self.wrapper.model, self._data, shapes, placed, q)
+        obstacles: list[tuple[coal.CollisionGeometry, coal.Transform3s]] = [
+            (coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
+        ]
+        for foot, height in ground.heights.items():
+            if height > 0:
+                centre, half = ground.step(foot, places[foot], STEP_HALF_WIDTH)
+                box = coal.Box(2 * half)
+                obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
+        at = placed.oMg
+        for index, shape, sunk in self._looked_at:
+            place = at[index]
+            where = coal.Transform3s(place.rotation, place.translation)
+            near = [_nearest(shape, where, *obstacle) for obstacle in obstacles]
+            depth = 0.0 if sunk is None else depths.get(sunk, 0.0)
+            if len(near) == 1:
+                yield index, near[0], depth
+            else:
+                yield index, min(near, key=lambda found: float(found.min_distance)), depth
+
+    def _not_feet(self) -> Iterator[tuple[int, coal.CollisionGeometry, str | None]]:
+        """Yields number and form of each shape that is no foot, and the foot it reaches into.
+
+        A foot and the shapes on its link move as one body, so that it is told once for all.
+        """
         robot, model, shapes = self.robot, self.wrapper.model, self.wrapper.collision_model
-        placed = pin.GeometryData(shapes)
-        pin.updateGeometryPlacements(model, data, shapes, placed, robot.pin_convention.q(qpos))
-        at = [coal.Transform3s(where.rotation, where.translation) for where in placed.oMg]
+        data, placed = self._data, self._placed
+        pin.updateGeometryPlacements(model, data, shapes, placed, pin.neutral(model))
         feet: dict[int, tuple[str, coal.Sphere, coal.Transform3s]] = {}  # by their joint
         flat: set[int] = set()
         for foot, frame in robot.foot_frames.items():
@@ -185,27 +215,19 @@ class Shapes:
             there = coal.Transform3s(where.rotation, where.translation)
             ball = coal.Sphere(robot.foot_radius[foot])
             feet[int(model.frames[number].parentJoint)] = foot, ball, there
-        obstacles: list[tuple[coal.CollisionGeometry, coal.Transform3s]] = [
-            (coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
-        ]
-        for foot, height in ground.heights.items():
-            if height > 0:
-                centre, half = ground.step(foot, places[foot], STEP_HALF_WIDTH)
-                box = coal.Box(2 * half)
-                obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
-        for index, (shape, where) in enumerate(zip(self._objects, at, strict=True)):
-            depth = 0.0
-            if int(shape.parentJoint) in flat:
+        for index, (shape, place) in enumerate(zip(self._objects, placed.oMg, strict=True)):
+            joint, at = int(shape.parentJoint), coal.Transform3s(place.rotation, place.translation)
+            if joint in flat:
                 continue
-            if int(shape.parentJoint) in feet:
-                foot, ball, there = feet[int(shape.parentJoint)]
+            sunk = None
+            if joint in feet:
+                foot, ball, there = feet[joint]
                 other = foot in robot.description.foot_geoms
-                if _is_sole(shape.geometry, where, ball, there, other=other):
+                if _is_sole(shape.geometry, at, ball, there, other=other):
                     continue
-                if _nearest(shape.geometry, where, ball, there).min_distance < 0:
-                    depth = depths.get(foot, 0.0)
-            near = [_nearest(shape.geometry, where, *obstacle) for obstacle in obstacles]
-            yield index, min(near, key=lambda found: float(found.min_distance)), depth
+                if _nearest(shape.geometry, at, ball, there).min_distance < 0:
+                    sunk = foot
+            yield index, shape.geometry, sunk
 
 
 def _nearest(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -25,16 +26,25 @@ def nominal_places(robot: Robot) -> dict[str, Array]:
 
     Seen from above they stand there; the base is at the origin, upright.
     """
+    return {point: place.copy() for point, place in _nominal(robot)}
+
+
+@functools.lru_cache(maxsize=8)
+def _nominal(robot: Robot) -> tuple[tuple[str, Array], ...]:
     qpos = robot.neutral()
     qpos[robot.nq - robot.nu :] = robot.nominal
-    return Configuration(robot, qpos).foot_positions()
+    return tuple(Configuration(robot, qpos).foot_positions().items())
 
 
 def nominal_feet(robot: Robot) -> dict[str, Array]:
     """Returns each foot's place, {foot: (2,)}: the middle of its contact points (m)."""
     places = nominal_places(robot)
     return {
-        foot: np.mean([places[point][:2] for point in points], axis=0)
+        foot: (
+            np.mean([places[point][:2] for point in points], axis=0)
+            if len(points) > 1
+            else places[points[0]][:2]
+        )
         for foot, points in robot.soles.items()
     }
 
@@ -141,8 +151,10 @@ def fixing(places: Sequence[Array]) -> list[tuple[int, Array]]:
         count: those of the first point, two of the one that is farthest from it, one of the
         point that is farthest from the line through both.
     """
-    points = np.array(places)
     chosen = [(0, np.eye(3))]
+    if len(places) == 1:
+        return chosen
+    points = np.array(places)
     away = points - points[0]
     second = int(np.argmax(np.linalg.norm(away, axis=1)))
     length = float(np.linalg.norm(away[second]))

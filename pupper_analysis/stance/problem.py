@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,8 +83,10 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
     elif not isinstance(task.com, str):
         place = np.array(task.com)
     points = dict(zip(stance_feet, contacts, strict=True))
-    inside = com_margin(np.append(place, 0.0), points)
-    if not by_base and inside < min(task.com_margin, 0.0):
+    # The centre, of which no margin is asked, always is.
+    centred = isinstance(task.com, str) and task.com_margin == 0.0
+    inside = 0.0 if by_base or centred else com_margin(np.append(place, 0.0), points)
+    if inside < min(task.com_margin, 0.0):
         x, y = place
         problem = f"({x:.4g}, {y:.4g}) m is {-1e3 * inside:.1f} mm outside the support polygon"
         raise ConfigurationError("com", f"{problem}; or say com='inside'")
@@ -93,7 +96,8 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
             f"{task.com_margin} m is more than the {inside:.4g} m that the support polygon leaves",
         )
     if task.height is None:
-        task = replace(task, height=robot.stand_height)
+        task = copy.copy(task)  # its values have been checked
+        object.__setattr__(task, "height", robot.stand_height)
     assert task.height is not None
     return Goal(
         task=task,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 import shapely
@@ -112,7 +112,7 @@ class _At:
         """Tries all starts, until one leads to a stand."""
         robot, goal = self.shapes.robot, self.goal
         solver = Solver(self.shapes, goal)
-        if self._any(solver, (*hints, *starts(robot, goal))):
+        if self._any(solver, chain(hints, starts(robot, goal))):
             return self.result()
         bent: list[Array] = []
         for _ in range(_ROUNDS):

@@ -165,6 +165,88 @@ def _distance(near: Clearance, apart: str, inside: str) -> str:
     return f"{1e3 * abs(near.distance):.1f} mm {apart if near.distance >= 0 else inside}"
 
 
+class Tasks:
+    """PlaCo's solver with a stand's tasks, which may be aimed at other goals of the same kind.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: The goal.
+        inside: As in ``Solver``.
+        apart: Likewise.
+
+    Attributes:
+        solver: PlaCo's.
+        feet: (contact point, its task).
+    """
+
+    def __init__(self, shapes: Shapes, goal: Goal, *, inside: bool, apart: bool) -> None:
+        robot, wrapper = shapes.robot, shapes.wrapper
+        self._joints, self._wrapper, self._goal = robot.joint_names, wrapper, goal
+        solver = self.solver = placo.KinematicsSolver(wrapper)
+        solver.enable_joint_limits(True)
+        wrapper.set_velocity_limits(1.0)
+        solver.enable_velocity_limits(True)
+        self.feet: list[tuple[str, placo.PositionTask]] = []
+        for points in robot.soles.values():
+            pins = fixing([goal.targets[point] for point in points])
+            for count, (number, axes) in zip((3, 2, 1), pins, strict=False):
+                point = points[number]
+                task = solver.add_position_task(robot.foot_frames[point], goal.targets[point])
+                if count < 3:
+                    task.mask.set_axises("xyz"[:count], "custom")
+                    task.mask.R_custom_world = axes
+                task.configure(point, "soft", 1.0)
+                self.feet.append((point, task))
+        self._orientation = solver.add_orientation_task(robot.base, goal.task.rotation())
+        self._orientation.configure("orientation", "hard")
+        self._height = solver.add_position_task(robot.base, goal.height * UP)
+        self._height.mask.set_axises("z")
+        self._height.configure("height", "hard")
+        self._place = None
+        if inside:
+            corners = list(support_polygon(goal.contacts)[::-1])  # clockwise
+            polygon = solver.add_com_polygon_constraint(corners, goal.task.com_margin)
+            polygon.configure("inside", "soft", _INSIDE_WEIGHT)
+        else:
+            where = np.array([*goal.place, 0.0])
+            if goal.by_base:
+                self._place = solver.add_position_task(robot.base, where)
+            else:
+                self._place = solver.add_com_task(where)
+            self._place.mask.set_axises("xy")
+            self._place.configure("place", "hard")
+        if apart:
+            least = goal.task.self_clearance or 0.0
+            avoid = solver.add_avoid_self_collisions_constraint()
+            avoid.self_collisions_margin = least
+            avoid.self_collisions_trigger = least + _TRIGGER
+            avoid.configure("apart", "soft", _APART_WEIGHT)
+        # Decides between configurations that place the feet equally well; too small to move a foot.
+        solver.add_regularization_task(1e-9)
+
+    def aim(self, goal: Goal) -> None:
+        """Takes the goal's numbers, and its joint limits, which are the wrapper's."""
+        for name, low, high in zip(self._joints, goal.lower, goal.upper, strict=True):
+            if math.isfinite(low) and math.isfinite(high):
+                self._wrapper.set_joint_limits(name, low, high)
+        if goal is self._goal:
+            return
+        self._goal = goal
+        for point, task in self.feet:
+            task.target_world = goal.targets[point]
+        self._orientation.R_world_frame = goal.task.rotation()
+        self._height.target_world = goal.height * UP
+        if self._place is not None:
+            self._place.target_world = np.array([*goal.place, 0.0])
+
+    def error(self) -> float:
+        """Returns the sum of squares of what feet and com, or base, are off (m^2)."""
+        error: float = sum(foot.error_norm() ** 2 for _, foot in self.feet)
+        if self._place is not None:
+            error += self._place.error_norm() ** 2
+        return error
+
+
 class Solver:
     """PlaCo's tasks for one goal, solved from any start.
 
@@ -188,51 +270,13 @@ class Solver:
         apart = apart and goal.task.self_clearance is not None
         if apart:
             shapes.pair()  # before the state is set: it moves the robot
-        robot, wrapper = shapes.robot, shapes.wrapper
-        solver = self._solver = placo.KinematicsSolver(wrapper)
-        for name, low, high in zip(robot.joint_names, goal.lower, goal.upper, strict=True):
-            if np.isfinite(low) and np.isfinite(high):
-                wrapper.set_joint_limits(name, low, high)
-        solver.enable_joint_limits(True)
-        wrapper.set_velocity_limits(1.0)
-        solver.enable_velocity_limits(True)
-        self._feet = []
-        for points in robot.soles.values():
-            pins = fixing([goal.targets[point] for point in points])
-            for count, (number, axes) in zip((3, 2, 1), pins, strict=False):
-                point = points[number]
-                task = solver.add_position_task(robot.foot_frames[point], goal.targets[point])
-                if count < 3:
-                    task.mask.set_axises("xyz"[:count], "custom")
-                    task.mask.R_custom_world = axes
-                task.configure(point, "soft", 1.0)
-                self._feet.append(task)
-        orientation = solver.add_orientation_task(robot.base, goal.task.rotation())
-        orientation.configure("orientation", "hard")
-        height = solver.add_position_task(robot.base, goal.height * UP)
-        height.mask.set_axises("z")
-        height.configure("height", "hard")
-        self._place = None
-        if inside:
-            corners = list(support_polygon(goal.contacts)[::-1])  # clockwise
-            polygon = solver.add_com_polygon_constraint(corners, goal.task.com_margin)
-            polygon.configure("inside", "soft", _INSIDE_WEIGHT)
-        else:
-            where = np.array([*goal.place, 0.0])
-            if goal.by_base:
-                self._place = solver.add_position_task(robot.base, where)
-            else:
-                self._place = solver.add_com_task(where)
-            self._place.mask.set_axises("xy")
-            self._place.configure("place", "hard")
-        if apart:
-            least = goal.task.self_clearance or 0.0
-            avoid = solver.add_avoid_self_collisions_constraint()
-            avoid.self_collisions_margin = least
-            avoid.self_collisions_trigger = least + _TRIGGER
-            avoid.configure("apart", "soft", _APART_WEIGHT)
-        # Decides between configurations that place the feet equally well; too small to move a foot.
-        solver.add_regularization_task(1e-9)
+        if inside or apart or len(shapes.robot.soles) < len(shapes.robot.feet):
+            self._tasks = Tasks(shapes, goal, inside=inside, apart=apart)
+        else:  # tasks that differ in numbers alone
+            kept = shapes.tasks
+            if goal.by_base not in kept:
+                kept[goal.by_base] = Tasks(shapes, goal, inside=False, apart=False)
+            self._tasks = kept[goal.by_base]
 
     def run(self, joints: Array, place: Array | None = None) -> Point:
         """Solves from joint positions (nu,); the base begins where it puts the com in its place.
@@ -242,6 +286,8 @@ class Solver:
             place: (2,) where the com, or the base, begins (m); by default where it shall be.
         """
         wrapper, convention = self.shapes.wrapper, self.shapes.robot.pin_convention
+        tasks = self._tasks
+        tasks.aim(self.goal)
         self._begin(joints, self.goal.place if place is None else place)
         # A trust region: where a step makes things worse it is undone, and the next one is shorter.
         radius, iterations, slow = _TRUST_RADIUS, 0, 0
@@ -251,9 +297,9 @@ class Solver:
             left = _MAX_ITERATIONS - iterations
             if radius * self._size * left < math.sqrt(error) / 2 < math.inf:
                 break  # too far for all steps that are left, though the feet are not in place
-            self._solver.dt = radius
+            tasks.solver.dt = radius
             try:
-                step = self._solver.solve(True)
+                step = tasks.solver.solve(True)
             except RuntimeError:
                 # An infeasible programme: within a shorter step it may be feasible.
                 radius /= 4
@@ -261,9 +307,7 @@ class Solver:
                 wrapper.update_kinematics()
                 continue
             wrapper.update_kinematics()
-            new_error = sum(foot.error_norm() ** 2 for foot in self._feet)
-            if self._place is not None:
-                new_error += self._place.error_norm() ** 2
+            new_error = tasks.error()
             if new_error > error and new_error > TASK_TOLERANCE**2:
                 radius /= 4
                 wrapper.state.q = q
@@ -276,7 +320,7 @@ class Solver:
             error, q = new_error, np.array(wrapper.state.q)
             if settled or np.abs(step).max() < _STEP_TOLERANCE:
                 break
-        miss = max(foot.error_norm() for foot in self._feet)
+        miss = max(foot.error_norm() for _, foot in tasks.feet)
         return Point(convention.qpos(np.array(wrapper.state.q)), float(miss), iterations)
 
     def _begin(self, joints: Array, place: Array) -> None:
@@ -286,20 +330,23 @@ class Solver:
         qpos[:3] = (*place, goal.height)
         x, y, z, w = pin.Quaternion(goal.task.rotation()).coeffs()
         qpos[3:7] = w, x, y, z
-        qpos[7:] = np.clip(joints, goal.lower, goal.upper)
-        for _ in range(1 if goal.by_base else 2):
-            wrapper.state.q = robot.pin_convention.q(qpos)
+        qpos[7:] = np.minimum(np.maximum(joints, goal.lower), goal.upper)
+        q = robot.pin_convention.q(qpos)
+        wrapper.state.q = q
+        wrapper.update_kinematics()
+        if not goal.by_base:
+            q[:2] += place - wrapper.com_world()[:2]
+            wrapper.state.q = q
             wrapper.update_kinematics()
-            qpos[:2] += place - wrapper.com_world()[:2]
 
 
 def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
     """Returns the stand at a configuration, with its errors and clearances."""
     config = Configuration(shapes.robot, qpos)
-    feet = config.foot_positions()
+    com = config.center_of_mass()
     turn = goal.task.rotation().T @ config.base_rotation()
-    at = config.qpos[:2] if goal.by_base else config.center_of_mass()[:2]
-    errors = [float(np.linalg.norm(feet[foot] - target)) for foot, target in goal.targets.items()]
+    at = config.qpos[:2] if goal.by_base else com[:2]
+    missed = config.foot_places(goal.targets) - np.array(list(goal.targets.values()))
     normal = goal.task.ground.normal()
     contacts = dict(zip(goal.stance_feet, goal.contacts, strict=True))
     return Stand(
@@ -310,11 +357,11 @@ def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
         stance_feet=goal.stance_feet,
         normals=dict.fromkeys(goal.stance_feet, normal),
         contact_points=contacts,
-        foot_error=max(errors),
-        orientation_error=float(np.linalg.norm(pin.log3(turn))),
+        foot_error=max(math.hypot(*miss) for miss in missed.tolist()),
+        orientation_error=math.hypot(*pin.log3(turn)),
         height_error=abs(float(config.qpos[2]) - goal.height),
-        com_error=float(np.linalg.norm(at - goal.place)),
-        com_margin=com_margin(config.center_of_mass(), contacts),
+        com_error=math.hypot(*(at - goal.place)),
+        com_margin=com_margin(com, contacts),
         ground_clearance=shapes.above_ground(
             config.qpos, goal.task.ground, goal.targets, goal.depths
         ),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import clarabel
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
+from scipy.linalg import lapack
 
 Array = NDArray[np.float64]
 
@@ -28,6 +29,14 @@ _PEAK_SLACK = 1e-7
 """How much above the least peak the second search may be: ten times the first one's rounding."""
 
 
+_ROUNDING = 1e-16
+"""Residual that one more solution, for it alone, would not make less, relative to the weight."""
+
+_INDEPENDENT = 1e-8
+"""Reciprocal condition from which on rows or columns count as independent. Four feet in a square
+have 1e-2; below it singular values decide, slowly."""
+
+
 @dataclass(frozen=True, eq=False)
 class Balance:
     """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,)."""
@@ -45,8 +54,17 @@ class Balance:
             friction: (n,) coefficients.
             grip: (n,) the feet's viscosities, relative to each other.
         """
-        metric = self._metric(grip)
-        return self.solve(friction, metric, np.zeros(len(metric)))
+        metric = _Metric(self.normals, grip)
+        forces = metric.shortest(self.base, self.weight)
+        if forces is not None:
+            left = self.weight - self.base @ forces
+            if np.abs(left).max() > _ROUNDING * np.abs(self.weight).max():
+                again = metric.shortest(self.base, left)
+                forces = forces if again is None else forces + again
+            held = friction is None or self._violation(forces, friction) <= 0
+            if held and self._balances(forces):
+                return forces
+        return self.solve(friction, metric, np.zeros(3 * len(grip)))
 
     def minimum_peak(self, friction: Array | None, limits: Array) -> Array | None:
         """Returns the f (3 n,) of least peak |tau| / limit, or None if there is none.
@@ -61,46 +79,43 @@ class Balance:
         return self.solve(friction, cost, target, peak=True)
 
     def solve(
-        self, friction: Array | None, cost: Array, target: Array, *, peak: bool = False
+        self, friction: Array | None, cost: Array | _Metric, target: Array, *, peak: bool = False
     ) -> Array | None:
         """Returns the f (3 n,) with the least |cost f - target|, or None if there is none.
 
         Args:
             friction: (n,) coefficients; None if feet are held to the ground and may pull and slip.
-            cost: (m, 3 n).
+            cost: (m, 3 n), or what multiplies as such a matrix does.
             target: (m,).
             peak: The least greatest element comes first.
         """
-        particular = np.asarray(np.linalg.lstsq(self.base, self.weight, rcond=1e-12)[0], float)
+        forces: Array
+        if not peak or friction is None:
+            split = _orthogonal(self.base, self.weight) or self._by_singular_values
+            if not self._balances(split[0]):
+                return None
+            particular, free = split  # f = particular + free z
+            best = _least_squares(cost @ free, target - cost @ particular)
+            forces = particular + free @ best
+            if friction is None or self._violation(forces, friction) <= 0:
+                return forces
+        particular, free = self._by_singular_values
         if not self._balances(particular):
             return None
-        # Over f = particular + free z.
-        free = linalg.null_space(self.base, rcond=1e-12)
         cost, target = cost @ free, target - cost @ particular
-        if peak and friction is not None:
-            coordinates = self._solve_peak(particular, free, cost, target, friction)
-            return None if coordinates is None else particular + free @ coordinates
-        forces: Array = particular + free @ np.linalg.lstsq(cost, target)[0]
-        if friction is not None and self._violation(forces, friction) > 0:
-            coordinates = self._solve_cones(particular, free, cost, target, friction)
-            if coordinates is None:
-                return None
-            forces = particular + free @ coordinates
-        return forces
+        search = self._solve_peak if peak else self._solve_cones
+        coordinates = search(particular, free, cost, target, friction)
+        return None if coordinates is None else particular + free @ coordinates
 
-    def _metric(self, grip: Array) -> Array:
-        """Returns the (3 n, 3 n) matrix whose product with f shall be short."""
-        blocks = []
-        for normal, share in zip(self.normals, grip, strict=True):
-            along = np.outer(normal, normal)
-            blocks.append(along + _TANGENTIAL / math.sqrt(share) * (np.eye(3) - along))
-        metric: Array = linalg.block_diag(*blocks)
-        return metric
+    @cached_property
+    def _by_singular_values(self) -> tuple[Array, Array]:
+        """The shortest f (3 n,) that balances, or nearly, and a basis of those that do nothing."""
+        particular = np.asarray(np.linalg.lstsq(self.base, self.weight, rcond=1e-12)[0], float)
+        return particular, linalg.null_space(self.base, rcond=1e-12)
 
     def normal_forces(self, forces: Array) -> Array:
         """Returns the normal parts (n,) of forces (3 n,)."""
-        normal: Array = np.sum(forces.reshape(-1, 3) * self.normals, axis=1)
-        return normal
+        return _along(self.normals, forces)
 
     def _balances(self, forces: Array) -> bool:
         error = np.abs(self.base @ forces - self.weight).max()
@@ -108,8 +123,9 @@ class Balance:
 
     def _violation(self, forces: Array, friction: Array) -> float:
         per_foot, normal = forces.reshape(-1, 3), self.normal_forces(forces)
-        sliding = np.linalg.norm(per_foot - normal[:, None] * self.normals, axis=1)
-        return float(np.max(sliding - friction * normal))
+        aside = per_foot - normal[:, None] * self.normals
+        sliding = np.sqrt((aside * aside).sum(axis=1))
+        return float((sliding - friction * normal).max())
 
     def _cones(self, friction: Array) -> Array:
         """Returns rows (4 n, 3 n) that take f to (mu f_n, f_t) per foot, to be in the cone."""
@@ -196,3 +212,81 @@ class Balance:
         # Judge the answer itself, not the solver's opinion of it.
         excess = self._violation(particular + free @ coordinates, friction)
         return coordinates if excess <= 1e-9 * scale else None
+
+
+class _Metric:
+    """The (3 n, 3 n) matrix whose product with f shall be short: tangential forces weigh more.
+
+    Args:
+        normals: (n, 3).
+        grip: (n,) the feet's viscosities, relative to each other.
+    """
+
+    def __init__(self, normals: Array, grip: Array) -> None:
+        self._normals, self._weights = normals, (_TANGENTIAL / np.sqrt(grip))[:, None]
+
+    def __matmul__(self, forces: Array) -> Array:
+        return self._times(self._weights, forces)
+
+    def _times(self, weights: Array, forces: Array) -> Array:
+        columns = forces.reshape(len(self._normals), 3, -1)
+        normals = self._normals[:, :, None]
+        along = normals * (normals * columns).sum(axis=1, keepdims=True)
+        product: Array = along + weights[:, :, None] * (columns - along)
+        return product.reshape(forces.shape)
+
+    def shortest(self, rows: Array, right: Array) -> Array | None:
+        """Returns the f (3 n,) of rows f = right with the shortest product with this matrix W.
+
+        That is W^-1 u, u being the shortest with rows W^-1 u = right: no square of W's condition.
+        None if the rows are dependent, or nearly so.
+        """
+        count, size = rows.shape
+        if size < count:
+            return None
+        wanted = np.zeros(size)
+        wanted[:count] = right
+        triangle, found, _ = lapack.dgels(self._times(1 / self._weights, rows.T).T, wanted)
+        if lapack.dtrcon(triangle[:, :count], uplo="L")[0] < _INDEPENDENT:
+            return None
+        return self._times(1 / self._weights, found.ravel())
+
+
+def _along(normals: Array, forces: Array) -> Array:
+    """Returns the parts (n,) along normals (n, 3) of forces (3 n,)."""
+    parts: Array = (forces.reshape(-1, 3) * normals).sum(axis=1)
+    return parts
+
+
+def _orthogonal(rows: Array, right: Array) -> tuple[Array, Array] | None:
+    """Solves rows x = right for the shortest x, and finds what rows takes to zero.
+
+    By an orthogonal triangulation of the rows: rows^T = Q R, so that x = Q_1 R^-T right, and Q_2
+    is the null space. An order of magnitude quicker than singular values; for independent rows.
+
+    Returns:
+        x (n,) and Q_2 (n, n - m); None if the m rows are dependent, or nearly so.
+    """
+    count, size = rows.shape
+    if size <= count:
+        return None
+    full = np.zeros((size, size), order="F")
+    full[:, :count] = rows.T
+    reflectors, scales, _, _ = lapack.dgeqrf(full[:, :count])
+    if lapack.dtrcon(reflectors[:count])[0] < _INDEPENDENT:
+        return None
+    full[:, :count] = reflectors
+    turn = lapack.dorgqr(full, scales)[0]
+    coordinates = lapack.dtrtrs(reflectors[:count], right, trans=1)[0].ravel()
+    return turn[:, :count] @ coordinates, turn[:, count:]
+
+
+def _least_squares(matrix: Array, right: Array) -> Array:
+    """Returns the shortest x with the least |matrix x - right|."""
+    count, size = matrix.shape
+    if count >= size > 0:
+        triangle, found, _ = lapack.dgels(matrix, right)
+        if lapack.dtrcon(triangle[:size])[0] > _INDEPENDENT:
+            x: Array = found.ravel()[:size]
+            return x
+    return np.asarray(np.linalg.lstsq(matrix, right)[0], float)

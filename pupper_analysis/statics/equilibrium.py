@@ -16,6 +16,7 @@ from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInf
 from pupper_analysis.results import Result
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance
 from pupper_analysis.statics.foot_load import FootLoad, foot_load, sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
@@ -186,27 +187,27 @@ def equilibrium(
         raise ConfigurationError("contacts", f"{robot.name} has a fixed base, which carries it")
     base_rows = robot.nv - robot.nu
     if not feet:
-        return _result(config, load, point, {}, {}, {}, {}, {}, load[:base_rows])
+        return _result(config, load, load, point, {}, {}, {}, {}, load[:base_rows])
 
     for given in (normals, depths, friction):
         for foot in given if isinstance(given, Mapping) else ():
             robot.check_foot(foot)
-    directions = {foot: _normal(foot, (normals or {}).get(foot, UP)) for foot in feet}
+    directions = {
+        foot: UP if normals is None or foot not in normals else _normal(foot, normals[foot])
+        for foot in feet
+    }
     coefficients = {foot: _friction(config, foot, friction) for foot in feet}
-    points, columns = {}, {}
-    for foot in feet:
-        depth = (depths or {}).get(foot, 0.0)
-        offset = -(robot.foot_radius[foot] - depth / 2) * directions[foot]
-        frame = robot.foot_frames[foot]
-        points[foot] = config.frame_position(frame) + offset
-        columns[foot] = config.frame_jacobian(frame, offset)[:3].T
-    stacked = np.concatenate(list(columns.values()), axis=1)  # (nv, 3 n)
+    out = np.array(list(directions.values()))
+    reach = [robot.foot_radius[foot] - (depths or {}).get(foot, 0.0) / 2 for foot in feet]
+    offsets = -np.array(reach)[:, None] * out
+    points = dict(zip(feet, config.foot_places(feet) + offsets, strict=True))
+    stacked = config.point_jacobians(feet, offsets).reshape(-1, robot.nv).T  # (nv, 3 n)
     problem = Balance(
         base=stacked[:base_rows],
         weight=load[:base_rows],
         joints=stacked[base_rows:],
         torques=load[base_rows:],
-        normals=np.array(list(directions.values())),
+        normals=out,
     )
     limits = None if held else np.array(list(coefficients.values()))
     if wanted is ForceDistribution.MIN_PEAK:
@@ -216,21 +217,13 @@ def equilibrium(
     else:
         forces = problem.minimum_tangential(limits, np.ones(len(feet)))
         if forces is not None and robot.contacts and limits is not None:
-            laws = [GroundLaw.of(robot, foot) for foot in feet]
-            forces = _creeping(problem, forces, limits, laws)
+            forces = _creeping(problem, forces, limits, robot, feet)
     if forces is None:
         raise _explain(point, problem, points, coefficients, tipping)
     per_foot = dict(zip(feet, forces.reshape(-1, 3), strict=True))
+    left = load - stacked @ forces
     return _result(
-        config,
-        load,
-        point,
-        columns,
-        per_foot,
-        points,
-        directions,
-        coefficients,
-        np.zeros(base_rows),
+        config, left, load, point, per_foot, points, directions, coefficients, np.zeros(base_rows)
     )
 
 
@@ -243,12 +236,13 @@ def _distribution(value: str) -> ForceDistribution:
 
 
 def _creeping(
-    problem: Balance, forces: Array, friction: Array, laws: Sequence[GroundLaw]
+    problem: Balance, forces: Array, friction: Array, robot: Robot, feet: Sequence[str]
 ) -> Array | None:
     """Finds the minimum-tangential forces (3 n,) for the viscosities that they themselves give."""
-    scale = np.abs(forces).max()
-    if np.linalg.norm(problem.normals - UP) < BALANCE_TOLERANCE:
+    if np.abs(problem.normals - UP).max() < BALANCE_TOLERANCE:
         return forces  # nothing creeps
+    scale = np.abs(forces).max()
+    laws = [GroundLaw.of(robot, foot) for foot in feet]
     for _ in range(_MAX_ITERATIONS):
         loads = np.maximum(problem.normal_forces(forces), _LIGHTEST * scale)
         grip = np.array(
@@ -311,9 +305,9 @@ def _explain(
 
 def _result(
     config: Configuration,
+    remainder: Array,
     load: Array,
     point: Array,
-    columns: Mapping[str, Array],
     forces: dict[str, Array],
     points: dict[str, Array],
     normals: Mapping[str, Array],
@@ -322,15 +316,11 @@ def _result(
 ) -> GravityCompensation:
     robot = config.robot
     base_rows = robot.nv - robot.nu
-    remainder = load.copy()
-    for foot, force in forces.items():
-        remainder -= columns[foot] @ force
     torques = remainder[base_rows:].copy()
-    remainder[base_rows:] -= torques
-    remainder[:base_rows] -= base_wrench
+    unbalanced = remainder[:base_rows] - base_wrench
     with np.errstate(divide="ignore", invalid="ignore"):
         utilisation = np.abs(torques) / robot.effort_limits
-    tiny = BALANCE_TOLERANCE * float(np.linalg.norm(load[:3]))
+    tiny = BALANCE_TOLERANCE * math.hypot(*load[:3])
     sliding = {
         foot: sliding_share(force, normals[foot], friction[foot], tiny)
         for foot, force in forces.items()
@@ -356,8 +346,8 @@ def _result(
         base_wrench=base_wrench,
         center_of_mass=config.center_of_mass(),
         com_margin=com_margin(point, points) if points else None,
-        residual_force=float(np.linalg.norm(remainder[:3])) if base_rows else 0.0,
-        residual_torque=float(np.linalg.norm(remainder[3:])),
+        residual_force=math.hypot(*unbalanced[:3]),
+        residual_torque=math.hypot(*unbalanced[3:]),
     )
 
 

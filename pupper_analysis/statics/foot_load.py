@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -30,8 +31,9 @@ class FootLoad(Result):
 
 def sliding_share(force: Array, normal: Array, friction: float, tiny: float) -> float:
     """Returns tangential force / (friction x normal force), 0 where the former is ``tiny`` (N)."""
-    pressing = float(force @ normal)
-    tangential = float(np.linalg.norm(force - pressing * normal))
+    (x, y, z), (a, b, c) = force.tolist(), normal.tolist()
+    pressing = x * a + y * b + z * c
+    tangential = math.hypot(x - pressing * a, y - pressing * b, z - pressing * c)
     return 0.0 if tangential < tiny else tangential / (friction * pressing)
 
 
@@ -44,6 +46,10 @@ def foot_load(
     tiny: float,
 ) -> FootLoad:
     """Adds up what the ground does to a foot's contact points."""
+    if len(own) == 1:
+        force, place, normal = forces[own[0]], points[own[0]], normals[own[0]]
+        share = sliding_share(force, normal, friction[own[0]], tiny)
+        return FootLoad(force.copy(), place.copy(), share)
     total: Array = np.sum([forces[point] for point in own], axis=0)
     pressing = np.array([max(0.0, float(forces[point] @ normals[point])) for point in own])
     places = np.array([points[point] for point in own])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import shapely
@@ -38,11 +38,44 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
     """
     if not np.isfinite(com[:2]).all():
         return -math.inf
+    inside = _depth_inside(com.tolist(), [point.tolist() for point in points.values()])
+    if inside is not None:
+        return inside
     polygon = shapely.MultiPoint([point[:2] for point in points.values()]).convex_hull
     projection = shapely.Point(com[:2])
     if polygon.geom_type == "Polygon" and polygon.contains(projection):
         return float(polygon.exterior.distance(projection))
     return -float(polygon.distance(projection))
+
+
+def _depth_inside(place: Sequence[float], points: Iterable[Sequence[float]]) -> float | None:
+    """Returns the distance (m) of a place from the edge of points' convex hull, if it is inside.
+
+    Both are seen from above. The usual case without shapely's objects: None says nothing.
+
+    Source: Andrew, "Another efficient algorithm for convex hulls in two dimensions", 1979.
+    """
+    corners = sorted((x, y) for x, y, *_ in points)
+    rings: list[list[tuple[float, float]]] = []
+    for way in (corners, corners[::-1]):  # the lower half from left to right, the upper one back
+        half: list[tuple[float, float]] = []
+        for x, y in way:
+            while len(half) > 1:
+                (x0, y0), (x1, y1) = half[-2:]
+                if (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) > 0:
+                    break
+                half.pop()
+            half.append((x, y))
+        rings.append(half[:-1])
+    ring = rings[0] + rings[1]
+    if len(ring) < 3:
+        return None
+    x, y, *_ = place
+    least = math.inf
+    for (x0, y0), (x1, y1) in zip(ring, ring[1:] + ring[:1], strict=True):
+        turning = (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)
+        least = min(least, turning / math.hypot(x1 - x0, y1 - y0))
+    return least if least > 0 else None
 
 
 def support_polygon(contacts: Array) -> Array:

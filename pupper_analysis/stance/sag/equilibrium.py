@@ -14,8 +14,9 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import gains
 from pupper_analysis.stance.sag.solution import Anchor, Solution, move
+from pupper_analysis.stance.sag.touch import Touch
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
@@ -28,7 +29,6 @@ TOUCHING = 1e-9
 
 _MAX_ITERATIONS = 25
 _TRUST = 0.5  # rad, m: a longer Newton step has left the branch
-_STEP = 1e-6  # rad, m: of the numeric derivatives
 _WEAK = 1e-3  # N/m: holds a sliding robot in its place as creep does, with 1e-5 N
 _HEIGHT_TOLERANCE = 1e-8  # m: by less than this the base is at the end of friction's range
 _RHO = 1e3  # N/m: weighs slip against force in telling which way a foot slips; any would do
@@ -65,13 +65,13 @@ class Equilibrium:
         feet: Feet,
         lift: float = 0.0,
     ) -> None:
-        drive = servos(robot, kp, None if kp is None else 0.0)
+        stiffness, _, gear, _ = gains(robot, kp, None if kp is None else 0.0)
         actuators = robot.mj_convention.actuator_index
-        limited = drive.model.actuator_forcelimited[actuators].astype(bool)
-        limits = drive.model.actuator_forcerange[actuators] * drive.gear[:, None]
+        limited = robot.mj_model.actuator_forcelimited[actuators].astype(bool)
+        limits = robot.mj_model.actuator_forcerange[actuators] * gear[:, None]
         self.lower = np.where(limited, limits.min(axis=1), -np.inf)
         self.upper = np.where(limited, limits.max(axis=1), np.inf)
-        self.robot, self.stand, self.feet, self.kp = robot, stand, feet, drive.kp
+        self.robot, self.stand, self.feet, self.kp = robot, stand, feet, stiffness
         self.ground, self.normal = stand.task.ground, stand.task.ground.normal()
         self.frame = pin.Quaternion.FromTwoVectors(self.normal, UP).matrix()
         self.laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
@@ -86,6 +86,8 @@ class Equilibrium:
             for points in robot.soles.values()
             for point in points
         }
+        self._touch: tuple[tuple[tuple[str, Anchor], ...], Array, Touch] | None = None
+        self._sunk: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
         self.yielding: dict[str, float] = {}  # m/N: creep in this step per force
         self.friction, self.lift = DryFriction.of(robot), lift
@@ -103,37 +105,36 @@ class Equilibrium:
 
     def sunk(self, forces: Array) -> Array:
         """Returns how deep the feet that touch sink (n,) under forces (n, 3)."""
-        laws = (self.laws[foot] for foot in self.anchors)
-        return np.array([law.depth(f) for law, f in zip(laws, forces[:, 2], strict=True)])
+        asked = tuple(zip(self.anchors, forces[:, 2].tolist(), strict=True))
+        if asked != self._sunk[0]:
+            depths = [self.laws[foot].depth(force) for foot, force in asked]
+            self._sunk = asked, np.array(depths)
+        return self._sunk[1].copy()
 
     def torques(self, qpos: Array) -> Array:
         """Returns the servos' torques (nu,)."""
         return np.clip(self.kp * (self.target - qpos[7:]), self.lower, self.upper)
 
+    def touch(self, qpos: Array) -> Touch:
+        """Looks at the feet that touch, or has looked at them just now."""
+        held, seen = tuple(self.anchors.items()), self._touch
+        if seen is None or seen[0] != held or not np.array_equal(seen[1], qpos):
+            config = Configuration(self.robot, qpos)
+            touch = Touch(config, self.anchors, self.frame, self.depths(config))
+            seen = self._touch = held, qpos.copy(), touch
+        return seen[2]
+
     def terms(self, qpos: Array, forces: Array) -> tuple[Array, Array, Array]:
         """Returns the balance (nv,), slips and depths (n, 3), and the Jacobian (3 n, nv)."""
-        config = Configuration(self.robot, qpos)
-        depths = self.depths(config)
-        balance, places, jacobians = config.gravity(), [], []
-        for (foot, anchor), force in zip(self.anchors.items(), forces, strict=True):
-            frame, radius = self.robot.foot_frames[foot], self.robot.foot_radius[foot]
-            # MuJoCo has the contact half way into the penetration.
-            arm = (radius - depths[foot] / 2) * self.normal
-            both = config.frame_jacobian(frame, -arm)
-            turn = pin.log3(config.frame_rotation(frame) @ anchor.turned.T)
-            moved = config.frame_position(frame) - anchor.place
-            slip = self.frame @ (moved - pin.skew(turn) @ arm)  # less what the sphere has rolled
-            places.append((slip[0], slip[1], depths[foot]))
-            jacobians.append(self.frame @ both[:3])
-            balance -= jacobians[-1].T @ force
-            if foot in self.moments:
-                balance -= (self.frame @ both[3:]).T @ self.moments[foot]
+        touch = self.touch(qpos)
+        balance = touch.config.gravity() - touch.push(forces, self._turning())
         balance[6:] -= self.torques(qpos) + self.joint_friction
-        return (
-            balance,
-            np.array(places).reshape(-1, 3),
-            np.array(jacobians).reshape(-1, len(balance)),
-        )
+        return balance, touch.places.copy(), touch.jacobians.reshape(-1, len(balance))
+
+    def _turning(self) -> Array:
+        """Returns the moments (n, 3) on the feet that touch."""
+        moments = [self.moments.get(foot, np.zeros(3)) for foot in self.anchors]
+        return np.array(moments).reshape(-1, 3)
 
     def residual(self, qpos: Array, forces: Array) -> Array:
         """Returns the equations (nv + 3 n,): balance, and per foot two of slip, one of depth."""
@@ -145,10 +146,11 @@ class Equilibrium:
             for row, mu, tried in self._slipping(forces, places):
                 along = tried / np.linalg.norm(tried)
                 places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
-        sole = self._in_sole()
-        pressed = self._pressed(places[:, 2])
+        sole, depths = self._in_sole(), places[:, 2].copy()
         places[:, 2] -= self.sunk(forces)
-        places[sole, 2] = ((pressed[:, 0] - forces[:, 2]) / self._scales())[sole]
+        if sole.any():
+            away = self._pressed(depths)[:, 0] - forces[:, 2]
+            places[sole, 2] = (away / self._scales())[sole]
         return np.concatenate([balance, places.ravel()])
 
     def _in_sole(self) -> NDArray[np.bool_]:
@@ -170,29 +172,27 @@ class Equilibrium:
         return np.array([self.laws[point].rate(-self.laws[point].margin) for point in self.anchors])
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
-        """Returns the residual's derivative: by qpos numeric, by forces in closed form."""
-        n = self.robot.nv
+        """Returns the residual's derivative, in closed form."""
+        n, touch = self.robot.nv, self.touch(qpos)
+        places, jacobian = touch.places.copy(), touch.jacobians.reshape(-1, n)
         by_qpos = np.zeros((n + forces.size, n))
-        for column in range(n):
-            step = np.zeros(n)
-            step[column] = _STEP
-            ahead, behind = (self.terms(move(qpos, way), forces) for way in (step, -step))
-            by_qpos[:n, column] = (ahead[0] - behind[0]) / (2 * _STEP)
-            by_qpos[n:, column] = (ahead[1] - behind[1]).ravel() / (2 * _STEP)
+        by_qpos[:n] = touch.balance_rates(forces, self._turning())
+        servos = self.kp * (self.target - qpos[7:])
+        moving = (servos > self.lower) & (servos < self.upper)
+        by_qpos[:n, :n][np.arange(6, n), np.arange(6, n)] += np.where(moving, self.kp, 0.0)
+        by_qpos[n:] = touch.place_rates().reshape(-1, n)
         if self.feet == "sliding":
             by_qpos[n:].reshape(-1, 3, n)[:, :2] *= _WEAK
-        _, places, jacobian = self.terms(qpos, forces)
-        sole = self._in_sole()
-        rates = self._pressed(places[:, 2])[:, 1] / self._scales()
-        by_qpos[n:].reshape(-1, 3, n)[sole, 2] *= rates[sole, None]
         diagonal = np.zeros((len(forces), 3))
         diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._yields()[:, None]
-        laws = self.laws
         diagonal[:, 2] = [
-            -1 / laws[foot].rate(depth)
-            for foot, depth in zip(self.anchors, self.sunk(forces), strict=True)
+            -1 / self.laws[foot].rate(depth)
+            for foot, depth in zip(self.anchors, self.sunk(forces).tolist(), strict=True)
         ]
-        diagonal[sole, 2] = -1 / self._scales()[sole]
+        if (sole := self._in_sole()).any():
+            rates, scales = self._pressed(places[:, 2])[:, 1], self._scales()
+            by_qpos[n:].reshape(-1, 3, n)[sole, 2] *= (rates / scales)[sole, None]
+            diagonal[sole, 2] = -1 / scales[sole]
         by_force = np.diag(diagonal.ravel())
         if self.feet == "pinned":
             places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
@@ -368,10 +368,10 @@ class Equilibrium:
 
     def stiffness(self, solution: Solution) -> float:
         """Returns the least eigenvalue of the Hessian where the feet allow it to move."""
-        config, n = Configuration(self.robot, solution.qpos), self.robot.nv
-        forces = self._stacked(solution)
+        n, forces = self.robot.nv, self._stacked(solution)
         derivative = self.derivative(solution.qpos, forces)
-        _, places, jacobian = self.terms(solution.qpos, forces)
+        touch = self.touch(solution.qpos)
+        config, places, jacobian = touch.config, touch.places, touch.jacobians.reshape(-1, n)
         normal = jacobian[2::3]
         rates = np.array(
             [self.laws[f].rate(d) for f, d in zip(self.anchors, places[:, 2], strict=True)]

@@ -1,0 +1,108 @@
+"""Feet that touch at one configuration: where they are, how they push, and how both change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import crosses
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.stance.sag.solution import Anchor
+
+Array = NDArray[np.float64]
+
+
+class Touch:
+    """The feet that touch, at a configuration.
+
+    Args:
+        config: The configuration.
+        anchors: {foot that touches: where it did so first}.
+        frame: (3, 3) rotation from the world to the ground's frame, whose z is out of the ground.
+        depths: {foot: how deep it is in the ground (m)}.
+
+    Attributes:
+        config: The configuration.
+        places: (n, 3) slips along the ground's two tangents, less what the sphere has rolled, and
+            depths (m).
+        jacobians: (n, 3, nv) of the material point at each contact, in the ground's frame.
+        turning: (n, 3, nv) of each foot's rotation, in the world.
+    """
+
+    def __init__(
+        self,
+        config: Configuration,
+        anchors: Mapping[str, Anchor],
+        frame: Array,
+        depths: Mapping[str, float],
+    ) -> None:
+        self.config, self._frame, self._normal = config, frame, frame[2]
+        feet = self._feet = tuple(anchors)
+        radius, size = config.robot.foot_radius, config.robot.nv
+        deep = np.array([depths[foot] for foot in feet])
+        # MuJoCo has the contact half way into the penetration.
+        reach = np.array([radius[foot] for foot in feet]) - deep / 2
+        self._arms = reach[:, None] * self._normal  # from the contact to the centre
+        both = config.foot_twists(feet)
+        self._centre, self.turning = both[:, :3], both[:, 3:]
+        offsets = crosses(self._arms)
+        self.jacobians = frame @ (self._centre + offsets @ self.turning)
+        self._turned = [
+            rotation @ anchor.turned.T
+            for rotation, anchor in zip(config.foot_rotations(feet), anchors.values(), strict=True)
+        ]
+        self._turns = np.array([pin.log3(turned) for turned in self._turned]).reshape(-1, 3)
+        begun = np.array([anchor.place for anchor in anchors.values()]).reshape(-1, 3)
+        moved = config.foot_places(feet) - begun + (offsets @ self._turns[:, :, None])[:, :, 0]
+        self.places = moved @ frame.T
+        self.places[:, 2] = deep
+        self._offsets, self._size = offsets, size
+
+    def place_rates(self) -> Array:
+        """Returns the derivative (n, 3, nv) of ``places`` by a step in the directions of qvel."""
+        deeper = self._deeper()
+        # What rotates a foot changes its rotation vector by the inverse of the left Jacobian.
+        turns = [
+            pin.Jlog3(turned).T @ omega
+            for turned, omega in zip(self._turned, self.turning, strict=True)
+        ]
+        rates: Array = self._centre + self._offsets @ np.array(turns).reshape(-1, 3, self._size)
+        # The arm gets shorter by half of what the foot goes deeper.
+        sideways = crosses(self._turns) @ (self._normal / 2)
+        rates += sideways[:, :, None] * deeper[:, None, :]
+        rates = self._frame @ rates
+        rates[:, 2] = deeper
+        return rates
+
+    def _deeper(self) -> Array:
+        """Returns the derivative (n, nv) of the depths."""
+        deeper: Array = -(self._normal @ self._centre)
+        return deeper
+
+    def push(self, forces: Array, moments: Array) -> Array:
+        """Returns the generalised force (nv,) of forces and moments (n, 3), by the ground's."""
+        pushed: Array = np.einsum("nij,ni->j", self.jacobians, forces)
+        if moments.any():
+            pushed += np.einsum("nij,ni->j", self.turning, moments @ self._frame)
+        return pushed
+
+    def balance_rates(self, forces: Array, moments: Array) -> Array:
+        """Returns the derivative (nv, nv) of gravity less ``push`` by a step.
+
+        Args:
+            forces: (n, 3) in the ground's frame (N), which keep their direction.
+            moments: (n, 3) likewise (N m).
+        """
+        pushing = forces @ self._frame
+        offsets = self._offsets
+        about = (pushing[:, None, :] @ offsets)[:, 0] + moments @ self._frame  # pushing x arm
+        wrenches = np.concatenate([pushing, about], axis=1)
+        rates = self.config.static_rates(dict(zip(self._feet, wrenches, strict=True)))
+        # As a foot goes deeper its contact comes nearer to the centre.
+        nearer = pushing @ (crosses(self._normal[None])[0].T / 2)
+        moved = (nearer[:, None, :] @ self.turning)[:, 0]
+        change: Array = rates - moved.T @ self._deeper()
+        return change
