@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import mujoco
@@ -338,3 +339,31 @@ def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     one, two = (pa.sunk_stand(each).qpos for each in (robot, plain))
     np.testing.assert_allclose(one, two, atol=1e-9)
     stands(robot)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"feet": 3},
+        {"feet": "FL_calf"},
+        {"feet": {"FL": 1}},
+        {"feet": {"FL": ("FL_calf",)}},
+        {"feet": ["FL_calf", "FL_calf"]},
+        {"joints": [1]},
+        {"keyframe": 3},
+    ],
+    ids=str,
+)
+def test_wrong_arguments_are_refused_by_name(wrong: dict[str, object], tmp_path: Path) -> None:
+    with pytest.raises(pa.ConfigurationError, match=next(iter(wrong))):
+        load(quadruped(tmp_path), **wrong)
+
+
+def test_a_prepared_robot_goes_to_another_process_and_is_the_same(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    again = pickle.loads(pickle.dumps(robot))
+    assert (again.fingerprint, again.notes) == (robot.fingerprint, robot.notes)
+    assert dict(again.soles) == dict(robot.soles)
+    one, two = (pa.sunk_stand(each) for each in (robot, again))
+    np.testing.assert_array_equal(one.qpos, two.qpos)
+    assert pa.verify_stand(again, two).torque_error < 1e-6

@@ -10,9 +10,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.checks.matching import Match, match
 from pupper_analysis.checks.matching_mjcf import name_all
-from pupper_analysis.errors import ModelError, PupperAnalysisError
+from pupper_analysis.errors import ConfigurationError, ModelError, PupperAnalysisError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
@@ -42,6 +43,7 @@ _BESIDE = 5e-3
 Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
 
 
+@checked
 def load_robot(
     *,
     urdf: str | Path,
@@ -75,6 +77,7 @@ def load_robot(
         The robot.
 
     Raises:
+        ConfigurationError: If an argument is of another kind.
         ModelError: If a file cannot be read, the two have no joints in common, or no feet are
             found.
         UnknownNameError: If a foot, joint or keyframe is not there; the message lists what is.
@@ -91,12 +94,22 @@ def load_robot(
 
 
 def _frames(feet: Feet) -> dict[str, tuple[str, str]]:
-    """Returns {foot: its frames in URDF and MJCF}."""
+    """Returns {foot: its frames in URDF and MJCF}.
+
+    Raises:
+        ConfigurationError: If a frame is neither a name nor a pair of names, or named twice.
+    """
     named = dict(feet) if isinstance(feet, Mapping) else {foot: foot for foot in feet}
-    return {
-        foot: (frame, frame) if isinstance(frame, str) else (str(frame[0]), str(frame[1]))
-        for foot, frame in named.items()
-    }
+    if len(named) < len(feet):
+        raise ConfigurationError("feet", f"one is named twice in {', '.join(map(str, feet))}")
+    frames = {}
+    for foot, frame in named.items():
+        pair = (frame, frame) if isinstance(frame, str) else tuple(np.atleast_1d(frame).tolist())
+        if len(pair) != 2 or not all(isinstance(name, str) for name in pair):
+            problem = f"{foot}: {frame!r} is neither a frame's name nor a pair of names"
+            raise ConfigurationError("feet", problem)
+        frames[foot] = (str(pair[0]), str(pair[1]))
+    return frames
 
 
 def _as_it_is(
