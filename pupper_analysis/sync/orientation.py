@@ -6,10 +6,12 @@ import itertools
 from dataclasses import dataclass
 from typing import Final
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.sync.digits import Digits
 from pupper_analysis.sync.xml_bytes import Element
 
@@ -65,6 +67,19 @@ def origin_changes(element: Element | None, pose: pin.SE3, digits: Digits) -> di
         if text is not None:
             changes["rpy"] = text
     return changes
+
+
+def stated_rotation(element: Element, units: Units) -> Array:
+    """Returns the orientation that an MJCF's element states, by MuJoCo's own reading."""
+    form = stated_orientation(element)
+    if form is None:
+        return np.eye(3)
+    angle = "degree" if units.degrees else "radian"
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><compiler angle="{angle}" eulerseq="{units.eulerseq}"/>'
+        f'<worldbody><site {form}="{element.get(form)}"/></worldbody></mujoco>'
+    )
+    return rotation_from_quaternion(model.site_quat[0])
 
 
 def stated_orientation(element: Element) -> str | None:

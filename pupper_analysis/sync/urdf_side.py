@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.models.parameters import Joint, Parameters
+from pupper_analysis.models.xml import parse_text
 from pupper_analysis.sync.digits import SAME, Digits
 from pupper_analysis.sync.frames import Key, Sides, mass_of, placement
 from pupper_analysis.sync.inertia import (
@@ -61,6 +62,8 @@ class UrdfSide:
         self._joints = {str(e.get("name")): e for e in root.children if e.tag == "joint"}
         self._above = {_end(joint, "child"): joint for joint in self._joints.values()}
         self._movers = {link: mover for mover, link in self.sides.matched.urdf_link.items()}
+        compared = parse_text(self.sides.matched.robot.description.urdf)
+        self._compared = {str(link.get("name")) for link in compared.findall("link")}
 
     def plan(self, taken: Collection[Key]) -> None:
         """Notes all changes in the document: places first, for what is on them moves along."""
@@ -182,7 +185,7 @@ class UrdfSide:
         members, waiting = [], [top]
         while waiting:
             here = waiting.pop(0)
-            members.append(here)
+            members += [here] if here in self._compared else []
             waiting += [
                 _end(joint, "child")
                 for joint in self._joints.values()

@@ -28,6 +28,7 @@ class Element:
         parent: The element around it, across includes.
         children: What is in it, with includes put in.
         changes: {attribute: new value}.
+        renamed: {attribute: the one that takes its place}.
     """
 
     tag: str
@@ -38,6 +39,7 @@ class Element:
     parent: Element | None = field(default=None, repr=False)
     children: list[Element] = field(default_factory=list, repr=False)
     changes: dict[str, str] = field(default_factory=dict)
+    renamed: dict[str, str] = field(default_factory=dict)
 
     def get(self, name: str) -> str | None:
         """Returns an attribute, with what is to be changed."""
@@ -46,6 +48,12 @@ class Element:
     def set(self, name: str, value: str) -> None:
         """Notes that an attribute is to be changed."""
         self.changes[name] = value
+
+    def rename_or_set(self, old: str, name: str, value: str) -> None:
+        """Notes that an attribute is to be changed, in the place of another one if it has that."""
+        if name != old and old in self.attributes:
+            self.renamed[old] = name
+        self.set(name, value)
 
     def child(self, tag: str) -> Element | None:
         """Returns the first child with a tag."""
@@ -149,6 +157,10 @@ def _of_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int, by
     if not element.changes:
         return
     spans = _spans(data, element)
+    for old, new in element.renamed.items():
+        spans[new] = spans.pop(old)
+        start = data.rfind(old.encode(), element.start, spans[new][0])
+        yield start, start + len(old), new.encode()
     name_end = re.compile(rb"<[^\s/>]+").match(data, element.start)
     assert name_end is not None
     last = max((end + 1 for _, end in spans.values()), default=name_end.end())
