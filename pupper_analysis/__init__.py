@@ -73,6 +73,7 @@ if TYPE_CHECKING:
         gravity_compensation,
     )
     from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
+    from pupper_analysis.sync.models import Sync, sync_models
 
 __version__ = "0.1.0"
 
@@ -147,6 +148,8 @@ _HOME = {
     "GravityCompensation": "statics.equilibrium",
     "ForceDistribution": "statics.equilibrium",
     "gravity_compensation": "statics.equilibrium",
+    "Sync": "sync.models",
+    "sync_models": "sync.models",
     "VARIANTS": "pupper.variants",
     "VariantSpec": "pupper.variants",
 }
@@ -192,6 +195,7 @@ __all__ = [
     "StaticsInfeasibleError",
     "SteadyState",
     "SteadyStateBand",
+    "Sync",
     "Tolerances",
     "UnknownNameError",
     "VariantError",
@@ -219,6 +223,7 @@ __all__ = [
     "steady_state_band",
     "sunk_stand",
     "sweep_gains",
+    "sync_models",
     "to_json",
     "track_path",
     "verify_stand",

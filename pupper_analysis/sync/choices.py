@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Final
 
 from pupper_analysis.checks.differences import Difference
@@ -51,9 +52,7 @@ def label(difference: Difference) -> str:
     return f"{owner(difference)}: {kind}"
 
 
-def chosen(
-    differences: Sequence[Difference], take: str | Iterable[str]
-) -> tuple[str | None, ...]:
+def chosen(differences: Sequence[Difference], take: str | Iterable[str]) -> tuple[str | None, ...]:
     """Says whose value is taken, per difference; None where nothing was chosen.
 
     Args:
@@ -115,3 +114,12 @@ def _numbers(text: str, most: int) -> Iterator[int]:
                 "take", f"{part.strip()!r}: the differences are numbered from 1 to {most}"
             )
         yield from range(first, last + 1)
+
+
+def line_at(place: str) -> str:
+    """Returns the text of a file's line, of a place such as ``robot.urdf:12``."""
+    name, _, line = place.rpartition(":")
+    if not (name and line.isdigit()):
+        return ""
+    lines = Path(name).read_text(encoding="utf-8-sig").split("\n")
+    return lines[int(line) - 1].strip() if int(line) <= len(lines) else ""

@@ -126,7 +126,9 @@ def turned_like(wanted: Array, own: Array, near: Array) -> Array | None:
         candidates.append(turn if np.linalg.det(turn) > 0 else -turn)
     size = float(np.abs(wanted).max())
     right = [
-        turn for turn in candidates if float(np.abs(turn @ own @ turn.T - wanted).max()) <= 1e-11 * size
+        turn
+        for turn in candidates
+        if float(np.abs(turn @ own @ turn.T - wanted).max()) <= 1e-11 * size
     ]
     straight = [turn for turn in right if np.allclose(turn, np.eye(3), atol=1e-12)]
     if straight:

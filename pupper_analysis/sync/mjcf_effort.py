@@ -42,8 +42,10 @@ def write_effort(side: MjcfSide, key: Key) -> None:
         return
     bounds = _Bounds(side, key, element, motors, drives)
     now = effort_limit(model, joint)
-    if bounds.of_joint is not None and abs(bounds.of_joint - wanted) > SAME * wanted and (
-        bounds.of_joint < wanted or bounds.of_joint <= now
+    if (
+        bounds.of_joint is not None
+        and abs(bounds.of_joint - wanted) > SAME * wanted
+        and (bounds.of_joint < wanted or bounds.of_joint <= now)
     ):
         bounds.write_joint(wanted)
     if len(drives) == 1:

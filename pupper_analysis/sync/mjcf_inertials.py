@@ -41,9 +41,7 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     top = model.body(side.sides.matched.mjcf_body[mover]).id
     group = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body_weldid[top]]
     placed = {body: _mass(model, body).moved(_pose(side, body)) for body in group}
-    heavy = sorted(
-        (b for b in group if placed[b].mass > 0), key=lambda b: -placed[b].mass
-    )
+    heavy = sorted((b for b in group if placed[b].mass > 0), key=lambda b: -placed[b].mass)
     if same(total([placed[body] for body in heavy]), wanted):
         return
     plans: list[_Plan] = []

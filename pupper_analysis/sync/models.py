@@ -181,7 +181,7 @@ def _refused(
     files: Files, tolerances: Tolerances, tried: list[Key], keys: Mapping[Key, str]
 ) -> dict[Key, str]:
     """Returns what an engine refuses to read, element by element."""
-    refused = {}
+    refused: dict[Key, str] = {}
     for element in dict.fromkeys(element for _, element in tried):
         own = {key: keys[key] for key in tried if key[1] == element}
         plan = made(files, tolerances, own)

@@ -261,7 +261,8 @@ def inertial_changes(link: Element, wanted: Mass, digits: Digits) -> Changes:
     if text is not None:
         changes["mass", "value"] = text
     rotation = np.array(origin(parts["origin"]).rotation)
-    stated = [parts["inertia"] and parts["inertia"].get(name) for name in ENTRIES]
+    entry = parts["inertia"]
+    stated = [None if entry is None else entry.get(name) for name in ENTRIES]
     inside = rotation.T @ wanted.inertia @ rotation
     turn = None
     numbers_now = tensor(np.array([float(word or 0) for word in stated]))

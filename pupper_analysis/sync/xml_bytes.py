@@ -184,7 +184,7 @@ def _of_children(
     if data[end - 2 : end - 1] == b"/":
         tag = element.tag.encode()
         text = b"".join(_written(child, b"") for child in new)
-        start = len(data[:end - 2].rstrip())
+        start = len(data[: end - 2].rstrip())
         yield start, end, b">" + text + b"</" + tag + b">"
         return
     space = re.compile(rb"\s*").match(data, end)
