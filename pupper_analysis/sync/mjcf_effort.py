@@ -37,10 +37,10 @@ def write_effort(side: MjcfSide, key: Key) -> None:
     if element is None or len(motors) != len(drives):
         side.left[key] = "its actuators stand in no elements of their own (replicate, attach)"
         return
-    if not math.isfinite(wanted):
-        side.left[key] = "the URDF states none, and whatever limits it would have to be taken out"
-        return
     bounds = _Bounds(side, key, element, motors, drives)
+    if not math.isfinite(wanted):
+        bounds.lift()
+        return
     now = effort_limit(model, joint)
     if (
         bounds.of_joint is not None
@@ -69,6 +69,28 @@ class _Bounds:
         if model.jnt_actfrclimited[index]:
             self.of_joint = float(np.abs(model.jnt_actfrcrange[index]).max())
 
+    def lift(self) -> None:
+        """Takes the bounds away: ranges stay, and are said to be no limits."""
+        model = self.side.model
+        if self.of_joint is not None:
+            self.joint.set("actuatorfrclimited", "false")
+        for motor, index in zip(self.motors, self.drives, strict=True):
+            if model.actuator_forcelimited[index]:
+                motor.set("forcelimited", "false")
+            if model.actuator_ctrllimited[index] and self._gain(index):
+                motor.set("ctrllimited", "false")
+        self.side.notes[self.key] = "the URDF states no limit, so that of the MJCF was switched off"
+
+    def _gain(self, index: int) -> float:
+        """Returns the torque at the joint per unit of control of a plain motor; 0 of others."""
+        model = self.side.model
+        plain = (
+            model.actuator_biastype[index] == mujoco.mjtBias.mjBIAS_NONE.value
+            and model.actuator_gaintype[index] == mujoco.mjtGain.mjGAIN_FIXED.value
+        )
+        gear = abs(float(model.actuator_gear[index, 0]))
+        return abs(float(model.actuator_gainprm[index, 0])) * gear if plain else 0.0
+
     def write_joint(self, wanted: float) -> None:
         """Writes the joint's actuatorfrcrange."""
         index = self.side.model.joint(self.key[1]).id
@@ -85,11 +107,7 @@ class _Bounds:
         if gear == 0:
             self.side.left[self.key] = "the gear of its actuator is 0"
             return
-        plain = (
-            model.actuator_biastype[index] == mujoco.mjtBias.mjBIAS_NONE.value
-            and model.actuator_gaintype[index] == mujoco.mjtGain.mjGAIN_FIXED.value
-        )
-        gain = abs(float(model.actuator_gainprm[index, 0])) * gear if plain else 0.0
+        gain = self._gain(index)
         stated = []
         if model.actuator_forcelimited[index]:
             stated.append(("forcerange", np.array(model.actuator_forcerange[index]), gear))

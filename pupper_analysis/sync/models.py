@@ -10,6 +10,8 @@ from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.results import Result
 from pupper_analysis.sync.choices import chosen, label
 from pupper_analysis.sync.frames import Key
@@ -180,15 +182,20 @@ def _after(plan: Plan, tolerances: Tolerances) -> Comparison:
 def _refused(
     files: Files, tolerances: Tolerances, tried: list[Key], keys: Mapping[Key, str]
 ) -> dict[Key, str]:
-    """Returns what an engine refuses to read, element by element."""
+    """Returns what cannot be read with one change alone; mass, com and inertia are one."""
+    groups: dict[Key, list[Key]] = {}
+    for kind, element in tried:
+        group = "body" if kind in ("mass", "com", "inertia") else kind
+        groups.setdefault((group, element), []).append((kind, element))
     refused: dict[Key, str] = {}
-    for element in dict.fromkeys(element for _, element in tried):
-        own = {key: keys[key] for key in tried if key[1] == element}
-        plan = made(files, tolerances, own)
+    for group in groups.values():
+        plan = made(files, tolerances, {key: keys[key] for key in group})
         try:
-            _after(plan, tolerances)
+            with staged(plan.urdf, plan.mjcf) as (urdf, mjcf):
+                read_urdf(urdf, files.packages)
+                read_mjcf(mjcf)
         except ModelError as error:
-            refused |= dict.fromkeys(own, f"with it, the file is refused: {error.problem}")
+            refused |= dict.fromkeys(group, f"with it, the file is refused: {error.problem}")
     return refused
 
 

@@ -36,6 +36,11 @@ _NUMBERS = {"effort": ("limit", "effort"), "damping": ("dynamics", "damping")} |
 }
 
 
+_UNKNOWN = {"effort": "0", "velocity": "1000"}
+"""What is written where nothing is known: 0 is what exporters write, which cross-checking knows to
+be none; but a velocity of 0 would be taken for one by whoever plans a motion."""
+
+
 @dataclass(eq=False)
 class UrdfSide:
     """A URDF that gets numbers of an MJCF.
@@ -155,6 +160,7 @@ class UrdfSide:
             self.notes[key] = "a joint with limits is revolute in a URDF"
         for word, value in (("lower", joint.lower), ("upper", joint.upper)):
             self._write(element, "limit", word, value, 1.0)
+        self._complete(key, element)
 
     def _number(self, key: Key) -> None:
         kind, name = key
@@ -167,6 +173,20 @@ class UrdfSide:
             self.left[key] = f"a URDF cannot state an unlimited {kind}"
             return
         self._write(self._joint(name), *_NUMBERS[kind], value, 0.0)
+        if kind == "effort":
+            self._complete(key, self._joint(name))
+
+    def _complete(self, key: Key, joint: Element) -> None:
+        """Gives a new <limit> what the format demands of it, though no file states it."""
+        limit = joint.child("limit")
+        if limit is None:
+            return
+        for word, value in _UNKNOWN.items():
+            if limit.get(word) is None:
+                limit.set(word, value)
+                self.notes[key] = (
+                    f"a <limit> must state a {word}, which neither file does: {value} was written"
+                )
 
     def _write(
         self, element: Element, tag: str, attribute: str, value: float, floor: float
