@@ -17,7 +17,9 @@ Array = NDArray[np.float64]
 SAME: Final = 1e-12
 """Relative to the greatest number of a vector: a hundredth of a thousandth of what may be left."""
 
-_ROUNDING: Final = 2e-15
+_ROUNDING: Final = ((10, 1e-13), (16, 4e-16))
+"""Numbers of so many digits are taken for the one that is meant, if they are so near: few digits
+are no accident, and may be further off."""
 
 
 class Digits:
@@ -49,7 +51,7 @@ class Digits:
         size = abs(value)
         if size <= SAME * scale:
             return "0"
-        best = _shortest(size, _ROUNDING * scale)
+        best = _shortest(size, scale)
         for numbers in self._known:
             at = bisect.bisect_left(numbers, size)
             near = [known for known in numbers[max(at - 1, 0) : at + 1] if known]
@@ -83,9 +85,10 @@ class Digits:
         )
 
 
-def _shortest(value: float, error: float) -> float:
-    for count in range(1, 17):
-        rounded = float(f"{value:.{count}g}")
-        if abs(rounded - value) <= error:
-            return rounded
+def _shortest(value: float, scale: float) -> float:
+    for most, error in _ROUNDING:
+        for count in range(1, most + 1):
+            rounded = float(f"{value:.{count}g}")
+            if abs(rounded - value) <= error * scale:
+                return rounded
     return value

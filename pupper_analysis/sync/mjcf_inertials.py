@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_MANY = 100
+"""What a new <inertial> counts, in attributes: any change of what is there goes before it."""
+
 _Plan = tuple[int, Element, dict[str, str], str]
 """How many attributes change, of which element, which, and what to say."""
 
@@ -62,6 +65,8 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
         side.left.update(dict.fromkeys(keys, reason))
         return
     _, element, changes, said = min(plans, key=lambda plan: plan[0])
+    if element.start < 0 and element.parent is not None:
+        element.parent.children.insert(0, element)
     for attribute, text in changes.items():
         element.rename_or_set("zaxis", attribute, text)
     if len(heavy) > 1:
@@ -107,9 +112,9 @@ def _plans(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_P
         "mass": side.digits.words([], np.array([wanted.mass])),
         "fullinertia": side.digits.words([], entries(wanted.inertia)),
     }
-    new.changes = {name: text for name, text in words.items() if text is not None}
+    stated = {name: text for name, text in words.items() if text is not None}
     said = "its mass comes from its shapes, so an <inertial> was put in that says otherwise"
-    return [(100, new, dict(new.changes), said)]
+    return [(_MANY, new, stated, said)]
 
 
 def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_Plan]:

@@ -157,6 +157,8 @@ def _tried(
         plan = made(files, tolerances, {k: s for k, s in keys.items() if k not in refused})
         plan.left.update(refused)
         if not plan.edits():
+            silent = dict.fromkeys(keys.keys() - plan.left.keys(), _SILENT)
+            plan.left.update(silent)
             return plan, comparison
         try:
             after = _after(plan, tolerances)
@@ -172,6 +174,9 @@ def _tried(
         if not still:
             return plan, after
         refused |= dict.fromkeys(still, "what was tried does not mend it: it was not written")
+
+
+_SILENT = "no attribute was found that states it"
 
 
 def _after(plan: Plan, tolerances: Tolerances) -> Comparison:
