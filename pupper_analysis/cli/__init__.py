@@ -10,7 +10,7 @@ from pupper_analysis.cli.models import audit_command, crosscheck
 from pupper_analysis.cli.motions import path, push
 from pupper_analysis.cli.shared import BAD_INPUT, CONTEXT, VERIFIED
 from pupper_analysis.cli.stances import best, payload, stand, workspace
-from pupper_analysis.cli.sync import sync
+from pupper_analysis.cli.sync import sync_command
 from pupper_analysis.cli.variants import analyze
 from pupper_analysis.cli.windows import drop, view
 from pupper_analysis.errors import PupperAnalysisError
@@ -70,7 +70,7 @@ for _command in (
     path,
     push,
     crosscheck,
-    sync,
+    sync_command,
     audit_command,
     view,
     drop,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pupper_analysis.sync.models import Sync
 
 
-@click.command(context_settings=CONTEXT, short_help="Make a URDF and an MJCF agree.")
+@click.command("sync", context_settings=CONTEXT, short_help="Make a URDF and an MJCF agree.")
 @click.argument("urdf", type=click.Path(path_type=Path))
 @click.argument("mjcf", type=click.Path(path_type=Path))
 @click.option(
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     help="What is let be, as of crosscheck (1e-9). May be repeated.",
 )
 @json_option
-def sync(
+def sync_command(
     urdf: Path,
     mjcf: Path,
     take: tuple[str, ...],
@@ -109,7 +109,7 @@ def sync(
         )
 
     result = run(take, dry_run or not take)
-    if not take and result.differences and sys.stdin.isatty() and sys.stdout.isatty():
+    if not take and result.differences and _is_terminal():
         take = _asked(result, report.question)
         if take:
             result = run(take, dry_run)
@@ -118,6 +118,10 @@ def sync(
     else:
         report.print_choices(console(), result)
     finish(json_path, result, passed=result.agree)
+
+
+def _is_terminal() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def _asked(result: Sync, question: Callable[[Sync, int], str]) -> tuple[str, ...]:
