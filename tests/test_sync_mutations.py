@@ -157,6 +157,7 @@ KINDS: dict[str, list[tuple[str, str, Change]]] = {
         ("joint+", "range", lambda *_: [-0.3, 0.4]),
         ("joint+", "damping", lambda *_: [0.3]),
         ("joint+", "frictionloss", lambda *_: [0.3]),
+        ("joint+", "pos", lambda *_: [0.004, -0.003, 0.005]),
         ("motor+", "forcerange", lambda *_: [-2.5, 2.5]),
         ("motor", "ctrlrange", lambda _, values: [0.9 * value for value in values]),
         ("site", "pos", shifted),

@@ -17,6 +17,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.sync.digits import SAME, Digits
 from pupper_analysis.sync.frames import Key, Sides, placement
+from pupper_analysis.sync.mjcf_anchor import move_anchors
 from pupper_analysis.sync.mjcf_effort import write_effort
 from pupper_analysis.sync.mjcf_elements import MjcfElements
 from pupper_analysis.sync.mjcf_inertials import write_inertial
@@ -56,6 +57,8 @@ class MjcfSide:
 
     def plan(self, taken: Collection[Key]) -> None:
         """Notes all changes in the documents: places first, for what is on them moves along."""
+        done = move_anchors(self, taken)
+        taken = [key for key in taken if key not in done]
         for key in taken:
             if key[0] == "frame":
                 self._frame(key)
@@ -120,21 +123,23 @@ class MjcfSide:
             return
         local = self._body_pose(parent).inverse() * inside
         around = self.elements.frame_of(element).inverse()
-        self._set_position(key, element, around * now, around * local)
+        self.set_position(key, element, around * now, around * local)
 
     def _body_pose(self, body: int) -> pin.SE3:
         """Returns where a body is in the frame of the body that a joint moves."""
         name = str(self.model.body(body).name)
         return pin.SE3.Identity() if body == 0 else self.sides.bodies[name]
 
-    def _set_position(self, key: Key, element: Element, now: Array, wanted: Array) -> None:
+    def set_position(self, key: Key, element: Element, now: Array, wanted: Array) -> bool:
+        """Writes an element's place, unless it is there; says whether something was written."""
         if float(np.abs(now - wanted).max()) <= SAME:
-            return
+            return False
         stated = (element.get("pos") or "").split()
         text = self.digits.words(stated, wanted, 1.0)
         if text is not None:
             self.note_class(key, element, element.tag, "pos")
             element.set("pos", text)
+        return text is not None
 
     def _place(self, key: Key) -> None:
         """Moves the body of a joint, with all that is on it."""
@@ -160,7 +165,7 @@ class MjcfSide:
         wanted = frame.inverse() * joint * own.inverse() * frame * now
         around = self.elements.frame_of(element).inverse()
         now, wanted = around * now, around * wanted
-        self._set_position(key, element, np.array(now.translation), np.array(wanted.translation))
+        self.set_position(key, element, np.array(now.translation), np.array(wanted.translation))
         changes = orientation_change(
             element,
             np.array(now.rotation),

@@ -193,14 +193,14 @@ def _refused(
         group = "body" if kind in ("mass", "com", "inertia") else kind
         groups.setdefault((group, element), []).append((kind, element))
     refused: dict[Key, str] = {}
-    for group in groups.values():
-        plan = made(files, tolerances, {key: keys[key] for key in group})
+    for members in groups.values():
+        plan = made(files, tolerances, {key: keys[key] for key in members})
         try:
             with staged(plan.urdf, plan.mjcf) as (urdf, mjcf):
                 read_urdf(urdf, files.packages)
                 read_mjcf(mjcf)
         except ModelError as error:
-            refused |= dict.fromkeys(group, f"with it, the file is refused: {error.problem}")
+            refused |= dict.fromkeys(members, f"with it, the file is refused: {error.problem}")
     return refused
 
 
