@@ -188,21 +188,26 @@ class MjcfSide:
         if element is None:
             self.left[key] = COPIED
             return
-        turn = np.array(self.sides.mjcf_frames[key[1]].rotation).T
-        wanted = turn @ self.wanted.joints[key[1]].axis
+        frame, joint = self.sides.mjcf_frames[key[1]], self.wanted.joints[key[1]]
+        turn = np.array(frame.rotation).T
         index = self.model.joint(key[1]).id
-        body = int(self.model.jnt_bodyid[index])
         # MuJoCo's axis is in the body's frame, that of the file in the frames around it.
-        around = np.array(self.elements.frame_of(element).rotation).T
-        now = around @ np.array(self.model.jnt_axis[index])
-        wanted = around @ wanted
-        assert body > 0
+        around = self.elements.frame_of(element).inverse()
+        into = np.array(around.rotation)
+        now, wanted = into @ np.array(self.model.jnt_axis[index]), into @ turn @ joint.axis
         if float(np.abs(now - wanted).max()) <= SAME:
             return
         text = self.digits.words((element.get("axis") or "").split(), wanted, 1.0)
         if text is not None:
             self.note_class(key, element, "joint", "axis")
             element.set("axis", text)
+        if joint.slides:
+            return
+        # The files may put a hinge's origin elsewhere on its axis: it must be on the new one.
+        off = np.array(frame.translation)
+        step = float(joint.axis @ off) * joint.axis - off
+        anchor = np.array(self.model.jnt_pos[index])
+        self.set_position(key, element, around * anchor, around * (anchor + turn @ step))
 
     def _limits(self, key: Key) -> None:
         name = key[1]
