@@ -75,6 +75,7 @@ if TYPE_CHECKING:
         gravity_compensation,
     )
     from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
+    from pupper_analysis.sync.models import Sync, sync_models
 
 __version__ = "0.1.0"
 
@@ -151,6 +152,8 @@ _HOME = {
     "GravityCompensation": "statics.equilibrium",
     "ForceDistribution": "statics.equilibrium",
     "gravity_compensation": "statics.equilibrium",
+    "Sync": "sync.models",
+    "sync_models": "sync.models",
     "VARIANTS": "pupper.variants",
     "VariantSpec": "pupper.variants",
 }
@@ -196,6 +199,7 @@ __all__ = [
     "StaticsInfeasibleError",
     "SteadyState",
     "SteadyStateBand",
+    "Sync",
     "Tolerances",
     "UnknownNameError",
     "VariantError",
@@ -223,6 +227,7 @@ __all__ = [
     "steady_state_band",
     "sunk_stand",
     "sweep_gains",
+    "sync_models",
     "to_json",
     "track_path",
     "verify_stand",

@@ -20,6 +20,7 @@ ROOMS = (
     ("stance",),
     ("simulation",),
     ("checks",),
+    ("sync",),
     ("prepare",),
     ("analysis",),
     ("report",),

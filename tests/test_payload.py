@@ -132,7 +132,7 @@ def test_where_a_foot_lets_go_the_motors_limit_is_found_by_search() -> None:
     assert limit.failure is Failure.MOTOR
     held = pa.stand_statics(with_payload(robot, limit.mass, point), stand, distribution=EVEN)
     assert held.motor_utilisation.max() == pytest.approx(1.0, abs=2e-3)
-    assert held.motor_utilisation.max() <= 1.0
+    assert held.motor_utilisation.max() <= 1 + 1e-12  # rounding
 
 
 def test_on_a_slope_the_motors_limit_is_found_by_search() -> None:
@@ -141,7 +141,7 @@ def test_on_a_slope_the_motors_limit_is_found_by_search() -> None:
     limit = motor_limit(robot, stand, ON_TOP)
     held = pa.stand_statics(with_payload(robot, limit.mass, ON_TOP), stand, distribution=EVEN)
     assert held.motor_utilisation.max() == pytest.approx(1.0, abs=2e-3)
-    assert held.motor_utilisation.max() <= 1.0
+    assert held.motor_utilisation.max() <= 1 + 1e-12  # rounding
 
 
 def test_more_torque_carries_more_in_proportion() -> None:

@@ -17,7 +17,7 @@ from pupper_analysis.cli.shared import (
 )
 from pupper_analysis.errors import ConfigurationError
 
-_package_option = click.option(
+package_option = click.option(
     "--package",
     "packages",
     multiple=True,
@@ -27,22 +27,26 @@ _package_option = click.option(
 )
 
 
-@click.command(context_settings=CONTEXT, short_help="Find what makes a URDF and an MJCF disagree.")
-@click.argument("urdf", type=click.Path(path_type=Path))
-@click.argument("mjcf", type=click.Path(path_type=Path))
-@click.option(
+map_option = click.option(
     "--map",
     "pairs",
     multiple=True,
     metavar="URDF=MJCF",
     help="A joint's or frame's name in the URDF, and in the MJCF. May be repeated.",
 )
-@click.option(
+map_file_option = click.option(
     "--map-file",
     type=click.Path(path_type=Path),
     help='TOML file of such names: a line "name in the URDF" = "name in the MJCF" each.',
 )
-@_package_option
+
+
+@click.command(context_settings=CONTEXT, short_help="Find what makes a URDF and an MJCF disagree.")
+@click.argument("urdf", type=click.Path(path_type=Path))
+@click.argument("mjcf", type=click.Path(path_type=Path))
+@map_option
+@map_file_option
+@package_option
 @click.option(
     "--foot", "feet", multiple=True, metavar="FRAME", help="Compare this frame (all common ones)."
 )
@@ -91,19 +95,14 @@ def crosscheck(
     \b
     Exit status: 0 they agree within the tolerances, 1 they differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.checks import matching
     from pupper_analysis.checks.compare import compare_models
     from pupper_analysis.checks.tolerances import Tolerances
     from pupper_analysis.report import comparison as comparison_report
     from pupper_analysis.report import formats
     from pupper_analysis.report.console import console
 
-    names = matching.read_mapping(map_file) if map_file is not None else {}
-    for text in pairs:
-        old, new = assignment("map", text)
-        if names.setdefault(old, new) != new:
-            raise ConfigurationError("map", f"{old!r} is mapped to both {names[old]!r} and {new!r}")
-    folders = _folders(packages)
+    names = mapped_names(pairs, map_file)
+    folders = package_folders(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()
     tolerances = tolerances.changed(dict(number("tolerance", text) for text in changes))
     check_outputs(json_path)
@@ -129,7 +128,7 @@ def crosscheck(
     "audit", context_settings=CONTEXT, short_help="Find what is wrong in one URDF or MJCF."
 )
 @click.argument("file", required=False, type=click.Path(path_type=Path))
-@_package_option
+@package_option
 @click.option(
     "--disable", "disabled", multiple=True, metavar="RULE", help="Do not run this rule. Repeatable."
 )
@@ -177,7 +176,7 @@ def audit_command(
         return
     if file is None:
         raise ConfigurationError("FILE", "give the URDF or MJCF to audit")
-    folders = _folders(packages)
+    folders = package_folders(packages)
     check_outputs(json_path)
     result = audit_model(file, packages=folders, disabled=disabled)
     if style == "text":
@@ -190,7 +189,19 @@ def audit_command(
     finish(json_path, result, passed=passed)
 
 
-def _folders(packages: tuple[str, ...]) -> dict[str, Path]:
+def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str]:
+    """Returns {name in the URDF: name in the MJCF} of --map and --map-file."""
+    from pupper_analysis.checks import matching
+
+    names = matching.read_mapping(map_file) if map_file is not None else {}
+    for text in pairs:
+        old, new = assignment("map", text)
+        if names.setdefault(old, new) != new:
+            raise ConfigurationError("map", f"{old!r} is mapped to both {names[old]!r} and {new!r}")
+    return names
+
+
+def package_folders(packages: tuple[str, ...]) -> dict[str, Path]:
     """Returns {package: folder} of NAME=DIR."""
     folders = {name: Path(value) for name, value in (assignment("package", p) for p in packages)}
     for name, folder in folders.items():

@@ -1,0 +1,146 @@
+"""``pupper-analysis sync``: makes a URDF and an MJCF agree."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pupper_analysis.cli.models import (
+    map_file_option,
+    map_option,
+    mapped_names,
+    package_folders,
+    package_option,
+)
+from pupper_analysis.cli.shared import CONTEXT, check_outputs, finish, json_option, number
+
+if TYPE_CHECKING:
+    from pupper_analysis.sync.models import Sync
+
+
+@click.command("sync", context_settings=CONTEXT, short_help="Make a URDF and an MJCF agree.")
+@click.argument("urdf", type=click.Path(path_type=Path))
+@click.argument("mjcf", type=click.Path(path_type=Path))
+@click.option(
+    "--take",
+    multiple=True,
+    metavar="SIDE[:WHICH]",
+    help="Whose value is taken, urdf or mjcf: for all, or for WHICH: a number of the list (3, "
+    "1,4-6), a kind (mass), a body or joint (base, joint FL_hip), or one difference (body of base: "
+    "mass). May be repeated; the more particular counts.",
+)
+@click.option("--dry-run", is_flag=True, help="Write nothing; show what would change.")
+@click.option("--backup", is_flag=True, help="Keep the old files, as NAME.bak.")
+@click.option("--force", is_flag=True, help="Write to files with changes that are not committed.")
+@map_option
+@map_file_option
+@package_option
+@click.option(
+    "--foot", "feet", multiple=True, metavar="FRAME", help="Compare this frame (all common ones)."
+)
+@click.option(
+    "--coarse", is_flag=True, help="Leave what crosscheck tolerates: 5 to 6 digits are the same."
+)
+@click.option(
+    "--tolerance",
+    "changes",
+    multiple=True,
+    metavar="KIND=VALUE",
+    help="What is let be, as of crosscheck (1e-9). May be repeated.",
+)
+@json_option
+def sync_command(
+    urdf: Path,
+    mjcf: Path,
+    take: tuple[str, ...],
+    dry_run: bool,
+    backup: bool,
+    force: bool,
+    pairs: tuple[str, ...],
+    map_file: Path | None,
+    packages: tuple[str, ...],
+    feet: tuple[str, ...],
+    coarse: bool,
+    changes: tuple[str, ...],
+    json_path: Path | None,
+) -> None:
+    """Make a robot's URDF and MJCF agree: write the numbers of one into the other, in place.
+
+    Only attributes whose numbers differ are written; comments, order and line ends stay as they
+    are. Without --take it lists the differences with their numbers, and changes nothing; in a
+    terminal it asks for each. What one format cannot state is listed as left.
+
+    \b
+    Examples:
+      pupper-analysis sync robot.urdf robot.xml
+      pupper-analysis sync robot.urdf robot.xml --take urdf --dry-run
+      pupper-analysis sync robot.urdf robot.xml --take urdf --take mjcf:"body of base: mass"
+      pupper-analysis sync robot.urdf robot.xml --take mjcf:effort --take urdf:2,5-7 --backup
+
+    \b
+    Exit status: 0 they agree afterwards (with --dry-run: would), 1 something is left, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.checks.tolerances import Tolerances
+    from pupper_analysis.report import sync as report
+    from pupper_analysis.report.console import console
+    from pupper_analysis.sync.models import FINE, sync_models
+
+    names, folders = mapped_names(pairs, map_file), package_folders(packages)
+    tolerances = Tolerances() if coarse else FINE
+    tolerances = tolerances.changed(dict(number("tolerance", text) for text in changes))
+    check_outputs(json_path)
+
+    def run(chosen: tuple[str, ...], dry: bool) -> Sync:
+        return sync_models(
+            urdf,
+            mjcf,
+            take=chosen,
+            dry_run=dry,
+            backup=backup,
+            force=force,
+            names=names,
+            packages=folders,
+            feet=feet,
+            tolerances=tolerances,
+        )
+
+    result = run(take, dry_run or not take)
+    if not take and result.differences and _is_terminal():
+        take = _asked(result, report.question)
+        if take:
+            result = run(take, dry_run)
+    if take:
+        report.print_sync(console(), result, dry_run=dry_run)
+    else:
+        report.print_choices(console(), result)
+    finish(json_path, result, passed=result.agree)
+
+
+def _is_terminal() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _asked(result: Sync, question: Callable[[Sync, int], str]) -> tuple[str, ...]:
+    """Asks whose value is taken in each difference; returns what --take would say."""
+    keys = {"u": "urdf", "m": "mjcf"}
+    take = []
+    for place in range(len(result.differences)):
+        click.echo(question(result, place))
+        click.echo(
+            "   u the URDF's, m the MJCF's, s neither, U or M for all that follow, q enough: "
+        )
+        key = click.getchar()
+        while key not in ("u", "m", "s", "U", "M", "q"):
+            key = click.getchar()
+        if key == "q":
+            break
+        last = len(result.differences) if key in "UM" else place + 1
+        if key != "s":
+            take.append(f"{keys[key.lower()]}:{place + 1}-{last}")
+        if key in "UM":
+            break
+    return tuple(take)

@@ -1,0 +1,125 @@
+"""Which file's value is taken in which difference."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+from pupper_analysis.checks.differences import Difference
+from pupper_analysis.errors import ConfigurationError
+
+SIDES: Final = ("urdf", "mjcf")
+
+_OF_BODY: Final = ("mass", "com", "inertia")
+
+_OF_JOINT: Final = (
+    "position",
+    "rotation",
+    "axis",
+    "lower limit",
+    "upper limit",
+    "effort",
+    "velocity",
+    "damping",
+    "friction",
+    "armature",
+    "zero",
+    "type",
+    "parent",
+    "mimic",
+    "name",
+    "spring",
+    "damping polynomial",
+)
+
+
+def owner(difference: Difference) -> str:
+    """Names what a difference is of: ``body of base``, ``joint FL_hip``, ``frame FL_foot``."""
+    if difference.kind in _OF_BODY:
+        return f"body of {difference.element}"
+    if difference.kind in _OF_JOINT:
+        return f"joint {difference.element}"
+    if difference.kind == "frame":
+        return f"frame {difference.element}"
+    return difference.element
+
+
+def label(difference: Difference) -> str:
+    """Names a difference: ``body of base: mass``."""
+    kind = "position" if difference.kind == "frame" else difference.kind
+    return f"{owner(difference)}: {kind}"
+
+
+def chosen(differences: Sequence[Difference], take: str | Iterable[str]) -> tuple[str | None, ...]:
+    """Says whose value is taken, per difference; None where nothing was chosen.
+
+    Args:
+        differences: The differences, numbered from 1.
+        take: ``"urdf"``, ``"mjcf"``, or either with a colon and what it is taken for: numbers
+            (``3``, ``1,4-6``), a kind (``mass``), what it is of (``base``, ``joint FL_hip``), or
+            both (``body of base: mass``). What is more particular counts, whatever the order; of
+            two that are as particular, the last.
+
+    Raises:
+        ConfigurationError: If a choice is not of that form, or meets no difference.
+    """
+    result: list[str | None] = [None] * len(differences)
+    rank = [0] * len(differences)
+    for text in [take] if isinstance(take, str) else take:
+        side, colon, which = text.partition(":")
+        side, which = side.strip().lower(), which.strip().strip("\"'").strip()
+        if side not in SIDES or (colon and not which):
+            raise ConfigurationError(
+                "take", f"{text!r} is not of the form urdf, mjcf, urdf:WHICH or mjcf:WHICH"
+            )
+        for index, weight in _meant(differences, which):
+            if weight >= rank[index]:
+                result[index], rank[index] = side, weight
+    return tuple(result)
+
+
+def _meant(differences: Sequence[Difference], which: str) -> Iterator[tuple[int, int]]:
+    """Yields the places of the differences that are meant, and how particular that is."""
+    if not which:
+        yield from ((index, 0) for index in range(len(differences)))
+        return
+    names = [
+        (label(difference), owner(difference), difference.element, difference.kind)
+        for difference in differences
+    ]
+    ranks = (3, 2, 2, 1)
+    if not any(which in of_one for of_one in names) and re.fullmatch(r"[\d,\s-]+", which):
+        yield from ((number - 1, 4) for number in _numbers(which, len(differences)))
+        return
+    found = False
+    for index, of_one in enumerate(names):
+        if which in of_one:
+            found = True
+            yield index, ranks[of_one.index(which)]
+    if not found:
+        known = "; ".join(dict.fromkeys(of_one[0] for of_one in names)) or "no difference"
+        raise ConfigurationError("take", f"no difference is called {which!r}; there are: {known}")
+
+
+def _numbers(text: str, most: int) -> Iterator[int]:
+    for part in text.split(","):
+        found = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
+        if found is None:
+            raise ConfigurationError("take", f"{text!r} is no list of numbers such as 1,4-6")
+        first, last = int(found[1]), int(found[2] or found[1])
+        if not 1 <= first <= last <= most:
+            raise ConfigurationError(
+                "take", f"{part.strip()!r}: the differences are numbered from 1 to {most}"
+            )
+        yield from range(first, last + 1)
+
+
+def line_at(place: str) -> str:
+    """Returns the text of a file's line, of a place such as ``robot.urdf:12``."""
+    name, _, line = place.rpartition(":")
+    if not (name and line.isdigit()):
+        return ""
+    lines = Path(name).read_text(encoding="utf-8-sig").split("\n")
+    return lines[int(line) - 1].strip() if int(line) <= len(lines) else ""

@@ -1,0 +1,137 @@
+"""The two robots side by side: their trees, the taken values, and where the files' frames are."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.checks.alignment import Alignment
+from pupper_analysis.checks.conventions import with_zero
+from pupper_analysis.checks.matching import Match
+from pupper_analysis.checks.trees import base_pose, trees
+from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.models.parameters import Body, Joint, Parameters
+from pupper_analysis.sync.inertia import Mass
+
+Array = NDArray[np.float64]
+
+Key = tuple[str, str]
+"""Kind and element of a difference."""
+
+_BODY = ("mass", "com", "inertia")
+
+_JOINT = {
+    "position": "position",
+    "rotation": "rotation",
+    "axis": "axis",
+    "lower limit": "lower",
+    "upper limit": "upper",
+    "effort": "effort",
+    "damping": "damping",
+    "friction": "friction",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """Both robots, in the URDF's link frames and in the MJCF's conventions.
+
+    Attributes:
+        matched: The match.
+        urdf: The URDF's parameters.
+        mjcf: The MJCF's.
+        own: The MJCF's, in its own frames: those of its bodies, at their joints.
+        urdf_frames: {base or joint: the frame of these parameters from that of the URDF's link}.
+        mjcf_frames: {base or joint: likewise of the MJCF's body, at its joint}.
+        bodies: {body of the MJCF: its pose in the frame of the body that a joint moves}.
+    """
+
+    matched: Match
+    urdf: Parameters
+    mjcf: Parameters
+    own: Parameters
+    urdf_frames: Mapping[str, pin.SE3]
+    mjcf_frames: Mapping[str, pin.SE3]
+    bodies: Mapping[str, pin.SE3]
+
+    def wanted(self, side: str, taken: Collection[Key]) -> Parameters:
+        """Returns what one side shall be, with what is taken from the other.
+
+        Args:
+            side: ``"urdf"`` or ``"mjcf"``, whose file is changed.
+            taken: The differences in which it gets the other's value.
+        """
+        one, two = (self.urdf, self.mjcf) if side == "urdf" else (self.mjcf, self.urdf)
+        joints, bodies, frames = dict(one.joints), dict(one.bodies), dict(one.frames)
+        for kind, element in taken:
+            if kind in _BODY:
+                value = getattr(two.bodies[element], kind)
+                bodies[element] = replace(bodies[element], **{kind: value})
+            elif kind in _JOINT and element in joints:
+                field = _JOINT[kind]
+                value = getattr(two.joints[element], field)
+                joints[element] = replace(joints[element], **{field: value})
+            elif kind == "frame":
+                frames[element] = two.frames[element]
+        result = replace(one, joints=joints, bodies=bodies, frames=frames)
+        for name, offset in self.matched.conventions.zeros.items():
+            # The URDF was given the MJCF's zeros: what it keeps is its own.
+            if (("zero", name) in taken) == (side == "mjcf"):
+                result = with_zero(result, name, -offset)
+        return result
+
+
+def sides(matched: Match, alignment: Alignment) -> Sides:
+    """Puts the two robots side by side.
+
+    Args:
+        matched: The two files, matched.
+        alignment: The MJCF's tree in the URDF's link frames.
+    """
+    robot = matched.robot
+    urdf, own = trees(robot)
+    base = matched.conventions.base or pin.SE3.Identity()
+    if not robot.floating:
+        base = base_pose(robot) * base
+    urdf_frames = {robot.base: base} | {name: pin.SE3.Identity() for name in urdf.joints}
+    model = pinocchio_from_mujoco(robot.mj_model)
+    names = [str(robot.mj_model.body(index).name) for index in range(1, robot.mj_model.nbody)]
+    return Sides(
+        matched=matched,
+        urdf=urdf,
+        mjcf=alignment.values,
+        own=own,
+        urdf_frames=urdf_frames,
+        mjcf_frames=_gauges(own, alignment.values),
+        bodies={
+            name: model.frames[model.getFrameId(name, pin.FrameType.BODY)].placement.copy()
+            for name in names
+        },
+    )
+
+
+def placement(joint: Joint) -> pin.SE3:
+    """Returns where a joint is in the frame of the body that carries it."""
+    return pin.SE3(joint.rotation, joint.position)
+
+
+def mass_of(body: Body) -> Mass:
+    """Returns a body's mass."""
+    return Mass(body.mass, body.com, body.inertia)
+
+
+def _gauges(own: Parameters, moved: Parameters) -> dict[str, pin.SE3]:
+    """Returns {base or joint: its frame after from that before}, for one robot in two frames."""
+    gauges = {own.base: pin.SE3.Identity()}
+    waiting = own.children(own.base)
+    while waiting:
+        name = waiting.pop()
+        before, after = own.joints[name], moved.joints[name]
+        gauge = placement(after).inverse() * gauges[before.parent] * placement(before)
+        gauges[name] = pin.SE3.Identity() if gauge.isIdentity(1e-12) else gauge
+        waiting += own.children(name)
+    return gauges

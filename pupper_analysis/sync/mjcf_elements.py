@@ -1,0 +1,122 @@
+"""The elements of an MJCF and of what it includes, found by the names that matching gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+import pinocchio as pin
+
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.packages import existing
+from pupper_analysis.sync.orientation import Units, numbers, stated_rotation
+from pupper_analysis.sync.xml_bytes import Document, Element, read_document
+
+
+class MjcfElements:
+    """The elements of an MJCF, with its includes put in.
+
+    Attributes:
+        documents: {file: its document}.
+        root: The root element.
+        units: What its compiler says of angles.
+    """
+
+    def __init__(self, file: MjcfFile) -> None:
+        self.documents: dict[Path, Document] = {}
+        self._main = file.path
+        self.root = self._read(file.path)
+        compiler = file.spec.compiler
+        sequence = "".join(str(letter) for letter in compiler.eulerseq)
+        self.units = Units(bool(compiler.degree), sequence)
+        self.autolimits = bool(compiler.autolimits)
+        self._bodies = self._named_bodies(file.spec)
+
+    def body(self, name: str) -> Element | None:
+        """Returns a body; None where the file has none of that name (but a copy of another)."""
+        return self._bodies.get(name)
+
+    def joint(self, name: str, body: str) -> Element | None:
+        """Returns a joint; one without a name is found by its body."""
+        found = self._bodies.get(body)
+        if found is None:
+            return None
+        joints = [e for e in within(found) if e.tag in ("joint", "freejoint")]
+        named = [joint for joint in joints if joint.get("name") == name]
+        unnamed = [joint for joint in joints if joint.get("name") is None]
+        return (*named, *unnamed, None)[0]
+
+    def named(self, tag: str, name: str) -> Element | None:
+        """Returns an element of the bodies by its name."""
+        for section in self._sections("worldbody"):
+            for element in section.walk():
+                if element.tag == tag and element.get("name") == name:
+                    return element
+        return None
+
+    def drives(self, joint: str) -> list[Element]:
+        """Returns the actuators at a joint."""
+        return [
+            element
+            for section in self._sections("actuator")
+            for element in section.children
+            if joint in (element.get("joint"), element.get("jointinparent"))
+        ]
+
+    def frame_of(self, element: Element) -> pin.SE3:
+        """Returns the pose of the <frame>s around an element, in the body that they are in."""
+        pose = pin.SE3.Identity()
+        above = element.parent
+        while above is not None and above.tag not in ("body", "worldbody"):
+            if above.tag == "frame":
+                pose = self._pose(above) * pose
+            above = above.parent
+        return pose
+
+    def _pose(self, frame: Element) -> pin.SE3:
+        """Returns the pose that a <frame> states."""
+        return pin.SE3(stated_rotation(frame, self.units), numbers(frame.get("pos"), "0 0 0"))
+
+    def _sections(self, tag: str) -> Iterator[Element]:
+        return (section for section in self.root.children if section.tag == tag)
+
+    def _named_bodies(self, spec: mujoco.MjSpec) -> dict[str, Element]:
+        found = [e for s in self._sections("worldbody") for e in s.walk() if e.tag == "body"]
+        bodies = {str(e.get("name")): e for e in found if e.get("name")}
+        if len(spec.bodies) == len(found) + 1:  # no body is a copy of another
+            for number, element in enumerate(found, start=1):
+                if not element.get("name"):  # as `checks.matching_mjcf.name_all` calls it
+                    bodies[f"body_{number}"] = element
+        return bodies
+
+    def _read(self, path: Path) -> Element:
+        if path not in self.documents:
+            self.documents[path] = read_document(path)
+        document = self.documents[path]
+        for element in document.elements:
+            children: list[Element] = []
+            for child in element.children:
+                included = self._included(child, path) if child.tag == "include" else None
+                children += [child] if included is None else included.children
+            element.children = children
+            for child in children:
+                child.parent = element
+        return document.root
+
+    def _included(self, element: Element, path: Path) -> Element | None:
+        name = element.get("file") or ""
+        for folder in (self._main.parent, path.parent):
+            found = existing(folder / name)
+            if found is not None:
+                return self._read(found)
+        return None
+
+
+def within(body: Element) -> Iterator[Element]:
+    """Yields what is in a body and in its frames, without the bodies in it."""
+    for child in body.children:
+        if child.tag == "frame":
+            yield from within(child)
+        elif child.tag != "body":
+            yield child

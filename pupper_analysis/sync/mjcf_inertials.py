@@ -1,0 +1,190 @@
+"""Writes a body's mass into an MJCF: into an inertial, a geom that weighs, or a new inertial."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.sync.digits import Digits
+from pupper_analysis.sync.frames import Key, mass_of
+from pupper_analysis.sync.inertia import Mass, entries, same, total, turned_like
+from pupper_analysis.sync.mjcf_elements import within
+from pupper_analysis.sync.orientation import Units, orientation_change, stated_rotation
+from pupper_analysis.sync.xml_bytes import Element
+
+if TYPE_CHECKING:
+    from pupper_analysis.sync.mjcf_side import MjcfSide
+
+Array = NDArray[np.float64]
+
+_MANY = 100
+"""What a new <inertial> counts, in attributes: any change of what is there goes before it."""
+
+_Plan = tuple[int, Element, dict[str, str], str]
+"""How many attributes change, of which element, which, and what to say."""
+
+
+def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
+    """Notes the changes that give what moves with a joint, or the base, another mass."""
+    keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
+    model = side.model
+    if side.file.spec.compiler.settotalmass > 0:
+        for key in keys:
+            side.left[key] = "settotalmass of the MJCF's compiler scales all masses"
+        return
+    wanted = mass_of(side.wanted.bodies[mover]).moved(side.sides.mjcf_frames[mover].inverse())
+    top = model.body(side.sides.matched.mjcf_body[mover]).id
+    group = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body_weldid[top]]
+    placed = {body: _mass(model, body).moved(_pose(side, body)) for body in group}
+    heavy = sorted((b for b in group if placed[b].mass > 0), key=lambda b: -placed[b].mass)
+    if same(total([placed[body] for body in heavy]), wanted):
+        return
+    plans: list[_Plan] = []
+    copied = False
+    for body in heavy or [top]:
+        others = [placed[other] for other in heavy if other != body]
+        left = wanted.minus(others)
+        if left is None or (others and not left.is_physical):
+            continue
+        element = side.elements.body(str(model.body(body).name))
+        if element is None:
+            copied = True
+            continue
+        inside = left.moved(_pose(side, body).inverse())
+        plans += _plans(side, body, element, inside)
+    if not plans:
+        reason = _COPIED if copied else _NOT_PHYSICAL
+        side.left.update(dict.fromkeys(keys, reason))
+        return
+    _, element, changes, said = min(plans, key=lambda plan: plan[0])
+    if element.start < 0 and element.parent is not None:
+        element.parent.children.insert(0, element)
+    for attribute, text in changes.items():
+        element.rename_or_set("zaxis", attribute, text)
+    if len(heavy) > 1:
+        said += f"; of the {len(heavy)} bodies that weigh here, one was changed"
+    if said:
+        side.notes.update(dict.fromkeys(keys, said.removeprefix("; ")))
+
+
+_COPIED = "it stands in no element of its own: the body is a copy of another (replicate, attach)"
+
+_NOT_PHYSICAL = (
+    "none of its bodies can be changed so that the sum is right and it still is a body that can be"
+)
+
+
+def _pose(side: MjcfSide, body: int) -> pin.SE3:
+    return side.sides.bodies[str(side.model.body(body).name)]
+
+
+def _mass(model: mujoco.MjModel, body: int) -> Mass:
+    axes = rotation_from_quaternion(model.body_iquat[body])
+    inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    return Mass(float(model.body_mass[body]), np.array(model.body_ipos[body]), inertia)
+
+
+def _plans(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_Plan]:
+    """Returns the ways to give a body a mass, by the file's own words."""
+    inertial = element.child("inertial")
+    by_geoms = side.file.spec.compiler.inertiafromgeom
+    ignored = by_geoms == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    if inertial is not None and not ignored:
+        now = _mass(side.model, body)
+        changes = inertial_changes(inertial, now, wanted, side.elements.units, side.digits)
+        return [(len(changes), inertial, changes, "")]
+    plans = list(_by_a_geom(side, body, element, wanted))
+    if plans or ignored:
+        return plans
+    if by_geoms == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE and wanted.mass == 0:
+        return []
+    new = Element("inertial", {}, element.file, -1, element.line, element)
+    words = {
+        "pos": side.digits.words([], wanted.com, 1.0),
+        "mass": side.digits.words([], np.array([wanted.mass])),
+        "fullinertia": side.digits.words([], entries(wanted.inertia)),
+    }
+    stated = {name: text for name, text in words.items() if text is not None}
+    said = "its mass comes from its shapes, so an <inertial> was put in that says otherwise"
+    return [(_MANY, new, stated, said)]
+
+
+def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_Plan]:
+    """Returns how the mass of one geom makes a body's mass, com and inertia right, if it does."""
+    spec = side.robot.description.mjcf
+    name = str(side.model.body(body).name)
+    elements = [e for e in within(element) if e.tag == "geom"]
+    geoms = list(spec.body(name).geoms)
+    if len(geoms) != len(elements):
+        return []
+    more = wanted.mass - float(side.model.body_mass[body])
+    plans: list[_Plan] = []
+    for index, (geom, there) in enumerate(zip(geoms, elements, strict=True)):
+        if math.isnan(geom.mass) or geom.mass + more <= 0:
+            continue
+        text = side.digits.words((there.get("mass") or "").split(), np.array([geom.mass + more]))
+        if text is None:
+            continue
+        tried = spec.copy()
+        tried.body(name).geoms[index].mass = float(text)
+        try:
+            with quiet():
+                model = copy.copy(tried.compile())
+        except (ValueError, RuntimeError):
+            continue
+        if same(_mass(model, model.body(name).id), wanted, 1e-10):
+            said = "" if "mass" in there.attributes else "the mass of its class stays as it is"
+            plans.append((1, there, {"mass": text}, said))
+    return plans
+
+
+def inertial_changes(
+    element: Element, now: Mass, wanted: Mass, units: Units, digits: Digits
+) -> dict[str, str]:
+    """Returns the fewest changes by which an <inertial> states a mass, in the form that it has."""
+    changes = {}
+    for attribute, values, floor in (("pos", wanted.com, 1.0), ("mass", [wanted.mass], 0.0)):
+        words = (element.get(attribute) or "").split()
+        text = digits.words(words, np.array(values), floor)
+        if text is not None:
+            changes[attribute] = text
+    size = float(np.abs(wanted.inertia).max())
+    if float(np.abs(wanted.inertia - now.inertia).max()) <= 1e-11 * size:
+        return changes
+    if element.get("diaginertia") is None:
+        words = (element.get("fullinertia") or "").split()
+        text = digits.words(words, entries(wanted.inertia))
+        return changes if text is None else changes | {"fullinertia": text}
+    return changes | _principal(element, wanted.inertia, units, digits)
+
+
+def _principal(element: Element, wanted: Array, units: Units, digits: Digits) -> dict[str, str]:
+    """Returns the changes of principal moments, or of their axes, or of both."""
+    moments = np.array([float(word) for word in (element.get("diaginertia") or "").split()])
+    own = stated_rotation(element, units)
+    size = float(np.abs(wanted).max())
+    inside = own.T @ wanted @ own
+    if float(np.abs(inside - np.diag(np.diag(inside))).max()) <= 1e-11 * size:
+        text = digits.words((element.get("diaginertia") or "").split(), np.diag(inside))
+        return {} if text is None else {"diaginertia": text}
+    turn = turned_like(wanted, np.diag(moments), own)
+    if turn is not None:
+        return orientation_change(element, own, turn, units, digits)
+    values, axes = np.linalg.eigh(wanted)
+    order = list(np.argsort(np.argsort(moments)))
+    values, axes = values[order], axes[:, order]
+    # Of the axes and their opposites, those near to the file's own.
+    axes = axes * np.where(np.sum(axes * own, axis=0) < 0, -1.0, 1.0)
+    if np.linalg.det(axes) < 0:
+        axes[:, int(np.argmin(np.abs(np.sum(axes * own, axis=0))))] *= -1
+    text = digits.words((element.get("diaginertia") or "").split(), values)
+    changes = {} if text is None else {"diaginertia": text}
+    return changes | orientation_change(element, own, axes, units, digits)

@@ -1,0 +1,310 @@
+"""Writes numbers into an MJCF, and into what it includes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.models.conversion import joint_damping
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.sync.digits import SAME, Digits
+from pupper_analysis.sync.frames import Key, Sides, placement
+from pupper_analysis.sync.mjcf_anchor import move_anchors
+from pupper_analysis.sync.mjcf_effort import write_effort
+from pupper_analysis.sync.mjcf_elements import MjcfElements
+from pupper_analysis.sync.mjcf_inertials import write_inertial
+from pupper_analysis.sync.orientation import orientation_change
+from pupper_analysis.sync.xml_bytes import Element
+
+Array = NDArray[np.float64]
+
+COPIED = "it stands in no element of its own: the body is a copy of another (replicate, attach)"
+
+
+@dataclass(eq=False)
+class MjcfSide:
+    """An MJCF that gets numbers of a URDF.
+
+    Attributes:
+        file: The file.
+        elements: Its elements.
+        sides: Both robots.
+        wanted: What the MJCF's shall be.
+        digits: Writes the numbers.
+        left: {difference: why it cannot be written}.
+        notes: What else is to be said, per difference.
+    """
+
+    file: MjcfFile
+    elements: MjcfElements
+    sides: Sides
+    wanted: Parameters
+    digits: Digits
+    left: dict[Key, str] = field(default_factory=dict)
+    notes: dict[Key, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.robot = self.sides.matched.robot
+        self.model: mujoco.MjModel = self.robot.mj_model
+
+    def plan(self, taken: Collection[Key]) -> None:
+        """Notes all changes in the documents: places first, for what is on them moves along."""
+        done = move_anchors(self, taken)
+        taken = [key for key in taken if key not in done]
+        for key in taken:
+            if key[0] == "frame":
+                self._frame(key)
+        for kind in ("position", "rotation", "zero"):
+            for key in taken:
+                if key[0] == kind:
+                    self._place(key)
+        for key in taken:
+            kind, name = key
+            if kind == "axis":
+                self._axis(key)
+            elif kind in ("lower limit", "upper limit", "zero"):
+                self._limits(key)
+            elif kind == "effort":
+                write_effort(self, key)
+            elif kind == "damping":
+                self._damping(key)
+            elif kind == "friction":
+                value = self.wanted.joints[name].friction
+                self._number(key, "frictionloss", [value], 0.0)
+        for name in dict.fromkeys(e for k, e in taken if k in ("mass", "com", "inertia")):
+            write_inertial(self, name, [key for key in taken if key[1] == name])
+
+    def note_class(self, key: Key, element: Element, kind: str, attribute: str) -> None:
+        """Says so where a default class states what an element now states itself."""
+        if attribute in element.attributes:
+            return
+        name = element.get("name") or element.get("joint")
+        place = None if name is None else self.file.stated(kind, name, [attribute])
+        if place is not None:
+            self.notes[key] = (
+                f"{attribute} is stated in a default class ({place}), which stays as it is for "
+                "the others"
+            )
+
+    # ----------------------------------------------------------------------------- places
+
+    def body_in_file(self, name: str) -> Element | None:
+        """Returns the element of a body."""
+        return self.elements.body(name)
+
+    def _frame(self, key: Key) -> None:
+        name = key[1]
+        if self.sides.urdf.frames[name][0] != self.sides.mjcf.frames[name][0]:
+            self.left[key] = "it is on another body, which is no number to write"
+            return
+        owner, position = self.wanted.frames[name]
+        inside = self.sides.mjcf_frames[owner].inverse() * position
+        there = self.robot.description.frames[name][1]
+        # As `models.conversion` names its frames: a body goes before a site of its name.
+        bodies = [self.model.body(i).name for i in range(self.model.nbody)]
+        if there in bodies:
+            body = self.model.body(there).id
+            element, now = self.elements.body(there), np.array(self.model.body_pos[body])
+            parent = int(self.model.body_parentid[body])
+        else:
+            site = self.model.site(there).id
+            element, now = self.elements.named("site", there), np.array(self.model.site_pos[site])
+            parent = int(self.model.site_bodyid[site])
+        if element is None:
+            self.left[key] = COPIED
+            return
+        local = self._body_pose(parent).inverse() * inside
+        around = self.elements.frame_of(element).inverse()
+        self.set_position(key, element, around * now, around * local)
+
+    def _body_pose(self, body: int) -> pin.SE3:
+        """Returns where a body is in the frame of the body that a joint moves."""
+        name = str(self.model.body(body).name)
+        return pin.SE3.Identity() if body == 0 else self.sides.bodies[name]
+
+    def set_position(self, key: Key, element: Element, now: Array, wanted: Array) -> bool:
+        """Writes an element's place, unless it is there; says whether something was written."""
+        if float(np.abs(now - wanted).max()) <= SAME:
+            return False
+        stated = (element.get("pos") or "").split()
+        text = self.digits.words(stated, wanted, 1.0)
+        if text is not None:
+            self.note_class(key, element, element.tag, "pos")
+            element.set("pos", text)
+        return text is not None
+
+    def _place(self, key: Key) -> None:
+        """Moves the body of a joint, with all that is on it."""
+        name = key[1]
+        body = int(self.model.jnt_bodyid[self.model.joint(name).id])
+        element = self.elements.body(str(self.model.body(body).name))
+        first = int(self.model.body_jntadr[body])
+        if element is None:
+            self.left[key] = COPIED
+            return
+        if self.model.joint(name).id != first:
+            self.left[key] = "it is the second joint of its body, which has one place for all"
+            return
+        parent = self.sides.own.joints[name].parent
+        before = self.sides.mjcf_frames[parent].inverse()
+        frame = self._body_pose(int(self.model.body_parentid[body]))
+        now = pin.SE3(
+            rotation_from_quaternion(self.model.body_quat[body]),
+            np.array(self.model.body_pos[body]),
+        )
+        joint = before * placement(self.wanted.joints[name]) * self.sides.mjcf_frames[name]
+        own = placement(self.sides.own.joints[name])
+        wanted = frame.inverse() * joint * own.inverse() * frame * now
+        around = self.elements.frame_of(element).inverse()
+        now, wanted = around * now, around * wanted
+        self.set_position(key, element, np.array(now.translation), np.array(wanted.translation))
+        changes = orientation_change(
+            element,
+            np.array(now.rotation),
+            np.array(wanted.rotation),
+            self.elements.units,
+            self.digits,
+        )
+        for attribute, text in changes.items():
+            element.rename_or_set("zaxis", attribute, text)
+
+    # ----------------------------------------------------------------------------- joints
+
+    def joint_in_file(self, name: str) -> Element | None:
+        """Returns the element of a joint."""
+        body = int(self.model.jnt_bodyid[self.model.joint(name).id])
+        return self.elements.joint(name, str(self.model.body(body).name))
+
+    def _axis(self, key: Key) -> None:
+        element = self.joint_in_file(key[1])
+        if element is None:
+            self.left[key] = COPIED
+            return
+        frame, joint = self.sides.mjcf_frames[key[1]], self.wanted.joints[key[1]]
+        turn = np.array(frame.rotation).T
+        index = self.model.joint(key[1]).id
+        # MuJoCo's axis is in the body's frame, that of the file in the frames around it.
+        around = self.elements.frame_of(element).inverse()
+        into = np.array(around.rotation)
+        now, wanted = into @ np.array(self.model.jnt_axis[index]), into @ turn @ joint.axis
+        if float(np.abs(now - wanted).max()) <= SAME:
+            return
+        text = self.digits.words((element.get("axis") or "").split(), wanted, 1.0)
+        if text is not None:
+            self.note_class(key, element, "joint", "axis")
+            element.set("axis", text)
+        if joint.slides:
+            return
+        # The files may put a hinge's origin elsewhere on its axis: it must be on the new one.
+        off = np.array(frame.translation)
+        step = float(joint.axis @ off) * joint.axis - off
+        anchor = np.array(self.model.jnt_pos[index])
+        self.set_position(key, element, around * anchor, around * (anchor + turn @ step))
+
+    def _limits(self, key: Key) -> None:
+        name = key[1]
+        element, joint = self.joint_in_file(name), self.wanted.joints[name]
+        if element is None:
+            self.left[key] = COPIED
+            return
+        finite = math.isfinite(joint.lower), math.isfinite(joint.upper)
+        if not any(finite):
+            element.set("limited", "false")
+            return
+        if not all(finite):
+            self.left[key] = "an MJCF has no joint with one limit"
+            return
+        factor = 1.0 if joint.slides else self.elements.units.factor
+        values = [joint.lower / factor, joint.upper / factor]
+        index = self.model.joint(name).id
+        limited = self.robot.description.mjcf.joint(name).limited
+        auto = limited == mujoco.mjtLimited.mjLIMITED_AUTO.value and self.elements.autolimits
+        if not self.model.jnt_limited[index]:
+            if not auto:
+                element.set("limited", "true")
+            now = None
+        else:
+            now = np.array(self.model.jnt_range[index]) / factor
+        self._write(key, element, "range", values, now, 1.0)
+
+    def _damping(self, key: Key) -> None:
+        name = key[1]
+        if name not in self.wanted.joints:
+            self._base_damping(key)
+            return
+        index = self.model.joint(name).id
+        dof = int(self.model.jnt_dofadr[index])
+        of_joint = float(self.model.dof_damping[dof])
+        of_motors = float(joint_damping(self.model)[dof]) - of_joint
+        if self.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER.value:
+            self.left[key] = "damping is switched off in the MJCF, by a flag of its option"
+            return
+        wanted = self.wanted.joints[name].damping - of_motors
+        if wanted < 0:
+            self.left[key] = "its motors alone have more damping than that"
+            return
+        element = self.joint_in_file(name)
+        stated = ([] if element is None else (element.get("damping") or "").split())[1:]
+        higher = [float(word) for word in stated]
+        self._number(key, "damping", [wanted, *higher], 0.0)
+
+    def _base_damping(self, key: Key) -> None:
+        bodies = [self.model.body(i).name for i in range(self.model.nbody)]
+        free = [
+            str(bodies[self.model.jnt_bodyid[index]])
+            for index in range(self.model.njnt)
+            if self.model.jnt_type[index] == mujoco.mjtJoint.mjJNT_FREE.value
+        ]
+        element = self.elements.joint("", free[0]) if free else None
+        if element is None:
+            body = self.elements.body(free[0]) if free else None
+            children = [] if body is None else body.children
+            element = next((e for e in children if e.tag == "joint"), None)
+        if element is None:
+            self.left[key] = COPIED
+            return
+        self._write(key, element, "damping", [0.0], None, 0.0)
+
+    def _number(self, key: Key, attribute: str, values: list[float], floor: float) -> None:
+        element = self.joint_in_file(key[1])
+        if element is None:
+            self.left[key] = COPIED
+            return
+        self._write(key, element, attribute, values, None, floor)
+
+    def _write(
+        self,
+        key: Key,
+        element: Element,
+        attribute: str,
+        values: list[float],
+        now: Array | None,
+        floor: float,
+    ) -> None:
+        """Writes numbers as an attribute of an element itself, unless it states them.
+
+        Args:
+            key: The difference.
+            element: The element.
+            attribute: The attribute.
+            values: The numbers.
+            now: What they are now, if that is known.
+            floor: The least scale of what counts as the same.
+        """
+        stated = (element.get(attribute) or "").split()
+        if not stated and now is not None:
+            scale = max(floor, float(np.abs(values).max()))
+            if float(np.abs(now - np.array(values)).max()) <= SAME * scale:
+                return
+        text = self.digits.words(stated, np.array(values), floor)
+        if text is not None:
+            self.note_class(key, element, element.tag, attribute)
+            element.set(attribute, text)

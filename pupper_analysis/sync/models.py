@@ -1,0 +1,247 @@
+"""Makes a URDF and an MJCF agree: the numbers of one are written into the other, in place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pupper_analysis.checks.compare import Comparison, compare_models
+from pupper_analysis.checks.differences import Difference
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.results import Result
+from pupper_analysis.sync.choices import chosen, label
+from pupper_analysis.sync.frames import Key
+from pupper_analysis.sync.plan import Edit, Files, Plan, made
+from pupper_analysis.sync.writing import (
+    refuse_uncommitted,
+    replace_file,
+    staged,
+    unified_diff,
+)
+
+FINE = replace(Tolerances.strict(), gravity=Tolerances().gravity)
+"""What counts as a difference by default: rounding does not, and a URDF states no gravity."""
+
+
+@dataclass(frozen=True)
+class Left(Result):
+    """A difference that is not mended.
+
+    Attributes:
+        difference: Its name: ``body of base: mass``.
+        reason: Why.
+    """
+
+    difference: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Sync(Result):
+    """What became of making two files agree.
+
+    Attributes:
+        differences: All that were found, in the order of mending.
+        taken: {name of a difference: ``"urdf"`` or ``"mjcf"``}: whose value was taken.
+        edits: What was written, or would be.
+        left: What was not mended, and why.
+        notes: {name of a difference: what is to be said of how it was mended}.
+        diff: The changes of the files, as ``diff -u`` has them.
+        written: The files that were replaced.
+        backups: Copies of the files as they were.
+        agree: Whether the files agree, with these edits.
+    """
+
+    differences: tuple[Difference, ...]
+    taken: dict[str, str]
+    edits: tuple[Edit, ...]
+    left: tuple[Left, ...]
+    notes: dict[str, str]
+    diff: str
+    written: tuple[str, ...]
+    backups: tuple[str, ...]
+    agree: bool
+
+
+def sync_models(
+    urdf: str | Path,
+    mjcf: str | Path,
+    *,
+    take: str | Iterable[str] = (),
+    dry_run: bool = False,
+    backup: bool = False,
+    force: bool = False,
+    names: Mapping[str, str] | None = None,
+    packages: Mapping[str, Path] | None = None,
+    feet: Sequence[str] = (),
+    tolerances: Tolerances | None = None,
+) -> Sync:
+    """Makes a URDF and an MJCF of one robot agree, by writing numbers of one into the other.
+
+    Only attributes whose numbers differ are written; no other byte of a file is. What is to be
+    written is tried first, beside the files: what does not mend its difference is not written.
+
+    Args:
+        urdf: Path of the URDF.
+        mjcf: Path of the MJCF.
+        take: Whose values are taken: ``"urdf"`` (then the MJCF is changed) or ``"mjcf"``, for all,
+            or for some (``"mjcf:mass"``, ``"urdf:body of base: mass"``, ``"mjcf:3"``). Of what is
+            not named, nothing is changed.
+        dry_run: Write nothing, and say what would be written.
+        backup: Keep the old files, as ``NAME.bak``.
+        force: Write to files of a git repository with changes that are not committed.
+        names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
+        packages: {ROS package: its folder}, for ``package://`` paths.
+        feet: Frames, by their names in the MJCF, that are compared; by default all in common.
+        tolerances: What counts as a difference; by default all but rounding.
+
+    Returns:
+        What was, or would be, written, and what is left.
+
+    Raises:
+        ModelError: If a file cannot be read, or the two cannot be matched.
+        ConfigurationError: If a choice means nothing.
+        OutputError: If a file cannot be written, or has changes that are not committed.
+    """
+    files = Files(Path(urdf), Path(mjcf), dict(names or {}), dict(packages or {}), tuple(feet))
+    tolerances = tolerances or FINE
+    comparison = _compared(files, tolerances)
+    choices = chosen(comparison.differences, take)
+    keys = {
+        (difference.kind, difference.element): side
+        for difference, side in zip(comparison.differences, choices, strict=True)
+        if side is not None
+    }
+    plan, after = _tried(files, tolerances, comparison, keys)
+    written, backups = ((), ()) if dry_run else _written(plan, backup=backup, force=force)
+    labels = {(d.kind, d.element): label(d) for d in comparison.differences}
+    return Sync(
+        differences=comparison.differences,
+        taken={labels[key]: side for key, side in keys.items()},
+        edits=plan.edits(),
+        left=tuple(_left(plan, comparison, after, keys, labels)),
+        notes={labels[key]: note for key, note in plan.notes.items() if key not in plan.left},
+        diff="".join(unified_diff(d.path, d.data, d.rendered()) for d in plan.documents()),
+        written=written,
+        backups=backups,
+        agree=after.agree,
+    )
+
+
+def _compared(files: Files, tolerances: Tolerances) -> Comparison:
+    return compare_models(
+        files.urdf,
+        files.mjcf,
+        names=files.names,
+        packages=files.packages,
+        feet=files.feet,
+        tolerances=tolerances,
+        configurations=1,
+    )
+
+
+def _tried(
+    files: Files, tolerances: Tolerances, comparison: Comparison, keys: Mapping[Key, str]
+) -> tuple[Plan, Comparison]:
+    """Returns a plan that does what it says, and the comparison of the files after it.
+
+    What was planned is written beside the files, and compared. What still differs then is left as
+    it was, and so is what an engine refuses to read.
+    """
+    refused: dict[Key, str] = {}
+    while True:
+        plan = made(files, tolerances, {k: s for k, s in keys.items() if k not in refused})
+        plan.left.update(refused)
+        if not plan.edits():
+            silent = dict.fromkeys(keys.keys() - plan.left.keys(), _SILENT)
+            plan.left.update(silent)
+            return plan, comparison
+        try:
+            after = _after(plan, tolerances)
+        except ModelError as error:
+            new = _refused(files, tolerances, [key for key in keys if key not in plan.left], keys)
+            refused |= new or {
+                key: f"with it, the file is refused: {error.problem}"
+                for key in keys
+                if key not in plan.left
+            }
+            continue
+        still = {(d.kind, d.element) for d in after.differences} & (keys.keys() - plan.left.keys())
+        if not still:
+            return plan, after
+        refused |= dict.fromkeys(still, "what was tried does not mend it: it was not written")
+
+
+_SILENT = "no attribute was found that states it"
+
+
+def _after(plan: Plan, tolerances: Tolerances) -> Comparison:
+    with staged(plan.urdf, plan.mjcf) as (urdf, mjcf):
+        return _compared(replace(plan.files, urdf=urdf, mjcf=mjcf), tolerances)
+
+
+def _refused(
+    files: Files, tolerances: Tolerances, tried: list[Key], keys: Mapping[Key, str]
+) -> dict[Key, str]:
+    """Returns what cannot be read with one change alone; mass, com and inertia are one."""
+    groups: dict[Key, list[Key]] = {}
+    for kind, element in tried:
+        group = "body" if kind in ("mass", "com", "inertia") else kind
+        groups.setdefault((group, element), []).append((kind, element))
+    refused: dict[Key, str] = {}
+    for members in groups.values():
+        plan = made(files, tolerances, {key: keys[key] for key in members})
+        try:
+            with staged(plan.urdf, plan.mjcf) as (urdf, mjcf):
+                read_urdf(urdf, files.packages)
+                read_mjcf(mjcf)
+        except ModelError as error:
+            refused |= dict.fromkeys(members, f"with it, the file is refused: {error.problem}")
+    return refused
+
+
+def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Replaces the files; returns them, and the copies of the old ones."""
+    changed = [d for d in plan.documents() if d.rendered() != d.data]
+    if not force:
+        for document in changed:
+            refuse_uncommitted(document.path)
+    kept = [replace_file(d.path, d.data, d.rendered(), backup=backup) for d in changed]
+    return (
+        tuple(str(document.path) for document in changed),
+        tuple(str(path) for path in kept if path is not None),
+    )
+
+
+def _left(
+    plan: Plan,
+    before: Comparison,
+    after: Comparison,
+    keys: Mapping[Key, str],
+    labels: Mapping[Key, str],
+) -> Iterable[Left]:
+    """Yields what is not mended: not chosen, not to be written, new, or no number at all."""
+    still = {(d.kind, d.element): d for d in after.differences}
+    for key, name in labels.items():
+        if key in plan.left:
+            yield Left(name, plan.left[key])
+        elif key not in keys and key in still:
+            yield Left(name, "nothing was chosen for it")
+    for key, difference in still.items():
+        if key not in labels:
+            yield Left(label(difference), f"it is there since: {difference.message}")
+    for part in before.parts:
+        yield Left("part", f"{part}; a part is no number to write")
+    for joints, there, other in (
+        (before.only_urdf, "URDF", "MJCF"),
+        (before.only_mjcf, "MJCF", "URDF"),
+    ):
+        for joint in joints:
+            yield Left(f"joint {joint}", f"the {there} alone has it, not the {other}")
+    if not after.differences:
+        for objection in after.objections:
+            yield Left("agreement", objection)

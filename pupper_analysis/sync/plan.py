@@ -1,0 +1,180 @@
+"""What is to be written where, for chosen differences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pupper_analysis.checks.attribution import align
+from pupper_analysis.checks.matching import match
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.results import Result
+from pupper_analysis.sync.digits import Digits
+from pupper_analysis.sync.frames import Key, Sides, sides
+from pupper_analysis.sync.mjcf_elements import MjcfElements
+from pupper_analysis.sync.mjcf_side import MjcfSide
+from pupper_analysis.sync.urdf_side import UrdfSide
+from pupper_analysis.sync.xml_bytes import Document, Element, read_document
+
+_WRITTEN = (
+    "mass",
+    "com",
+    "inertia",
+    "position",
+    "rotation",
+    "axis",
+    "frame",
+    "lower limit",
+    "upper limit",
+    "effort",
+    "damping",
+    "friction",
+    "zero",
+)
+"""Kinds of differences that are numbers of both formats."""
+
+_REASONS = {
+    "type": "another type of joint is another robot: change it by hand",
+    "parent": "another parent is another tree: change it by hand",
+    "name": "a name is no number: give --map, or rename it",
+    "base frame": "the base's frame is a convention: all that is on the base would have to move",
+    "gravity": "a URDF states no gravity",
+    "velocity": "an MJCF has no limit of velocity",
+    "armature": "a URDF has no armature",
+    "mimic": "a joint that follows another is no number: add an equality to the MJCF by hand",
+}
+
+
+@dataclass(frozen=True)
+class Edit(Result):
+    """One attribute that is written.
+
+    Attributes:
+        file: The file.
+        line: Of the element; of the element around it, where it is new.
+        element: ``link base > inertial > mass``.
+        attribute: Its name.
+        old: What it was; None where there was none.
+        new: What it is.
+    """
+
+    file: str
+    line: int
+    element: str
+    attribute: str
+    old: str | None
+    new: str
+
+
+@dataclass(frozen=True, eq=False)
+class Files:
+    """Two files, and how they are to be matched; the fields are those of `sync_models`."""
+
+    urdf: Path
+    mjcf: Path
+    names: Mapping[str, str]
+    packages: Mapping[str, Path]
+    feet: tuple[str, ...]
+
+
+@dataclass(eq=False)
+class Plan:
+    """What is to be written.
+
+    Attributes:
+        files: The files.
+        urdf: {file: its document} of the URDF.
+        mjcf: {file: its document} of the MJCF and what it includes, the main file first.
+        left: {difference: why it is not written}.
+        notes: {difference: what is to be said}.
+    """
+
+    files: Files
+    urdf: dict[Path, Document]
+    mjcf: dict[Path, Document]
+    left: dict[Key, str] = field(default_factory=dict)
+    notes: dict[Key, str] = field(default_factory=dict)
+
+    def documents(self) -> Iterator[Document]:
+        """Yields all documents."""
+        yield from self.urdf.values()
+        yield from self.mjcf.values()
+
+    def edits(self) -> tuple[Edit, ...]:
+        """Returns what is written, file by file."""
+        return tuple(
+            edit
+            for document in self.documents()
+            for element in document.elements
+            for edit in _edits(element)
+        )
+
+
+def made(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) -> Plan:
+    """Plans what is to be written.
+
+    Args:
+        files: The files.
+        tolerances: With which their differences were found.
+        taken: {kind and element of a difference: ``"urdf"`` or ``"mjcf"``, whose value is taken}.
+    """
+    urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
+    matched = match(urdf, mjcf, names=files.names, feet=files.feet, tolerances=tolerances)
+    both = sides(matched, align(matched.robot, tolerances))
+    elements = MjcfElements(mjcf)
+    document = read_document(files.urdf)
+    plan = Plan(files, {files.urdf: document}, elements.documents)
+    theirs = list(mjcf.files)
+    into_urdf = UrdfSide(document, both, both.urdf, Digits.of(theirs, [urdf.path]))
+    into_mjcf = MjcfSide(mjcf, elements, both, both.mjcf, Digits.of([urdf.path], theirs))
+    for side, other in ((into_urdf, "mjcf"), (into_mjcf, "urdf")):
+        keys = [key for key, whose in taken.items() if whose == other]
+        plan.left |= {key: reason for key in keys if (reason := _reason(key, other, both))}
+        keys = [key for key in keys if key not in plan.left]
+        side.wanted = both.wanted("urdf" if other == "mjcf" else "mjcf", keys)
+        side.plan(keys)
+        plan.left |= side.left
+        plan.notes |= side.notes
+    return plan
+
+
+def _reason(key: Key, whose: str, both: Sides) -> str | None:
+    """Says why a difference is nothing to write; None if it is."""
+    kind, name = key
+    if kind not in _WRITTEN:
+        if kind in _REASONS:
+            return _REASONS[kind]
+        if whose == "mjcf":
+            return "a URDF has no words for it"
+        return "the MJCF alone has it: take it out of that by hand"
+    if kind in ("position", "rotation"):
+        one, two = both.urdf.joints[name], both.mjcf.joints[name]
+        if one.parent != two.parent:
+            return "its parent is another: change that by hand"
+    return None
+
+
+def _edits(element: Element) -> Iterator[Edit]:
+    """Yields what is written of an element, and of its children that are new."""
+    taken = {new: old for old, new in element.renamed.items()}
+    for attribute, text in element.changes.items():
+        old = element.attributes.get(taken.get(attribute, attribute))
+        name = attribute if attribute not in taken else f"{taken[attribute]} -> {attribute}"
+        yield Edit(str(element.file), element.line, _words(element), name, old, text)
+    for child in element.children:
+        if child.start < 0:
+            yield from _edits(child)
+
+
+def _words(element: Element) -> str:
+    """Names an element by those around it, up to the first that has a name."""
+    words = []
+    here: Element | None = element
+    while here is not None:
+        name = here.attributes.get("name") or here.attributes.get("joint")
+        words.append(f"{here.tag} {name}" if name else here.tag)
+        here = None if name else here.parent
+    return " > ".join(reversed(words))

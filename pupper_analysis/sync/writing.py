@@ -1,0 +1,144 @@
+"""Files that are replaced as a whole; and refused where that might lose somebody's work."""
+
+from __future__ import annotations
+
+import difflib
+import secrets
+import shutil
+import subprocess
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from pupper_analysis.errors import OutputError
+from pupper_analysis.files import whole_file
+from pupper_analysis.sync.xml_bytes import Document
+
+
+def unified_diff(path: Path, before: bytes, after: bytes) -> str:
+    """Returns what would change in a file, as ``diff -u`` and ``patch`` have it."""
+    one, two = (text.decode("utf-8").split("\n") for text in (before, after))
+    lines = difflib.unified_diff(one, two, f"a/{path.name}", f"b/{path.name}", lineterm="")
+    return "\n".join(lines) + "\n" if before != after else ""
+
+
+def refuse_uncommitted(path: Path) -> None:
+    """Refuses a file of a git repository that has changes which are not committed.
+
+    Raises:
+        OutputError: If it has.
+    """
+    path = path.resolve()
+    if not any((folder / ".git").exists() for folder in path.parents):
+        return
+    git = shutil.which("git")
+    if git is None:
+        return
+    found = subprocess.run(
+        [git, "-c", "core.fsmonitor=false", "status", "--porcelain", "--", path.name],
+        cwd=path.parent,
+        capture_output=True,
+        check=False,
+    )
+    state = found.stdout.decode(errors="replace")
+    if found.returncode == 0 and state.strip() and not state.startswith(("??", "!!")):
+        raise OutputError(
+            path, "it has changes that are not committed; commit them, or add --force"
+        )
+
+
+def replace_file(path: Path, before: bytes, after: bytes, *, backup: bool) -> Path | None:
+    """Replaces a file's content: at any moment it is the old file or the new one.
+
+    Args:
+        path: The file; a symbolic link stays one.
+        before: What it is known to hold.
+        after: What it shall hold.
+        backup: Keep the old file beside it.
+
+    Returns:
+        The old file's copy, if one was asked for.
+
+    Raises:
+        OutputError: If it cannot be written, or was changed meanwhile.
+    """
+    path = path.resolve()
+    kept = None
+    try:
+        if path.read_bytes() != before:
+            raise OutputError(path, "it was changed meanwhile; run it again")
+        if backup:
+            kept = _free(path)
+            shutil.copy2(path, kept)
+        with whole_file(path) as buffer:  # which keeps the file's mode
+            buffer.write(after)
+    except OSError as error:
+        raise OutputError(path, error.strerror or error) from error
+    return kept
+
+
+def _free(path: Path) -> Path:
+    """Returns a name for a copy that is not taken."""
+    first = path.with_name(f"{path.name}.bak")
+    number = 1
+    found = first
+    while found.exists():
+        number += 1
+        found = path.with_name(f"{path.name}.bak{number}")
+    return found
+
+
+@contextmanager
+def staged(*groups: Mapping[Path, Document]) -> Iterator[list[Path]]:
+    """Writes changed files beside the old ones, under other names, to be tried.
+
+    Args:
+        groups: {file: its document} of a model, with what is to be changed; the main file first,
+            and then what it includes.
+
+    Yields:
+        Where to read the main file of each: a new file, or the old one if nothing is changed.
+
+    Raises:
+        OutputError: If nothing can be written there.
+    """
+    token = secrets.token_hex(4)
+    places: dict[Path, Path] = {}
+    for group in groups:
+        if any(document.rendered() != document.data for document in group.values()):
+            places |= {path: path.with_name(f".{path.stem}-{token}{path.suffix}") for path in group}
+    mains = [next(iter(group)) for group in groups]
+    try:
+        for group, main in zip(groups, mains, strict=True):
+            for path, document in group.items():
+                if path in places:
+                    _write(places[path], _with_includes(document, main, places))
+        yield [places.get(main, main) for main in mains]
+    finally:
+        for place in places.values():
+            place.unlink(missing_ok=True)
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise OutputError(path, error.strerror or error) from error
+
+
+def _with_includes(document: Document, main: Path, places: Mapping[Path, Path]) -> bytes:
+    """Returns a document's bytes, with the includes of files that are tried put to those."""
+    meant = []
+    for element in document.elements:
+        file = Path(element.attributes.get("file", ""))
+        if element.tag == "include":
+            found = (folder / file for folder in (main.parent, document.path.parent))
+            there = next((path for path in found if path in places), None)
+            if there is not None:
+                element.set("file", str(file.with_name(places[there].name)))
+                meant.append(element)
+    try:
+        return document.rendered()
+    finally:
+        for element in meant:
+            element.changes.clear()
