@@ -12,6 +12,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -26,6 +27,14 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 COMMAND = (sys.executable, "-m", "pupper_analysis")
 
 
+@pytest.fixture(autouse=True)
+def heeded_interrupts() -> Iterator[None]:
+    """Gives the tests Python's own handler, whatever started them."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def start(*command: str, **options: object) -> subprocess.Popen[str]:
     return subprocess.Popen(  # type: ignore[call-overload, no-any-return]
         command,
@@ -34,6 +43,8 @@ def start(*command: str, **options: object) -> subprocess.Popen[str]:
             "stderr": subprocess.PIPE,
             "env": ENVIRONMENT,
             "text": True,
+            # A parent in the background of a shell ignores SIGINT, and its children would, too.
+            "preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
             **options,
         },
     )

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from pupper_analysis.arguments import checked
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.tolerances import Tolerances
@@ -67,11 +68,12 @@ class Sync(Result):
     agree: bool
 
 
+@checked
 def sync_models(
     urdf: str | Path,
     mjcf: str | Path,
     *,
-    take: str | Iterable[str] = (),
+    take: str | Sequence[str] = (),
     dry_run: bool = False,
     backup: bool = False,
     force: bool = False,
