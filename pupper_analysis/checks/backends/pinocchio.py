@@ -56,6 +56,7 @@ def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array
     base_rows = robot.nv - robot.nu
     damping = np.concatenate([model.damping[:base_rows], model.damping[v]])
     rows: dict[str, list[Array]] = {}
+    del rest, data  # those of hundreds of joints take a second to make: one set serves all states
     for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
         config = Configuration(robot, qpos, qvel)
         force = -damping * qvel
@@ -78,4 +79,5 @@ def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array
             values["accelerometer"] = accelerometer[None]
         for name, value in values.items():
             rows.setdefault(name, []).append(value)
+        del config
     return evaluation | state_quantities(robot, rows)
