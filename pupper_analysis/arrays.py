@@ -12,6 +12,17 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+INERTIA_ENTRIES = {
+    "ixx": (0, 0),
+    "iyy": (1, 1),
+    "izz": (2, 2),
+    "ixy": (0, 1),
+    "ixz": (0, 2),
+    "iyz": (1, 2),
+}
+"""The six entries of an inertia by their names in a URDF, in the order of an MJCF's fullinertia."""
+
+
 def plain_state(instance: object) -> dict[str, Any]:
     """Returns an object's attributes for pickling, in which mappings are dictionaries."""
     return {

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import pinocchio as pin
 
+from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.checks.differences import Difference, Effect
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.words import (
@@ -156,7 +157,7 @@ def _body_changes(name: str, one: Body, two: Body, tolerances: Tolerances) -> It
     size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
     if float(np.abs(two.inertia - one.inertia).max()) > tolerances.inertia * size:
         entries = []
-        for label, place in _ENTRIES.items():
+        for label, place in INERTIA_ENTRIES.items():
             a, b = float(one.inertia[place]), float(two.inertia[place])
             if abs(b - a) > tolerances.inertia * size:
                 entries.append(f"{label} {pair(a, b, 'kg m^2')}{ratio(a, b)}")
@@ -171,16 +172,6 @@ def _body_changes(name: str, one: Body, two: Body, tolerances: Tolerances) -> It
             _take_body(name, "inertia"),
             felt=True,
         )
-
-
-_ENTRIES = {
-    "ixx": (0, 0),
-    "iyy": (1, 1),
-    "izz": (2, 2),
-    "ixy": (0, 1),
-    "ixz": (0, 2),
-    "iyz": (1, 2),
-}
 
 
 def _turned(one: Body, two: Body) -> str:

@@ -41,15 +41,18 @@ map_file_option = click.option(
 )
 
 
+frame_option = click.option(
+    "--foot", "feet", multiple=True, metavar="FRAME", help="Compare this frame (all common ones)."
+)
+
+
 @click.command(context_settings=CONTEXT, short_help="Find what makes a URDF and an MJCF disagree.")
 @click.argument("urdf", type=click.Path(path_type=Path))
 @click.argument("mjcf", type=click.Path(path_type=Path))
 @map_option
 @map_file_option
 @package_option
-@click.option(
-    "--foot", "feet", multiple=True, metavar="FRAME", help="Compare this frame (all common ones)."
-)
+@frame_option
 @click.option(
     "--tolerance",
     "changes",

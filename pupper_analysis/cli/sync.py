@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli.models import (
+    frame_option,
     map_file_option,
     map_option,
     mapped_names,
@@ -39,9 +40,7 @@ if TYPE_CHECKING:
 @map_option
 @map_file_option
 @package_option
-@click.option(
-    "--foot", "feet", multiple=True, metavar="FRAME", help="Compare this frame (all common ones)."
-)
+@frame_option
 @click.option(
     "--coarse", is_flag=True, help="Leave what crosscheck tolerates: 5 to 6 digits are the same."
 )

@@ -5,15 +5,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.simulation.verify import SETTLED_DRIFT, verify_stand
 from pupper_analysis.stance.stand import Stand, stand_statics
 
@@ -52,20 +52,6 @@ _DAMPING_TIME = 0.05
 """kd / kp of the suggested servos (s): within the 0.02 to 0.1 s of robots' own controllers."""
 
 
-def servos_of(model: mujoco.MjModel) -> dict[str, tuple[float, float]]:
-    """Returns the joints with a position servo, {joint: kp (N m/rad), kd (N m s/rad)}."""
-    found = {}
-    for actuator in range(model.nu):
-        affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value
-        gain, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator]
-        at_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
-        if affine and at_joint and gain > 0 and math.isclose(gain, -bias[1], rel_tol=1e-6):
-            gear = float(model.actuator_gear[actuator, 0])
-            name = str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
-            found[name] = float(gain) * gear**2, -float(bias[2]) * gear**2
-    return found
-
-
 def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array]:
     """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
@@ -73,14 +59,13 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array]:
         The robot, with the stiffest servos tried if it comes to rest with none; the stiffness (nu,)
         (N m/rad) and damping (nu,) (N m s/rad) of all its servos.
     """
-    own = servos_of(robot.mj_model)
+    own = own_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
 
     def built(kp: Array, kd: Array, parts: int) -> Robot:
         spec = with_servos(robot.description.mjcf, robot, kp, kd)
         spec.option.timestep /= parts
-        new = build_robot(replace(robot.description, mjcf=spec))
-        return replace(new, stand_height=robot.stand_height, notes=robot.notes)
+        return rebuilt(robot, mjcf=spec)
 
     first = _kept(robot, own, *_gains(robot, stand.qpos, torques, _SAGS[0], 1))
     trial = built(*first, 1)
@@ -152,7 +137,7 @@ def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujo
     limit. The integrator is ``implicitfast``, with which a servo's damping does not shake light
     joints.
     """
-    spec, own = spec.copy(), servos_of(robot.mj_model)
+    spec, own = spec.copy(), own_servos(robot)
     by_joint = {
         actuator.target: actuator
         for actuator in spec.actuators

@@ -17,6 +17,7 @@ from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import ground_geom
+from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -57,18 +58,10 @@ class Foot:
 def posed(robot: Robot, joints: Array) -> mujoco.MjData:
     """Returns MuJoCo's data with the base upright at the origin, at joint positions (nu,)."""
     data = mujoco.MjData(robot.mj_model)
-    qpos = robot.neutral()
-    qpos[robot.nq - robot.nu :] = joints
+    qpos = robot.posed(joints)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_kinematics(robot.mj_model, data)
     return data
-
-
-def limb_ends(model: mujoco.MjModel) -> list[int]:
-    """Returns the ids of the bodies with joints that carry no others with joints."""
-    moving = [b for b in range(1, model.nbody) if int(model.body_weldid[b]) == b]
-    carrying = {int(model.body_weldid[model.body_parentid[body]]) for body in moving}
-    return [body for body in moving if body not in carrying and model.body_jntnum[body]]
 
 
 def joints_to(robot: Robot, body: int) -> int:
@@ -226,8 +219,7 @@ def _by_link(robot: Robot, name: str, frames: tuple[str, str], joints: Array) ->
         body = int(robot.mj_model.jnt_bodyid[robot.mj_model.joint(joint).id])
     else:
         body = int(robot.mj_model.body(robot.mj_base).id)
-    qpos = robot.neutral()
-    qpos[robot.nq - robot.nu :] = joints
+    qpos = robot.posed(joints)
     place = Configuration(robot, qpos).frame_position(link)
     return int(robot.mj_model.body_weldid[body]), place
 

@@ -23,13 +23,14 @@ from pupper_analysis.prepare.feet import (
     apart_at,
     find_feet,
     is_ball,
-    limb_ends,
     named_foot,
     with_feet,
 )
-from pupper_analysis.robot.build import add_floor, build_robot, floor_of
+from pupper_analysis.robot.build import add_floor, build_robot, floor_of, rebuilt
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.sunk import sunk_stand
 
 Array = NDArray[np.float64]
@@ -199,7 +200,7 @@ def _prepared(
     robot = build_robot(with_feet(bare, feet))
     robot = _started(robot, known, notes)
     robot = _apart(_on_feet_alone(robot, notes), notes)
-    if not set(robot.joint_names) <= drives.servos_of(robot.mj_model).keys():
+    if not set(robot.joint_names) <= own_servos(robot).keys():
         robot = _driven(robot, notes)
     return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
 
@@ -288,8 +289,7 @@ def _started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list
 
 def _at(robot: Robot, joints: Array) -> Robot:
     """Returns the robot with a start pose whose lowest foot touches the ground."""
-    qpos = robot.neutral()
-    qpos[robot.nq - robot.nu :] = joints
+    qpos = robot.posed(joints)
     places = Configuration(robot, qpos).foot_positions()
     height = max(robot.foot_radius[foot] - float(place[2]) for foot, place in places.items())
     return replace(robot, home=qpos, stand_height=height)
@@ -307,8 +307,7 @@ def _kept(robot: Robot) -> Robot:
     robot.mj_convention.set_state(data, qpos)
     spec.add_key(name="home", qpos=data.qpos)
     nominal = dict(zip(robot.joint_names, robot.nominal.tolist(), strict=True))
-    built = build_robot(replace(robot.description, mjcf=spec, nominal=nominal))
-    return replace(built, stand_height=robot.stand_height)
+    return rebuilt(robot, mjcf=spec, nominal=nominal)
 
 
 def _driven(robot: Robot, notes: list[str]) -> Robot:
@@ -316,7 +315,7 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
     stand = start.first_stand(robot)
     if stand is None:
         return robot
-    own = drives.servos_of(robot.mj_model)
+    own = own_servos(robot)
     built, kp, kd = drives.driven(robot, stand)
     new = [index for index, name in enumerate(robot.joint_names) if name not in own]
     which = "no position servos" if not own else f"no position servos at {len(new)} joints"
@@ -352,8 +351,7 @@ def _on_feet_alone(robot: Robot, notes: list[str]) -> Robot:
         f"shapes of {', '.join(bodies)} reach down beside the feet, which sink into the ground by "
         f"{1e3 * max(stand.depths.values()):.1f} mm: they were kept from touching"
     )
-    built = build_robot(replace(robot.description, mjcf=spec))
-    return replace(built, stand_height=robot.stand_height, notes=robot.notes)
+    return rebuilt(robot, mjcf=spec)
 
 
 def _apart(robot: Robot, notes: list[str]) -> Robot:
@@ -379,8 +377,7 @@ def _apart(robot: Robot, notes: list[str]) -> Robot:
     notes.append(
         f"bodies overlap in the start pose: {pairs}; they were kept from pushing each other apart"
     )
-    built = build_robot(replace(robot.description, mjcf=spec))
-    return replace(built, stand_height=robot.stand_height, notes=robot.notes)
+    return rebuilt(robot, mjcf=spec)
 
 
 def _range(values: Array) -> str:

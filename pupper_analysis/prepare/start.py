@@ -91,8 +91,7 @@ def stands_at(robot: Robot, joints: Mapping[str, float]) -> bool:
     values = np.array([joints.get(name, 0.0) for name in robot.joint_names])
     if np.abs(values - inside(robot, joints)).max() > _SLACK:
         return False
-    qpos = robot.neutral()
-    qpos[robot.nq - robot.nu :] = values
+    qpos = robot.posed(values)
     centres = Configuration(robot, qpos).foot_positions()
     heights = [
         min(float(centres[point][2]) - robot.foot_radius[point] for point in points)
@@ -141,8 +140,7 @@ def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
 
 def _longest_run(robot: Robot, pose: Array, margin: float) -> list[Stand]:
     """Returns stands at heights, from high to low, without one between them out of reach."""
-    qpos = robot.neutral()
-    qpos[robot.nq - robot.nu :] = pose
+    qpos = robot.posed(pose)
     length = leg_length(robot, qpos)
     runs: list[list[Stand]] = [[]]
     for height in length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS):
@@ -219,9 +217,8 @@ def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
 
 def _bent(robot: Robot, goal: Goal, pose: Array) -> list[Array]:
     """Returns joint positions (nu,) with the legs bent in the first ways that reach the ground."""
-    qpos = robot.neutral()
+    qpos = robot.posed(pose)
     qpos[:3] = (*goal.place, goal.height)
-    qpos[robot.nq - robot.nu :] = pose
     found = branches(robot, qpos, goal.targets, goal.lower, goal.upper)
     return list(itertools.islice(combinations(found, pose), _WAYS))
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -98,6 +100,20 @@ def build_robot(
         fingerprint=f"{description.name} {_hash(pin_model, joint_names, foot_frames, radius)}",
         notes=tuple(notes),
     )
+
+
+def rebuilt(robot: Robot, **changes: Any) -> Robot:
+    """Builds a robot anew with changes of its description; its nominal stand and notes stay.
+
+    Args:
+        robot: The robot.
+        changes: Fields of ``Description``, such as ``mjcf``.
+
+    Raises:
+        ModelError: If a model cannot be built.
+    """
+    built = build_robot(replace(robot.description, **changes))
+    return replace(built, stand_height=robot.stand_height, notes=robot.notes)
 
 
 def _take_armature(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
@@ -73,6 +73,21 @@ def combine(model: mujoco.MjModel, first: int, second: int) -> ContactParameters
         solimp=tuple(float(value) for value in solimp),
         margin=float(model.geom_margin[[first, second]].sum()),
     )
+
+
+def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
+    """Returns the way (..., 3) from a foot's centre to the contact (m).
+
+    MuJoCo has it half way into the penetration.
+
+    Args:
+        radius: (...) of the foot's sphere (m).
+        normal: (..., 3) out of the ground.
+        depth: (...) how deep the foot is in it (m).
+    """
+    reach = np.asarray(radius) - np.asarray(depth) / 2
+    offset: Array = -reach[..., None] * normal
+    return offset
 
 
 def ground_geom(model: mujoco.MjModel) -> int | None:

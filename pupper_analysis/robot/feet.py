@@ -93,3 +93,10 @@ def stand_height(
             at = data.xpos[body] - foot_depth * rotation[:, 2]
         below.append(float(rotation[:, 2] @ (data.xpos[base_id] - at)) + radius[foot])
     return max(below, default=0.0)
+
+
+def limb_ends(model: mujoco.MjModel) -> list[int]:
+    """Returns the ids of the bodies with joints that carry no others with joints."""
+    moving = [b for b in range(1, model.nbody) if int(model.body_weldid[b]) == b]
+    carrying = {int(model.body_weldid[model.body_parentid[body]]) for body in moving}
+    return [body for body in moving if body not in carrying and model.body_jntnum[body]]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked, length
 from pupper_analysis.errors import ConfigurationError, ModelError
-from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -71,19 +71,14 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
         f'<joint name="{name}_weld" type="fixed"><origin xyz="{x} {y} {z}"/>'
         f'<parent link="{robot.base}"/><child link="{name}"/></joint>'
     )
-    built = build_robot(replace(before, mjcf=spec, urdf=head + link + end + tail))
+    built = rebuilt(robot, mjcf=spec, urdf=head + link + end + tail)
     # What was changed in Pinocchio's model since it was read, such as a limit, stays.
     model = robot.pin_model.copy()
     frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
     welded = frame.placement.act(pin.Inertia(mass, place, np.zeros((3, 3))))
     model.inertias[frame.parentJoint] = model.inertias[frame.parentJoint] + welded
-    return replace(
-        built,
-        pin_model=model,
-        stand_height=robot.stand_height,
-        fingerprint=robot.fingerprint,  # the unloaded robot's stands are its own
-        notes=robot.notes,
-    )
+    # The unloaded robot's stands are its own.
+    return replace(built, pin_model=model, fingerprint=robot.fingerprint)
 
 
 def point_on_base(point: Sequence[float]) -> Array:

@@ -178,6 +178,12 @@ class Robot:
             for foot in self.feet_with(forces)
         }
 
+    def posed(self, joints: Array) -> Array:
+        """Returns the qpos (nq,) with the base at the origin, and the joints (nu,) as given."""
+        qpos = self.neutral()
+        qpos[self.nq - self.nu :] = joints
+        return qpos
+
     def neutral(self) -> Array:
         """Returns the qpos (nq,) with the base at the origin and every joint at zero."""
         qpos = np.zeros(self.nq)

@@ -121,16 +121,11 @@ def gains(
         ConfigurationError: As ``servos``.
         ModelError: Likewise.
     """
-    model = robot.mj_model
     actuators = robot.mj_convention.actuator_index
     for name, actuator in zip(robot.joint_names, actuators, strict=True):
         if actuator < 0:
             raise ModelError(robot.description.mjcf_source, f"joint {name!r} has no actuator")
-    gear = model.actuator_gear[actuators, 0].copy()
-    gain = model.actuator_gainprm[actuators, 0] * gear**2
-    bias = -model.actuator_biasprm[actuators, 1:3] * gear[:, None] ** 2
-    affine = model.actuator_biastype[actuators] == mujoco.mjtBias.mjBIAS_AFFINE.value
-    servo = affine & np.isclose(gain, bias[:, 0]) & (gain > 0)
+    gain, damped, gear, servo = _of_model(robot.mj_model, actuators)
     if (kp is None or kd is None) and not servo.all():
         index = int(np.flatnonzero(~servo)[0])
         raise ModelError(
@@ -139,10 +134,37 @@ def gains(
             "give kp and kd to drive it as one",
         )
     stiffness = gain if kp is None else _gain("kp", kp, robot.nu)
-    damping = bias[:, 1] if kd is None else _gain("kd", kd, robot.nu)
+    damping = damped if kd is None else _gain("kd", kd, robot.nu)
     if kp is not None and (stiffness <= 0).any():
         raise ConfigurationError("kp", f"{stiffness.min()} N m/rad is not positive")
     return stiffness, damping, gear, servo
+
+
+def own_servos(robot: Robot) -> dict[str, tuple[float, float]]:
+    """Returns the joints whose motor is a position servo in the robot's model.
+
+    Returns:
+        {joint: its kp (N m/rad) and kd (N m s/rad)}.
+    """
+    actuators = robot.mj_convention.actuator_index
+    driven = np.flatnonzero(actuators >= 0)
+    gain, damping, _, servo = _of_model(robot.mj_model, actuators[driven])
+    return {
+        robot.joint_names[joint]: (float(kp), float(kd))
+        for joint, kp, kd, holds in zip(driven, gain, damping, servo, strict=True)
+        if holds
+    }
+
+
+def _of_model(
+    model: mujoco.MjModel, actuators: NDArray[np.int64]
+) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Returns gain, damping and gear (n,) of actuators, and which of them are position servos."""
+    gear = model.actuator_gear[actuators, 0].copy()
+    gain = model.actuator_gainprm[actuators, 0] * gear**2
+    bias = -model.actuator_biasprm[actuators, 1:3] * gear[:, None] ** 2
+    affine = model.actuator_biastype[actuators] == mujoco.mjtBias.mjBIAS_AFFINE.value
+    return gain, bias[:, 1], gear, affine & np.isclose(gain, bias[:, 0]) & (gain > 0)
 
 
 def _gain(name: str, value: ArrayLike, size: int) -> Array:

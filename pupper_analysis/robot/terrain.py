@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.robot.build import add_floor, build_robot, floor_of
+from pupper_analysis.robot.build import add_floor, floor_of, rebuilt
 from pupper_analysis.robot.ground import STEP_HALF_WIDTH, Ground
 from pupper_analysis.robot.robot import Robot
 
@@ -57,13 +57,7 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
             priority=floor.priority,
             rgba=(0.6, 0.62, 0.66, 1.0),
         )
-    built = build_robot(replace(robot.description, mjcf=spec))
-    return replace(
-        built,
-        stand_height=robot.stand_height,
-        fingerprint=robot.fingerprint,
-        notes=robot.notes,
-    )
+    return replace(rebuilt(robot, mjcf=spec), fingerprint=robot.fingerprint)
 
 
 def _leave_floor(

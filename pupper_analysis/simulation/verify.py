@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.results import Result
+from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
@@ -380,8 +381,8 @@ def _backend_evaluation(
     for foot, centre in monitor.foot_centres(robot, data).items():
         foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
         if foot in stand.stance_feet:
-            reach = robot.foot_radius[foot] - stand.depths[foot] / 2
-            point = centre - reach * stand.normals[foot]
+            radius, depth = robot.foot_radius[foot], stand.depths[foot]
+            point = centre + contact_offset(radius, stand.normals[foot], depth)
             mujoco.mj_jac(model, data, jacobian, None, point, robot.foot_places[foot][0])
             remainder -= jacobian.T @ prediction.contact_forces[foot]
     return foot_error, float(np.abs(remainder).max())

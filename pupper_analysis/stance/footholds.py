@@ -31,8 +31,7 @@ def nominal_places(robot: Robot) -> dict[str, Array]:
 
 @functools.lru_cache(maxsize=8)
 def _nominal(robot: Robot) -> tuple[tuple[str, Array], ...]:
-    qpos = robot.neutral()
-    qpos[robot.nq - robot.nu :] = robot.nominal
+    qpos = robot.posed(robot.nominal)
     return tuple(Configuration(robot, qpos).foot_positions().items())
 
 

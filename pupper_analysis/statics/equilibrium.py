@@ -16,6 +16,7 @@ from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInf
 from pupper_analysis.results import Result
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance
 from pupper_analysis.statics.foot_load import FootLoad, foot_load, sliding_share
@@ -198,8 +199,8 @@ def equilibrium(
     }
     coefficients = {foot: _friction(config, foot, friction) for foot in feet}
     out = np.array(list(directions.values()))
-    reach = [robot.foot_radius[foot] - (depths or {}).get(foot, 0.0) / 2 for foot in feet]
-    offsets = -np.array(reach)[:, None] * out
+    radii = [robot.foot_radius[foot] for foot in feet]
+    offsets = contact_offset(radii, out, [(depths or {}).get(foot, 0.0) for foot in feet])
     points = dict(zip(feet, config.foot_places(feet) + offsets, strict=True))
     stacked = config.point_jacobians(feet, offsets).reshape(-1, robot.nv).T  # (nv, 3 n)
     problem = Balance(

@@ -8,6 +8,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import INERTIA_ENTRIES
+
 Array = NDArray[np.float64]
 
 _TRIANGLE = 1e-6
@@ -81,26 +83,15 @@ def same(one: Mass, two: Mass, tolerance: float = 1e-11) -> bool:
     )
 
 
-ENTRIES = {
-    "ixx": (0, 0),
-    "iyy": (1, 1),
-    "izz": (2, 2),
-    "ixy": (0, 1),
-    "ixz": (0, 2),
-    "iyz": (1, 2),
-}
-"""The entries of a tensor, in the order of an MJCF's fullinertia."""
-
-
 def entries(tensor: Array) -> Array:
     """Returns the six entries of a tensor."""
-    return np.array([tensor[place] for place in ENTRIES.values()])
+    return np.array([tensor[place] for place in INERTIA_ENTRIES.values()])
 
 
 def tensor(values: Array) -> Array:
     """Returns the tensor of six entries."""
     result = np.zeros((3, 3))
-    for value, (row, column) in zip(values, ENTRIES.values(), strict=True):
+    for value, (row, column) in zip(values, INERTIA_ENTRIES.values(), strict=True):
         result[row, column] = result[column, row] = value
     return result
 

@@ -10,12 +10,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.models.parameters import Joint, Parameters
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.sync.digits import SAME, Digits
 from pupper_analysis.sync.frames import Key, Sides, mass_of, placement
 from pupper_analysis.sync.inertia import (
-    ENTRIES,
     Mass,
     entries,
     same,
@@ -263,7 +263,7 @@ def _stated(link: Element) -> Mass | None:
     if inertial is None or weight is None or not float(weight.get("value") or 0) > 0:
         return None
     values = inertial.child("inertia")
-    own = np.array([float((values and values.get(name)) or 0) for name in ENTRIES])
+    own = np.array([float((values and values.get(name)) or 0) for name in INERTIA_ENTRIES])
     mass = Mass(float(weight.get("value") or 0), np.zeros(3), tensor(own))
     return mass.moved(origin(inertial.child("origin")))
 
@@ -282,7 +282,7 @@ def inertial_changes(link: Element, wanted: Mass, digits: Digits) -> Changes:
         changes["mass", "value"] = text
     rotation = np.array(origin(parts["origin"]).rotation)
     entry = parts["inertia"]
-    stated = [None if entry is None else entry.get(name) for name in ENTRIES]
+    stated = [None if entry is None else entry.get(name) for name in INERTIA_ENTRIES]
     inside = rotation.T @ wanted.inertia @ rotation
     turn = None
     numbers_now = tensor(np.array([float(word or 0) for word in stated]))
@@ -300,7 +300,7 @@ def _tensor_changes(
     stated: list[str | None], values: Array, digits: Digits
 ) -> Iterator[tuple[tuple[str, str], str]]:
     scale = float(np.abs(values).max())
-    for name, old, value in zip(ENTRIES, stated, values, strict=True):
+    for name, old, value in zip(INERTIA_ENTRIES, stated, values, strict=True):
         text = digits.words((old or "").split(), np.array([value]), scale)
         if text is not None:
             yield ("inertia", name), text

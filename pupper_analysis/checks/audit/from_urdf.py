@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
+from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.checks.audit.geometry import mesh_vertices
 from pupper_analysis.checks.audit.pose import Array, Pose
 from pupper_analysis.checks.audit.view import (
@@ -26,7 +27,6 @@ from pupper_analysis.checks.audit.view import (
 from pupper_analysis.models.urdf_file import UrdfFile
 
 _KINDS = {"revolute": HINGE, "continuous": HINGE, "prismatic": SLIDE, "fixed": FIXED}
-_PAIRS = (("ixx", 0, 0), ("iyy", 1, 1), ("izz", 2, 2), ("ixy", 0, 1), ("ixz", 0, 2), ("iyz", 1, 2))
 
 
 def urdf_view(file: UrdfFile) -> UrdfView:
@@ -122,7 +122,7 @@ def _inertial(link: etree._Element) -> Inertial | None:
     tag = element.find("inertia")
     tensor = np.zeros((3, 3))
     rounding = 0.0
-    for attribute, row, column in _PAIRS:
+    for attribute, (row, column) in INERTIA_ENTRIES.items():
         tensor[row, column] = tensor[column, row] = number(tag, attribute, 0.0)
         rounding = max(rounding, half_digit("0" if tag is None else tag.get(attribute, "0")))
     return Inertial(

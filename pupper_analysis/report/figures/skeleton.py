@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.robot.feet import foot_site
+from pupper_analysis.robot.feet import foot_site, limb_ends
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
         tip = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
         legs[foot] = np.array([*_joints_to(model, data, base, body), tip])
     walked = {int(model.body_weldid[body]) for body, _ in robot.foot_places.values()}
-    arms = [_joints_to(model, data, base, body) for body in _ends(model) if body not in walked]
+    arms = [_joints_to(model, data, base, body) for body in limb_ends(model) if body not in walked]
     geoms = np.flatnonzero(model.geom_bodyid == base)
     drawn = geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_BOX.value]
     signs = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
@@ -77,13 +77,6 @@ def _joints_to(model: mujoco.MjModel, data: mujoco.MjData, base: int, body: int)
         points += [data.xanchor[joint].copy() for joint in reversed(joints)]
         body = int(model.body_parentid[body])
     return points[::-1]
-
-
-def _ends(model: mujoco.MjModel) -> list[int]:
-    """Returns the bodies with joints that carry no others with joints."""
-    moving = [body for body in range(1, model.nbody) if model.body_jntnum[body]]
-    carrying = {int(model.body_weldid[model.body_parentid[body]]) for body in moving}
-    return [body for body in moving if body not in carrying]
 
 
 def hull_corners(points: Iterable[Array]) -> Array:

@@ -11,6 +11,7 @@ from scipy import linalg
 
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP
+from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -81,7 +82,7 @@ def _contacts(
     for foot in stand.stance_feet:
         normal, law, jacobian = stand.normals[foot], GroundLaw.of(robot, foot), jacobians[foot]
         depth = law.depth(max(float(held.contact_forces[foot] @ normal), 0.0))
-        arm = -(robot.foot_radius[foot] - depth / 2) * normal
+        arm = contact_offset(robot.foot_radius[foot], normal, depth)
         point = jacobian[:3] - pin.skew(arm) @ jacobian[3:]
         across = pin.Quaternion.FromTwoVectors(normal, UP).matrix()[:2]
         tangential.append(across @ point)
@@ -119,7 +120,7 @@ def _geometric(
     for foot, force in forces.items():
         frame = model.getFrameId(robot.foot_frames[foot], pin.FrameType.BODY)
         joint, centre = model.frames[frame].parentJoint, at.oMf[frame].translation
-        arm = -(robot.foot_radius[foot] - stand.depths[foot] / 2) * stand.normals[foot]
+        arm = contact_offset(robot.foot_radius[foot], stand.normals[foot], stand.depths[foot])
         moment = pin.skew(arm) @ force
         about_origin = pin.Force(force, moment + pin.skew(centre) @ force)
         external[joint] = external[joint] + at.oMi[joint].actInv(about_origin)

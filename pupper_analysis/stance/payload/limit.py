@@ -15,6 +15,7 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.payload import point_on_base, with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.payload.first_order import Loads
@@ -328,8 +329,7 @@ def _problem(robot: Robot, stand: Stand, point: Array) -> _Problem:
     load = -robot.gravity @ config.frame_jacobian(robot.base, offset)[:3, :6]
     jacobians = []
     for foot in stand.stance_feet:
-        reach = robot.foot_radius[foot] - stand.depths[foot] / 2  # half way in, as MuJoCo has it
-        arm = -reach * stand.normals[foot]
+        arm = contact_offset(robot.foot_radius[foot], stand.normals[foot], stand.depths[foot])
         jacobians.append(config.frame_jacobian(robot.foot_frames[foot], arm)[:3, :6])
     return _Problem(
         gravity=config.gravity()[:6],
