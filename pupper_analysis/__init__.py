@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from pupper_analysis.checks.compare import Comparison, compare_models
     from pupper_analysis.checks.engines import CrossCheck, cross_check
     from pupper_analysis.checks.tolerances import Tolerances
+    from pupper_analysis.convert.conversion import Conversion
+    from pupper_analysis.convert.model import convert_model
     from pupper_analysis.errors import (
         ConfigurationError,
         Infeasibility,
@@ -90,6 +92,8 @@ _HOME = {
     "Objective": "stance.optimize.search",
     "best_stance": "stance.optimize.best",
     "Comparison": "checks.compare",
+    "Conversion": "convert.conversion",
+    "convert_model": "convert.model",
     "Interval": "stance.workspace",
     "BaseWorkspace": "stance.workspace",
     "base_workspace": "stance.workspace",
@@ -169,6 +173,7 @@ __all__ = [
     "Comparison",
     "Configuration",
     "ConfigurationError",
+    "Conversion",
     "CrossCheck",
     "FastestPath",
     "ForceDistribution",
@@ -209,6 +214,7 @@ __all__ = [
     "base_workspace",
     "best_stance",
     "compare_models",
+    "convert_model",
     "cross_check",
     "fastest_path",
     "gravity_compensation",

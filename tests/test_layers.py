@@ -22,6 +22,7 @@ ROOMS = (
     ("checks",),
     ("sync",),
     ("prepare",),
+    ("convert",),
     ("analysis",),
     ("report",),
     ("pupper",),

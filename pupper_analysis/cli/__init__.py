@@ -7,6 +7,7 @@ import traceback
 
 import click
 
+from pupper_analysis.cli.convert import convert_command
 from pupper_analysis.cli.models import audit_command, crosscheck
 from pupper_analysis.cli.motions import path, push
 from pupper_analysis.cli.process import Ended, endings, go_on, patient_output
@@ -116,6 +117,7 @@ for _command in (
     push,
     crosscheck,
     sync_command,
+    convert_command,
     audit_command,
     view,
     drop,

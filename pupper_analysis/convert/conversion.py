@@ -1,0 +1,61 @@
+"""What became of a conversion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.results import Result
+from pupper_analysis.simulation.verify import StandVerification
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A new model file that is not written yet.
+
+    Attributes:
+        text: Its XML, for the folder it is meant for.
+        meshes: {file to be written beside it: its content}.
+        notes: What was added, or assumed.
+        left: What the new format cannot say, or what was left out.
+        stands: Whether it is a robot that shall stand.
+        failure: Why it does not, if that is known already.
+    """
+
+    text: str
+    meshes: dict[Path, bytes]
+    notes: tuple[str, ...]
+    left: tuple[str, ...]
+    stands: bool
+    failure: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Conversion(Result):
+    """What became of a conversion.
+
+    Attributes:
+        source: The file that was converted.
+        output: The new file.
+        written: All files that were written.
+        notes: What was added that the source does not say, or assumed.
+        left: What the new format cannot say, or what was left out.
+        comparison: The new file against the source.
+        verification: The simulated stand, 12 s long; None where there is none to be simulated.
+        failures: Why the new file is not what it shall be: it disagrees with the source beyond what
+            is ``left``, or its robot does not stand.
+        agree: Whether both files agree.
+        passed: Whether they agree, and the robot stands if it is one that shall.
+    """
+
+    source: str
+    output: str
+    written: tuple[str, ...]
+    notes: tuple[str, ...]
+    left: tuple[str, ...]
+    comparison: Comparison
+    verification: StandVerification | None
+    failures: tuple[str, ...]
+    agree: bool
+    passed: bool

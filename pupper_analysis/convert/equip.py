@@ -1,0 +1,147 @@
+"""What a simulation needs besides the robot: ground, servos, a start pose, an IMU."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from pupper_analysis.convert.from_urdf import UrdfBodies
+from pupper_analysis.convert.xml_text import element, words
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.stand import Stand, stand_statics
+
+Array = NDArray[np.float64]
+Gains = Mapping[str, tuple[float, float]]
+
+_KEY_DIGITS = 6
+"""Decimals of the keyframe's angles and height: a micrometre, which the servos make up for."""
+
+
+def add_scene(root: etree._Element) -> None:
+    """Adds light, a floor and its look to an MJCF."""
+    asset, worldbody = root.find("asset"), root.find("worldbody")
+    assert asset is not None
+    assert worldbody is not None
+    element(
+        asset, "texture", name="floor", type="2d", builtin="checker", width="256", height="256",
+        rgb1="0.75 0.77 0.8", rgb2="0.85 0.87 0.9",
+    )  # fmt: skip
+    element(asset, "material", name="floor", texture="floor", texrepeat="4 4", texuniform="true")
+    light = etree.Element("light", {"pos": "0 0 3", "dir": "0 0 -1", "directional": "true"})
+    floor = {"name": "floor", "type": "plane", "size": "0 0 0.05", "material": "floor"}
+    worldbody.insert(0, light)
+    worldbody.insert(1, etree.Element("geom", floor))
+
+
+def add_imu(root: etree._Element, bodies: UrdfBodies) -> str:
+    """Adds an IMU: on the link that is named after one, otherwise at the base's origin.
+
+    Returns:
+        What was added, in words.
+    """
+    named = sorted((name for name in bodies.frames if "imu" in name.lower()), key=len)
+    link = named[0] if named else bodies.root
+    site = named[0] if named else "imu"
+    if all(node.get("name") != site for node in root.iter("site")):  # merged links are sites
+        body = next(node for node in root.iter("body") if node.get("name") == link)
+        element(body, "site", name=site)
+    sensor = root.find("sensor")
+    if sensor is None:
+        sensor = element(root, "sensor")
+    for tag, name in (("gyro", "gyro"), ("accelerometer", "accelerometer")):
+        element(sensor, tag, name=name, site=site)
+    element(sensor, "framequat", name="orientation", objtype="site", objname=site)
+    where = f"link {link!r}" if named else "the base's origin"
+    return f"an IMU (gyro, accelerometer, orientation) is at {where}"
+
+
+def add_mimics(root: etree._Element, bodies: UrdfBodies) -> None:
+    """Adds the couplings of joints that follow others, as equality constraints."""
+    if not bodies.mimics:
+        return
+    equality = element(root, "equality")
+    for joint in bodies.mimics:
+        mimic = joint.find("mimic")
+        offset, factor = mimic.get("offset") or "0", mimic.get("multiplier") or "1"
+        element(
+            equality,
+            "joint",
+            joint1=str(joint.get("name")),
+            joint2=str(mimic.get("joint")),
+            polycoef=f"{offset} {factor} 0 0 0",
+        )
+
+
+def add_servos(root: etree._Element, bodies: UrdfBodies, gains: Gains) -> None:
+    """Adds a position servo for each joint that follows no other.
+
+    Args:
+        root: The MJCF.
+        bodies: What is known of the URDF.
+        gains: {joint: kp (N m/rad), kd (N m s/rad)}, in the servos' order.
+    """
+    followers = {str(joint.get("name")) for joint in bodies.mimics}
+    actuator = element(root, "actuator")
+    for name, (stiffness, damping) in gains.items():
+        if name in followers:
+            continue
+        effort = bodies.efforts.get(name)
+        element(
+            actuator,
+            "position",
+            name=name,
+            joint=name,
+            kp=words(stiffness),
+            kv=words(damping),
+            forcerange=None if effort is None else f"-{effort.removeprefix('+')} {effort}",
+        )
+
+
+def add_contacts(root: etree._Element, robot: Robot) -> None:
+    """Takes over what was made ready for contact: balls for round meshes, shapes off, pairs apart.
+
+    Args:
+        root: The MJCF.
+        robot: The robot as ``load_robot`` prepared it, of this MJCF.
+    """
+    spec = robot.description.mjcf
+    geoms = {str(node.get("name")): node for node in root.iter("geom") if node.get("name")}
+    bodies = {str(node.get("name")): node for node in root.iter("body")}
+    for geom in spec.geoms:
+        node = geoms.get(geom.name)
+        if node is None and geom.name.endswith(" (ball)"):
+            element(
+                bodies[geom.parent.name],
+                "geom",
+                name=geom.name.replace(" (ball)", "_ball"),
+                class_="collision",
+                type="sphere",
+                size=words(geom.size[0]),
+                pos=words(geom.pos),
+            )
+        elif node is not None and not (geom.contype or geom.conaffinity):
+            node.set("contype", "0")
+            node.set("conaffinity", "0")
+    if len(spec.excludes):
+        contact = element(root, "contact")
+        for exclude in spec.excludes:
+            element(contact, "exclude", body1=exclude.bodyname1, body2=exclude.bodyname2)
+
+
+def add_home(root: etree._Element, robot: Robot, stand: Stand, kp: Array) -> None:
+    """Adds the keyframe ``home``: the stand, and the commands with which the servos hold it."""
+    rounded = stand.qpos.copy()
+    rounded[:2] = 0.0
+    rounded[2] = round(float(rounded[2]), _KEY_DIGITS)
+    torques = stand_statics(robot, stand).joint_torques
+    data = mujoco.MjData(robot.mj_model)
+    rounded[-robot.nu :] = np.round(rounded[-robot.nu :], _KEY_DIGITS)
+    robot.mj_convention.set_state(data, rounded)
+    ctrl = np.round(rounded[-robot.nu :] + torques / kp, _KEY_DIGITS)
+    key = element(element(root, "keyframe"), "key", name="home", qpos=words(data.qpos))
+    if root.find("equality") is None:  # otherwise some joints have no servo
+        key.set("ctrl", words(ctrl))

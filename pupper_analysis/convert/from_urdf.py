@@ -1,0 +1,282 @@
+"""The MJCF of a URDF: bodies, joints, inertias and shapes, number by number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+
+from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.convert.meshes import Meshes
+from pupper_analysis.convert.xml_text import element, free_name, halved, is_zero, words
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.places import refusal_at
+from pupper_analysis.models.urdf_file import UrdfFile
+
+WORLD = "world"
+"""A root link of this name is the world itself, as in MuJoCo's own importer."""
+
+_ZERO = "0 0 0"
+
+
+@dataclass
+class UrdfBodies:
+    """Makes the bodies of an MJCF from the links of a URDF.
+
+    Angles stay as the URDF has them: with ``eulerseq="XYZ"``, about fixed axes, an MJCF's ``euler``
+    is a URDF's ``rpy``.
+
+    Attributes:
+        urdf: The file.
+        meshes: Its meshes.
+        armature: {joint: rotor inertia (kg m^2)}.
+        notes: What an MJCF cannot say, or what was left out, in plain words.
+        materials: {name: rgba} that shapes use.
+        mimics: The joints that follow others.
+        efforts: {joint: effort limit (N m or N)}, of those that follow no other and have one.
+        root: The link that is the base.
+        floats: Whether the URDF has its base on a floating joint.
+        frames: All links.
+    """
+
+    urdf: UrdfFile
+    meshes: Meshes
+    armature: dict[str, float]
+    notes: list[str] = field(default_factory=list)
+    materials: dict[str, str] = field(default_factory=dict)
+    mimics: list[etree._Element] = field(default_factory=list)
+    efforts: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        root = self.urdf.root
+        self._links = {str(link.get("name")): link for link in root.findall("link")}
+        self._joints: dict[str, list[etree._Element]] = {}
+        for joint in root.findall("joint"):
+            self._joints.setdefault(_end(joint, "parent"), []).append(joint)
+        children = {_end(joint, "child") for joint in root.findall("joint")}
+        self.root = next(link for link in self._links if link not in children)
+        self.floats = self._take_floating()
+        self._colors = {
+            str(material.get("name")): str(material.find("color").get("rgba"))
+            for material in root.iter("material")
+            if material.find("color") is not None and material.get("name")
+        }
+        self._geoms: set[str] = set()
+        self.frames: set[str] = set()
+
+    def _take_floating(self) -> bool:
+        """Makes the link on a floating joint below a root without mass the root."""
+        below = self._joints.get(self.root, [])
+        if len(below) != 1 or below[0].get("type") != "floating":
+            return False
+        if self._links[self.root].find("inertial") is None:
+            self.root = _end(below[0], "child")
+            return True
+        return False
+
+    def add(self, worldbody: etree._Element, *, free: bool) -> None:
+        """Adds all bodies to an MJCF's <worldbody>.
+
+        Raises:
+            ModelError: If a link cannot be a body of MuJoCo.
+        """
+        guarded = len(self.urdf.root.findall("joint/safety_controller"))
+        if guarded:
+            self.notes.append(f"safety controllers of {guarded} joints: an MJCF has none")
+        if self.root == WORLD:
+            self._fill(worldbody, self._links[self.root])
+            return
+        body = element(worldbody, "body", name=self.root)
+        if free:
+            element(body, "freejoint", name="root")
+        self._fill(body, self._links[self.root])
+
+    def _fill(self, body: etree._Element, link: etree._Element) -> None:
+        """Adds to a body what its link has, and the links that it carries."""
+        name = str(link.get("name"))
+        self.frames.add(name)
+        inertial = link.find("inertial")
+        if inertial is not None and body.tag != "worldbody":
+            _add_inertial(body, inertial)
+        for kind in ("visual", "collision"):
+            for shape in link.findall(kind):
+                self._add_shape(body, name, kind, shape)
+        for joint in self._joints.get(name, ()):
+            child = self._links[_end(joint, "child")]
+            xyz, rpy = _origin(joint)
+            inner = element(body, "body", name=str(child.get("name")), pos=xyz, euler=rpy)
+            self._add_joint(inner, joint, child)
+            self._fill(inner, child)
+
+    def _add_joint(
+        self, body: etree._Element, joint: etree._Element, child: etree._Element
+    ) -> None:
+        kind, name = str(joint.get("type")), str(joint.get("name"))
+        if kind == "fixed":
+            return
+        if kind in ("floating", "planar"):
+            raise refusal_at(
+                self.urdf.path,
+                joint,
+                f"joint {name!r} is {kind}; only the base may be free: convert with a root link "
+                "that moves, and without this joint",
+            )
+        self._check_weight(joint, child)
+        axis, limit, dynamics = (joint.find(tag) for tag in ("axis", "limit", "dynamics"))
+        bounds = None
+        if kind != "continuous":
+            bounds = f"{limit.get('lower') or 0} {limit.get('upper') or 0}"
+            low, high = (float(word) for word in bounds.split())
+            if not low < high:
+                self.notes.append(
+                    f"joint {name!r} is limited to {low:g} to {high:g}, which an MJCF cannot say: "
+                    "it has no range there"
+                )
+                bounds = None
+        element(
+            body,
+            "joint",
+            name=name,
+            type="slide" if kind == "prismatic" else None,
+            axis="1 0 0" if axis is None else axis.get("xyz"),
+            range=bounds,
+            damping=_stated(dynamics, "damping"),
+            frictionloss=_stated(dynamics, "friction"),
+            armature=words(self.armature[name]) if name in self.armature else None,
+        )
+        effort = _stated(limit, "effort")
+        if joint.find("mimic") is not None:
+            self.mimics.append(joint)
+            if effort is not None:  # no motor, whose limit it could be
+                body[-1].set("actuatorfrcrange", f"-{effort.removeprefix('+')} {effort}")
+        elif effort is not None:
+            self.efforts[name] = effort
+
+    def _check_weight(self, joint: etree._Element, link: etree._Element) -> None:
+        """Refuses a joint that moves nothing: MuJoCo has no massless bodies."""
+        waiting, weighs = [link], False
+        while waiting and not weighs:
+            this = waiting.pop()
+            mass = this.find("inertial/mass")
+            weighs = mass is not None and float(mass.get("value")) > 0
+            for below in self._joints.get(str(this.get("name")), ()):
+                if below.get("type") == "fixed":
+                    waiting.append(self._links[_end(below, "child")])
+        if not weighs:
+            raise refusal_at(
+                self.urdf.path,
+                link,
+                f"link {link.get('name')!r}, which joint {joint.get('name')!r} moves, has no mass, "
+                "and MuJoCo refuses such bodies; give it an <inertial>",
+            )
+
+    def _add_shape(self, body: etree._Element, link: str, kind: str, shape: etree._Element) -> None:
+        geometry = next(iter(shape.find("geometry")), None)
+        attributes = None if geometry is None else self._geometry(geometry)
+        if attributes is None:
+            return
+        xyz, rpy = _origin(shape)
+        name = None
+        if kind == "collision":
+            name = free_name(str(shape.get("name") or f"{link}_collision"), self._geoms)
+        element(
+            body,
+            "geom",
+            name=name,
+            class_=kind,
+            **attributes,
+            pos=xyz,
+            euler=rpy,
+            material=self._material(shape) if kind == "visual" else None,
+        )
+
+    def _geometry(self, geometry: etree._Element) -> dict[str, str] | None:
+        """Returns the attributes of a geom; None if there is none for it."""
+        tag = str(geometry.tag)
+        if tag == "mesh":
+            name = self.meshes.name(geometry)
+            return None if name is None else {"type": "mesh", "mesh": name}
+        if tag == "sphere":
+            return {"type": "sphere", "size": str(geometry.get("radius"))}
+        if tag == "box":
+            return {"type": "box", "size": halved(str(geometry.get("size")))}
+        if tag in ("cylinder", "capsule"):
+            half = halved(str(geometry.get("length")))
+            return {"type": tag, "size": f"{geometry.get('radius')} {half}"}
+        self.notes.append(f"a shape <{tag}> was left out: an MJCF has none")
+        return None
+
+    def _material(self, shape: etree._Element) -> str | None:
+        material = shape.find("material")
+        if material is None:
+            return None
+        color = material.find("color")
+        rgba = color.get("rgba") if color is not None else None
+        name = str(material.get("name") or "")
+        rgba = rgba or self._colors.get(name)
+        if rgba is None:
+            return None
+        known = next((key for key, value in self.materials.items() if value == rgba), None)
+        if known is None:
+            known = free_name(name or "color", set(self.materials))
+            self.materials[known] = rgba
+        return known
+
+
+def _end(joint: etree._Element, tag: str) -> str:
+    return str(joint.find(tag).get("link"))
+
+
+def _stated(parent: etree._Element | None, attribute: str) -> str | None:
+    """Returns an attribute, if it is there and not zero."""
+    text = None if parent is None else parent.get(attribute)
+    return None if text is None or is_zero(text) else text
+
+
+def _origin(parent: etree._Element) -> tuple[str | None, str | None]:
+    """Returns the position and the angles of an <origin>; None where they are zero."""
+    origin = parent.find("origin")
+    xyz, rpy = ((None if origin is None else origin.get(name)) or _ZERO for name in ("xyz", "rpy"))
+    return None if is_zero(xyz) else xyz, None if is_zero(rpy) else rpy
+
+
+def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
+    """Adds an <inertial> with the URDF's numbers; a turned tensor is turned into the body's axes.
+
+    An MJCF takes products of inertia in the body's axes only.
+    """
+    mass, given = str(inertial.find("mass").get("value")), inertial.find("inertia")
+    texts = [str(given.get(name)) for name in INERTIA_ENTRIES]
+    xyz, rpy = _origin(inertial)
+    if is_zero(mass) and all(is_zero(text) for text in texts):
+        return
+    if rpy is not None:
+        tensor = np.zeros((3, 3))
+        for text, (row, column) in zip(texts, INERTIA_ENTRIES.values(), strict=True):
+            tensor[row, column] = tensor[column, row] = float(text)
+        turn = pin.rpy.rpyToMatrix(np.array(rpy.split(), dtype=float))
+        turned = turn @ tensor @ turn.T
+        texts = words([turned[place] for place in INERTIA_ENTRIES.values()]).split()
+    diagonal = all(is_zero(text) for text in texts[3:])
+    element(
+        body,
+        "inertial",
+        pos=xyz or _ZERO,
+        mass=mass,
+        diaginertia=" ".join(texts[:3]) if diagonal else None,
+        fullinertia=None if diagonal else " ".join(texts),
+    )
+
+
+def check_joints(urdf: UrdfFile, names: dict[str, float]) -> None:
+    """Refuses values for joints that a URDF does not have.
+
+    Raises:
+        ModelError: If one is not there; the message lists those that are.
+    """
+    known = [str(joint.get("name")) for joint in urdf.root.findall("joint")]
+    for name in names:
+        if name not in known:
+            raise ModelError(urdf.path, f"no joint {name!r}; there are: {', '.join(known) or '-'}")

@@ -1,0 +1,154 @@
+"""The mesh files of a URDF as an MJCF names them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection
+from pathlib import Path
+
+import mujoco
+from lxml import etree
+
+from pupper_analysis.convert.xml_text import element, free_name
+from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.places import one_line
+from pupper_analysis.models.urdf_file import UrdfFile
+
+_READABLE = (".stl", ".obj", ".msh")
+"""Endings of the mesh files that MuJoCo reads."""
+
+
+class Meshes:
+    """The meshes of a new MJCF, each file with each scale once.
+
+    Attributes:
+        notes: What was left out, in plain words.
+        made: {path that the MJCF names: content} of meshes in formats that MuJoCo cannot read,
+            written anew beside the MJCF.
+    """
+
+    def __init__(self, urdf: UrdfFile, output: Path) -> None:
+        self.urdf, self.output = urdf, output
+        self.made: dict[Path, bytes] = {}
+        self._left: dict[str, list[str]] = {}
+        self._names: dict[tuple[Path, str], str] = {}
+        self._taken: set[str] = set()
+
+    @property
+    def notes(self) -> list[str]:
+        """What was left out, by reason."""
+        texts = []
+        for why, files in self._left.items():
+            some = ", ".join(files[:3]) + (", ..." if len(files) > 3 else "")
+            texts.append(f"{len(files)} mesh file(s) left out, {why}: {some}")
+        return texts
+
+    def name(self, mesh: etree._Element) -> str | None:
+        """Returns the name of a URDF's <mesh> in the MJCF; None if it is left out."""
+        file = str(mesh.get("filename"))
+        scale = mesh.get("scale") or "1 1 1"
+        path = self.urdf.resolve_mesh(file)
+        if path is None:
+            self._leave("for there is no such file", file)
+            return None
+        path = path.resolve()
+        if (path, scale) in self._names:
+            return self._names[path, scale]
+        if path.suffix.lower() not in _READABLE:
+            made = self._made(path)
+            if made is None:
+                self._leave("for neither MuJoCo nor trimesh reads them", file)
+                return None
+        problem = _refused(self.made.get(self._place(path)), path, scale)
+        if problem is not None:
+            self._leave(f"for MuJoCo refuses them ({problem})", file)
+            return None
+        name = free_name(path.stem, self._taken)
+        self._names[path, scale] = name
+        return name
+
+    def write(
+        self,
+        asset: etree._Element,
+        *,
+        used: Collection[str] | None = None,
+        trial: Path | None = None,
+    ) -> None:
+        """Adds the meshes to an MJCF's <asset>.
+
+        Args:
+            asset: The element.
+            used: The names of those that are needed; all by default.
+            trial: A folder for the meshes that are written anew, if the MJCF is to be tried before
+                there is a file; all paths are absolute then.
+        """
+        for (path, scale), name in self._names.items():
+            if used is not None and name not in used:
+                continue
+            place = self._place(path)
+            file = os.path.relpath(place, self.output.parent.resolve())
+            if trial is not None:
+                file = str(place)
+                if place in self.made:
+                    file = str(trial / place.name)
+                    Path(file).write_bytes(self.made[place])
+            scaled = [float(word) for word in scale.split()] != [1.0, 1.0, 1.0]
+            own = Path(file).stem == name
+            element(
+                asset,
+                "mesh",
+                name=None if own else name,
+                file=Path(file).as_posix(),
+                scale=scale if scaled else None,
+            )
+
+    def _place(self, path: Path) -> Path:
+        """Returns the file that the MJCF names for a file of the URDF."""
+        if path.suffix.lower() in _READABLE:
+            return path
+        folder = self.output.resolve().with_name(f"{self.output.stem}_meshes")
+        return folder / f"{path.stem}.obj"
+
+    def _made(self, path: Path) -> bytes | None:
+        """Writes a mesh in a format that MuJoCo reads, all its parts in one."""
+        import trimesh  # comes with yourdfpy, and is slow to import
+
+        place = self._place(path)
+        if place not in self.made:
+            try:
+                whole = trimesh.load(path, force="mesh")
+                self.made[place] = str(
+                    trimesh.exchange.obj.export_obj(
+                        whole, include_color=False, include_texture=False, include_normals=False
+                    )
+                ).encode()
+            except Exception:
+                return None
+        return self.made[place]
+
+    def _leave(self, why: str, file: str) -> None:
+        files = self._left.setdefault(why, [])
+        if file not in files:
+            files.append(file)
+
+
+def _refused(content: bytes | None, path: Path, scale: str) -> str | None:
+    """Returns why MuJoCo does not take a mesh; None if it does."""
+    spec = mujoco.MjSpec()
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    name = path.name
+    if content is not None:
+        name = f"{path.stem}.obj"
+        spec.assets = {name: content}
+    spec.add_mesh(
+        name="mesh",
+        file=name if content is not None else str(path),
+        scale=[float(word) for word in scale.split()],
+    )
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
+    try:
+        with quiet():
+            spec.compile()
+    except (ValueError, RuntimeError) as error:
+        return one_line(error).removeprefix("Error: ").split(" Element name")[0].rstrip(". ,")
+    return None

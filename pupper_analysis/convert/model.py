@@ -1,0 +1,124 @@
+"""Converts a model file into the other format, and proves that both agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from pupper_analysis.arguments import checked
+from pupper_analysis.checks.compare import compare_models
+from pupper_analysis.convert.conversion import Conversion, Draft
+from pupper_analysis.convert.from_urdf import check_joints
+from pupper_analysis.convert.to_mjcf import MjcfOptions, mjcf_draft
+from pupper_analysis.convert.to_urdf import urdf_draft
+from pupper_analysis.errors import ConfigurationError, OutputError
+from pupper_analysis.files import check_writable, whole_file
+from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.prepare.load import Feet, load_robot
+from pupper_analysis.simulation.verify import StandVerification, verify_stand
+from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.sync.models import FINE
+
+DURATION = 12.0
+"""Of the simulated stand (s): what creeps or shakes shows in that time."""
+
+
+@checked
+def convert_model(
+    source: str | Path,
+    output: str | Path,
+    *,
+    feet: Feet | None = None,
+    fixed_base: bool | None = None,
+    merge_fixed: bool = False,
+    armature: Mapping[str, float] | None = None,
+    sag: float | None = None,
+    damping_ratio: float | None = None,
+    packages: Mapping[str, Path] | None = None,
+    force: bool = False,
+) -> Conversion:
+    """Converts a URDF into an MJCF.
+
+    All that the URDF states is kept, number by number: masses, products of inertia, frames, limits,
+    damping, friction, effort limits as force ranges, mimic joints as equalities, shapes for
+    collision and for looks apart, scales of meshes. What a simulation needs besides is added: a
+    floor and a free joint, feet, position servos, pairs of bodies that overlap where they stand, a
+    keyframe ``home`` with the commands that hold it, an IMU. The new file is proven before the call
+    returns: cross-checked with the source, and its robot stood for 12 s.
+
+    Args:
+        source: Path of the URDF.
+        output: Path of the new file.
+        feet: The feet's links, or {foot: link}; by default they are found, as by ``load_robot``.
+        fixed_base: Whether the base is fixed in the world; by default a base with two limbs or more
+            is free, unless it is called ``world``.
+        merge_fixed: Merge links on fixed joints into the body that carries them, as sites.
+        armature: {joint: rotor inertia (kg m^2)}, which no URDF states.
+        sag: What the joint that holds the greatest torque gives way in the stand (rad), from which
+            the servos' stiffness follows; by default it is found by trial.
+        damping_ratio: Of the base's bounce on its servos, from which their damping follows; by
+            default it is found by trial.
+        packages: {ROS package: its folder}, for ``package://`` paths.
+        force: Replace the output if it exists.
+
+    Returns:
+        What was written, and the proof.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range.
+        ModelError: If the source cannot be read, or the other format cannot have the robot.
+        OutputError: If the output exists, or cannot be written.
+    """
+    for name, value in (("sag", sag), ("damping_ratio", damping_ratio)):
+        if value is not None and not 0 < value < float("inf"):
+            raise ConfigurationError(name, f"{value} is not positive")
+    source, output = Path(source), Path(output)
+    check_writable(output)
+    if output.exists() and not force:
+        raise OutputError(output, "it exists; add --force (force=True) to replace it")
+    file = read_model(source, packages)
+    if isinstance(file, UrdfFile):
+        check_joints(file, dict(armature or {}))
+        options = MjcfOptions(feet, fixed_base, merge_fixed, armature, sag, damping_ratio)
+        draft = mjcf_draft(file, output, options)
+        urdf, mjcf = source, output
+    else:
+        draft = urdf_draft(file, output)
+        urdf, mjcf = output, source
+    written = _write(output, draft)
+    comparison = compare_models(urdf, mjcf, packages=packages, tolerances=FINE)
+    verification, failures = None, [difference.message for difference in comparison.differences]
+    failures += comparison.objections
+    if draft.failure is not None:
+        failures.append(f"it does not stand: {draft.failure}")
+    elif draft.stands:
+        verification = _stood(urdf, mjcf, feet)
+        failures += verification.failures
+    return Conversion(
+        source=str(source),
+        output=str(output),
+        written=tuple(map(str, written)),
+        notes=draft.notes,
+        left=draft.left,
+        comparison=comparison,
+        verification=verification,
+        failures=tuple(failures),
+        agree=comparison.agree,
+        passed=not failures,
+    )
+
+
+def _stood(urdf: Path, mjcf: Path, feet: Feet | None) -> StandVerification:
+    robot = load_robot(urdf=urdf, mjcf=mjcf, feet=feet)
+    return verify_stand(robot, sunk_stand(robot), duration=DURATION)
+
+
+def _write(output: Path, draft: Draft) -> list[Path]:
+    """Writes the meshes, and the file last: it is there once all that it names is there."""
+    for path, content in draft.meshes.items():
+        with whole_file(path) as buffer:
+            buffer.write(content)
+    with whole_file(output) as buffer:
+        buffer.write(draft.text.encode())
+    return [*draft.meshes, output]

@@ -1,0 +1,103 @@
+"""Gains of position servos: from a sag and a damping ratio."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.stance.stand import Stand, stand_statics
+
+Array = NDArray[np.float64]
+
+SAG = 0.02
+"""What the joint of an arm that holds most gives way by default (rad, m for one that slides)."""
+
+_STEP_SHARE = 0.5
+"""Greatest time step of a servo's own motion, h sqrt(kp / I): a quarter of the limit of stability,
+which is 2 for a step that is explicit in the position."""
+
+_LEAST_SHARE = 0.02
+"""Of the greatest gravity torque: what a joint that holds hardly any is given stiffness for."""
+
+_POSES = 64
+
+
+def stand_gains(
+    robot: Robot, stand: Stand, sag: float | None, damping_ratio: float | None
+) -> tuple[Array, Array]:
+    """Computes the gains of a robot that stands.
+
+    The joint that holds the greatest torque gives way by the sag: kp = max |tau| / sag, for all
+    joints. The base then bounces like a mass m on a spring that its weight W = m g presses down by
+    d = sum(tau^2 / kp) / W, by virtual work: its frequency is w = sqrt(g / d), and its damping
+    ratio z = (kd / kp) w / 2.
+
+    Args:
+        robot: The robot, with servos.
+        stand: How it stands.
+        sag: What the joint gives way (rad); None: as its servos let it.
+        damping_ratio: Of the bounce; None: kd keeps its ratio to kp.
+
+    Returns:
+        kp (nu,) (N m/rad), kd (nu,) (N m s/rad).
+    """
+    drive = servos(robot)
+    kp, kd = drive.kp.copy(), drive.kd.copy()
+    torques = stand_statics(robot, stand).joint_torques
+    if sag is not None:
+        new = np.full(robot.nu, _digits(float(np.abs(torques).max()) / sag))
+        kd *= new / kp
+        kp = new
+    if damping_ratio is not None:
+        gravity = float(np.linalg.norm(robot.gravity))
+        drop = float((torques**2 / kp).sum()) / (robot.total_mass * gravity)
+        kd = kp * 2 * damping_ratio * math.sqrt(drop / gravity)
+    return kp, np.array([_digits(value) for value in kd])
+
+
+def held_gains(
+    model: mujoco.MjModel, sag: float | None, damping_ratio: float | None
+) -> tuple[Array, Array]:
+    """Computes the gains of a robot that is held: an arm, or one that cannot stand.
+
+    Each joint's stiffness is for the greatest gravity torque that it holds in random poses, and its
+    damping for the inertia that it moves there with the other joints free: kd = 2 z sqrt(kp I).
+
+    Args:
+        model: The model, its base fixed or held.
+        sag: What a joint gives way under gravity (rad); None: ``SAG``.
+        damping_ratio: Of each joint; None: 1, the least without overshoot.
+
+    Returns:
+        kp and kd, one for each joint that is not free, in the model's order.
+    """
+    data, random = mujoco.MjData(model), np.random.default_rng(0)
+    hinges = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE.value)
+    dofs, places = model.jnt_dofadr[hinges], model.jnt_qposadr[hinges]
+    limited = model.jnt_limited[hinges] == 1
+    low = np.where(limited, model.jnt_range[hinges, 0], -math.pi)
+    high = np.where(limited, model.jnt_range[hinges, 1], math.pi)
+    torque, inertia = np.zeros(len(hinges)), np.full(len(hinges), np.inf)
+    mass = np.zeros((model.nv, model.nv))
+    for _ in range(_POSES):
+        data.qpos[places] = random.uniform(low, high)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, mass)
+        inverse = np.linalg.inv(mass[np.ix_(dofs, dofs)])
+        torque = np.maximum(torque, np.abs(data.qfrc_bias[dofs]))
+        inertia = np.minimum(inertia, 1 / np.diag(inverse))
+    torque = np.maximum(torque, _LEAST_SHARE * float(torque.max()))
+    stable = inertia * (_STEP_SHARE / float(model.opt.timestep)) ** 2
+    kp = np.minimum(torque / (sag or SAG), stable)
+    kd = 2 * (damping_ratio or 1.0) * np.sqrt(kp * inertia)
+    return np.array([_digits(v) for v in kp]), np.array([_digits(v) for v in kd])
+
+
+def _digits(value: float) -> float:
+    """Rounds to three digits, to be read."""
+    return float(f"{value:.3g}")

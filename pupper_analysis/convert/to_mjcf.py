@@ -1,0 +1,226 @@
+"""A URDF as an MJCF that is ready for simulation."""
+
+from __future__ import annotations
+
+import copy
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from pupper_analysis.convert import equip
+from pupper_analysis.convert.conversion import Draft
+from pupper_analysis.convert.from_urdf import WORLD, UrdfBodies
+from pupper_analysis.convert.inertials import mend_inertials
+from pupper_analysis.convert.merge import merge_fixed
+from pupper_analysis.convert.meshes import Meshes
+from pupper_analysis.convert.servo_gains import held_gains, stand_gains
+from pupper_analysis.convert.tidy import put_defaults, to_text
+from pupper_analysis.convert.xml_text import element, words
+from pupper_analysis.errors import ModelError, PupperAnalysisError
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.prepare.load import Feet, load_robot
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.sunk import sunk_stand
+
+Array = NDArray[np.float64]
+
+_LIMBS = 2
+"""A base that carries so many limbs or more is free, as in ``load_robot``."""
+
+
+@dataclass(frozen=True)
+class MjcfOptions:
+    """What a URDF does not say.
+
+    Attributes:
+        feet: The feet's links, or {foot: link}; None: they are found.
+        fixed_base: Whether the base is fixed; None: a base with two limbs or more is free.
+        merge_fixed: Whether links on fixed joints become part of the body that carries them.
+        armature: {joint: rotor inertia (kg m^2)}.
+        sag: What the joint that holds most gives way (rad); None: it is found by trial.
+        damping_ratio: Of the base's bounce on its servos; None: it is found by trial.
+    """
+
+    feet: Feet | None = None
+    fixed_base: bool | None = None
+    merge_fixed: bool = False
+    armature: Mapping[str, float] | None = None
+    sag: float | None = None
+    damping_ratio: float | None = None
+
+
+def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
+    """Makes the MJCF of a URDF.
+
+    Args:
+        urdf: The file.
+        output: Where the MJCF shall be: the paths of its meshes start there.
+        options: What the URDF does not say.
+
+    Raises:
+        ModelError: If MuJoCo cannot have the robot, or it does not stand.
+    """
+    meshes = Meshes(urdf, output)
+    bodies = UrdfBodies(urdf, meshes, dict(options.armature or {}))
+    free = _is_free(urdf, bodies) if options.fixed_base is None else not options.fixed_base
+    root = _skeleton(str(urdf.root.get("name")))
+    worldbody = root.find("worldbody")
+    bodies.add(worldbody, free=free)
+    notes = [*urdf.notes, *mend_inertials(urdf, worldbody)]
+    left = [*bodies.notes, *meshes.notes]
+    if options.merge_fixed:
+        merged = merge_fixed(worldbody)
+        if merged:
+            notes.append(f"{len(merged)} links on fixed joints are sites: {', '.join(merged)}")
+    asset = root.find("asset")
+    for name, rgba in bodies.materials.items():
+        element(asset, "material", name=name, rgba=rgba)
+    if free:
+        equip.add_scene(root)
+        notes.append("a floor and a free joint were added")
+    equip.add_mimics(root, bodies)
+    failure = None
+    if free:
+        found, failure = _put_stand(root, urdf, meshes, bodies, options)
+        notes += [note for note in found if note not in notes]
+        notes.append(equip.add_imu(root, bodies))
+    else:
+        notes += _put_held(root, meshes, bodies, options)
+    meshes.write(asset)
+    _leave_out_empty(root)
+    put_defaults(root)
+    header = f"Converted from {urdf.path.name} by pupper-analysis."
+    return Draft(to_text(root, header), meshes.made, tuple(notes), tuple(left), free, failure)
+
+
+def _skeleton(name: str) -> etree._Element:
+    root = etree.Element("mujoco", {"model": name})
+    # The angles are the URDF's, about fixed axes; what has no <inertial> weighs nothing.
+    element(root, "compiler", angle="radian", eulerseq="XYZ", inertiafromgeom="false")
+    default = element(root, "default")
+    visual = element(default, "default", class_="visual")
+    element(visual, "geom", contype="0", conaffinity="0", group="2")
+    collision = element(default, "default", class_="collision")
+    element(collision, "geom", group="3")
+    element(root, "asset")
+    element(root, "worldbody")
+    return root
+
+
+def _is_free(urdf: UrdfFile, bodies: UrdfBodies) -> bool:
+    """Tells whether the base carries two limbs or more, and is not the world."""
+    if bodies.root == WORLD or bodies.floats:
+        return bodies.floats
+    below: dict[str, list[etree._Element]] = {}
+    for joint in urdf.root.findall("joint"):
+        below.setdefault(str(joint.find("parent").get("link")), []).append(joint)
+    waiting, limbs = [bodies.root], 0
+    while waiting:
+        for joint in below.get(waiting.pop(), ()):
+            if joint.get("type") == "fixed":
+                waiting.append(str(joint.find("child").get("link")))
+            else:
+                limbs += 1
+    return limbs >= _LIMBS
+
+
+def _put_stand(
+    root: etree._Element,
+    urdf: UrdfFile,
+    meshes: Meshes,
+    bodies: UrdfBodies,
+    options: MjcfOptions,
+) -> tuple[list[str], str | None]:
+    """Adds what `load_robot` finds out: feet, servos, start pose.
+
+    Returns:
+        Its notes, and why the robot does not stand, if so.
+    """
+    robot = _loaded(root, urdf, meshes, options.feet)
+    notes = [note for note in robot.notes if not note.startswith("armature is the MJCF's")]
+    failure = None
+    try:
+        if not robot.feet:
+            raise ModelError(
+                urdf.path,
+                "no feet were found on which it could stand; name them with --foot, or fix the "
+                "base with --fixed-base",
+            )
+        equip.add_contacts(root, robot)
+        stand = sunk_stand(robot)
+        kp, kd = stand_gains(robot, stand, options.sag, options.damping_ratio)
+        equip.add_home(root, robot, stand, kp)
+        if options.sag is not None or options.damping_ratio is not None:
+            notes = [note for note in notes if "no position servos" not in note]
+            notes.append(_said(kp, kd))
+    except PupperAnalysisError as error:
+        failure = str(error)
+        kp, kd = held_gains(robot.mj_model, options.sag, options.damping_ratio)
+    option = {"timestep": words(robot.mj_model.opt.timestep), "integrator": "implicitfast"}
+    root.insert(1, etree.Element("option", option))
+    gains = zip(kp.tolist(), kd.tolist(), strict=True)
+    equip.add_servos(root, bodies, dict(zip(robot.joint_names, gains, strict=True)))
+    return notes, failure
+
+
+def _put_held(
+    root: etree._Element, meshes: Meshes, bodies: UrdfBodies, options: MjcfOptions
+) -> list[str]:
+    """Adds the servos of a robot whose base is fixed; returns what was added, in words."""
+    root.insert(1, etree.Element("option", {"integrator": "implicitfast"}))
+    model = _trial(root, meshes)
+    if not model.njnt:
+        return ["it has no joints that move"]
+    kp, kd = held_gains(model, options.sag, options.damping_ratio)
+    names = [str(model.joint(index).name) for index in range(model.njnt)]
+    gains = zip(kp.tolist(), kd.tolist(), strict=True)
+    equip.add_servos(root, bodies, dict(zip(names, gains, strict=True)))
+    return [f"the base is fixed in the world; {_said(kp, kd)}"]
+
+
+def _said(kp: Array, kd: Array) -> str:
+    return (
+        f"position servos were added, with kp {kp.min():g} to {kp.max():g} and kd {kd.min():g} to "
+        f"{kd.max():g}"
+    )
+
+
+def _loaded(root: etree._Element, urdf: UrdfFile, meshes: Meshes, feet: Feet | None) -> Robot:
+    """Loads the robot from the MJCF as far as it is made."""
+    with _draft(root, meshes) as path:
+        return load_robot(urdf=urdf.path, mjcf=path, feet=feet)
+
+
+def _trial(root: etree._Element, meshes: Meshes) -> mujoco.MjModel:
+    """Compiles the MJCF as far as it is made."""
+    with _draft(root, meshes) as path:
+        return read_mjcf(path).compile()
+
+
+@contextmanager
+def _draft(root: etree._Element, meshes: Meshes) -> Iterator[Path]:
+    """Writes the MJCF as far as it is made, without what only looks are for."""
+    draft = copy.deepcopy(root)
+    for geom in list(draft.iter("geom")):
+        if geom.get("class") == "visual":
+            geom.getparent().remove(geom)
+    used = {str(geom.get("mesh")) for geom in draft.iter("geom")}
+    with tempfile.TemporaryDirectory() as folder:
+        meshes.write(draft.find("asset"), used=used, trial=Path(folder))
+        path = Path(folder) / "draft.xml"
+        path.write_text(etree.tostring(draft, encoding="unicode"))
+        yield path
+
+
+def _leave_out_empty(root: etree._Element) -> None:
+    for node in list(root):
+        if node.tag != "worldbody" and not len(node) and not node.attrib:
+            root.remove(node)

@@ -1,0 +1,339 @@
+"""An MJCF as a URDF: what MuJoCo compiles of it, link by link."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import INERTIA_ENTRIES, rotation_from_quaternion
+from pupper_analysis.convert.conversion import Draft
+from pupper_analysis.convert.tidy import to_text
+from pupper_analysis.convert.urdf_shapes import Shapes, put_placement
+from pupper_analysis.convert.xml_text import element, free_name, words
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.conversion import actuator_gear, effort_limit, is_at_one_joint
+from pupper_analysis.models.mjcf_file import MjcfFile
+
+Array = NDArray[np.float64]
+
+_UNKNOWN_VELOCITY = 100.0
+"""Velocity limit of joints (rad/s): no MJCF states one, and every URDF must; beyond any motor's."""
+
+_FREE = mujoco.mjtJoint.mjJNT_FREE.value
+_HINGE = mujoco.mjtJoint.mjJNT_HINGE.value
+_BALL = mujoco.mjtJoint.mjJNT_BALL.value
+
+
+@dataclass
+class UrdfLinks:
+    """Makes the links and joints of a URDF from a compiled MuJoCo model.
+
+    A link's frame is at the joint that moves it, with the body's axes: a URDF's joints turn about
+    the origin of what they move.
+
+    Attributes:
+        file: The MJCF.
+        model: What MuJoCo compiles it to.
+        shapes: Makes its shapes.
+        left: What a URDF cannot say, in words.
+        links: {body: (its link, where the body's frame is in the link's)}.
+    """
+
+    file: MjcfFile
+    model: mujoco.MjModel
+    shapes: Shapes
+    left: list[str] = field(default_factory=list)
+    links: dict[int, tuple[str, pin.SE3]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._names: set[str] = set()
+        self._joint_names: set[str] = set()
+        self.unlimited = 0
+
+    def add(self, root: etree._Element, base: int) -> None:
+        """Adds the links of a body and all below it.
+
+        Args:
+            root: The URDF's root element.
+            base: The body's id: the base.
+
+        Raises:
+            ModelError: If it has a ball joint, or a free one that is not the base's.
+        """
+        model = self.model
+        name = self._link_name(base)
+        free = bool(model.body_jntnum[base]) and (model.jnt_type[model.body_jntadr[base]] == _FREE)
+        if free or model.body_jntnum[base] == 0:
+            placed = pin.SE3(
+                rotation_from_quaternion(model.body_quat[base]), np.array(model.body_pos[base])
+            )
+            if not free and not placed.isIdentity(1e-12):
+                world = free_name("world", self._names)
+                element(root, "link", name=world)
+                _joint(root, f"{world}_to_{name}", "fixed", world, name, placed)
+            self._link(root, base, name, pin.SE3.Identity())
+        else:
+            world = free_name("world", self._names)
+            element(root, "link", name=world)
+            self._moved(root, base, name, world, pin.SE3.Identity())
+        for body in range(base + 1, model.nbody):
+            parent = int(model.body_parentid[body])
+            if parent in self.links:
+                link, inside = self.links[parent]
+                self._moved(root, body, self._link_name(body), link, inside)
+
+    def _moved(
+        self, root: etree._Element, body: int, name: str, parent: str, inside: pin.SE3
+    ) -> None:
+        """Adds a body's joints and its link.
+
+        Args:
+            root: The URDF's root element.
+            body: The body.
+            name: Its link.
+            parent: The link that carries it.
+            inside: Where the parent body's frame is in that link.
+        """
+        model = self.model
+        placement = inside * pin.SE3(
+            rotation_from_quaternion(model.body_quat[body]), np.array(model.body_pos[body])
+        )
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        if count == 0:
+            _joint(root, self._joint_name(f"{name}_fixed"), "fixed", parent, name, placement)
+            self._link(root, body, name, pin.SE3.Identity())
+            return
+        for joint in range(first, first + count):
+            last = joint == first + count - 1
+            child = name if last else self._free(f"{name}_{joint - first + 1}")
+            kind = int(model.jnt_type[joint])
+            if kind in (_FREE, _BALL):
+                what = "a ball joint" if kind == _BALL else "a free joint that is not the base's"
+                raise ModelError(
+                    self.file.path,
+                    f"body {model.body(body).name!r} has {what}, which a URDF cannot say",
+                )
+            anchor, axis = np.array(model.jnt_pos[joint]), np.array(model.jnt_axis[joint])
+            rest = float(model.qpos0[model.jnt_qposadr[joint]])
+            turn = pin.exp3(-rest * axis) if kind == _HINGE else np.eye(3)
+            slide = np.zeros(3) if kind == _HINGE else -rest * axis
+            placed = placement * pin.SE3(turn, anchor + slide)
+            self._movable(root, joint, parent, child, placed)
+            placement, parent = pin.SE3(np.eye(3), -anchor), child
+            if not last:
+                element(root, "link", name=child)
+        self._link(root, body, name, placement)
+
+    def _movable(
+        self, root: etree._Element, joint: int, parent: str, child: str, placed: pin.SE3
+    ) -> None:
+        model = self.model
+        limited = bool(model.jnt_limited[joint])
+        hinge = int(model.jnt_type[joint]) == _HINGE
+        kind = ("revolute" if limited else "continuous") if hinge else "prismatic"
+        name = self._joint_name(model.joint(joint).name or f"{child}_joint")
+        node = _joint(root, name, kind, parent, child, placed)
+        element(node, "axis", xyz=words(model.jnt_axis[joint]))
+        effort = effort_limit(model, joint)
+        limit = element(
+            node,
+            "limit",
+            effort=words(effort if math.isfinite(effort) else 0.0),
+            velocity=words(_UNKNOWN_VELOCITY),
+        )
+        if limited:
+            low, high = model.jnt_range[joint].tolist()
+            limit.set("lower", words(low))
+            limit.set("upper", words(high))
+        elif kind == "prismatic":
+            self.left.append(f"joint {name!r} slides without limits; its URDF's are 0")
+        dof = int(model.jnt_dofadr[joint])
+        damping, friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
+        if damping or friction:
+            element(node, "dynamics", damping=words(damping), friction=words(friction))
+        if not math.isfinite(effort):
+            self.unlimited += 1
+
+    def _link(self, root: etree._Element, body: int, name: str, inside: pin.SE3) -> None:
+        """Adds a body's link, with the body's frame inside the link's."""
+        model = self.model
+        self.links[body] = name, inside
+        link = element(root, "link", name=name)
+        mass = float(model.body_mass[body])
+        if mass > 0:
+            turn = rotation_from_quaternion(model.body_iquat[body])
+            tensor = turn @ np.diag(model.body_inertia[body]) @ turn.T
+            own = pin.Inertia(mass, np.array(model.body_ipos[body]), tensor)
+            moved = inside.act(own)
+            inertial = element(link, "inertial")
+            element(inertial, "origin", xyz=words(moved.lever))
+            element(inertial, "mass", value=words(mass))
+            entries = words([np.array(moved.inertia)[at] for at in INERTIA_ENTRIES.values()])
+            element(inertial, "inertia", **dict(zip(INERTIA_ENTRIES, entries.split(), strict=True)))
+        self.shapes.add(link, body, inside)
+
+    def add_sites(self, root: etree._Element) -> None:
+        """Adds a link without mass for every site that has a name of its own."""
+        model = self.model
+        for site in range(model.nsite):
+            name, body = str(model.site(site).name), int(model.site_bodyid[site])
+            if not name or body not in self.links:
+                continue
+            if name in self._names:
+                self.left.append(f"site {name!r}: a link has this name")
+                continue
+            self._names.add(name)
+            link, inside = self.links[body]
+            placed = inside * pin.SE3(
+                rotation_from_quaternion(model.site_quat[site]), np.array(model.site_pos[site])
+            )
+            element(root, "link", name=name)
+            _joint(root, self._joint_name(f"{name}_fixed"), "fixed", link, name, placed)
+
+    def _link_name(self, body: int) -> str:
+        return self._free(str(self.model.body(body).name) or f"body_{body}")
+
+    def _free(self, wanted: str) -> str:
+        return free_name(wanted, self._names)
+
+    def _joint_name(self, wanted: str) -> str:
+        return free_name(wanted, self._joint_names)
+
+
+def urdf_draft(file: MjcfFile, output: Path) -> Draft:
+    """Makes the URDF of an MJCF.
+
+    Args:
+        file: The MJCF.
+        output: Where the URDF shall be: the paths of its meshes start there.
+
+    Raises:
+        ModelError: If a URDF cannot have the robot.
+    """
+    model = file.compile()
+    base = _base(file, model)
+    root = etree.Element("robot", {"name": _robot_name(file)})
+    shapes = Shapes(file, model, output.resolve().parent)
+    links = UrdfLinks(file, model, shapes)
+    links.add(root, base)
+    links.add_sites(root)
+    left = [*links.left, *shapes.left, *_couplings(root, model), *_others(model)]
+    if links.unlimited:
+        left.append(f"{links.unlimited} joints have no effort limit; in a URDF that is 0")
+    _add_transmissions(root, model)
+    floating = bool((model.jnt_type == _FREE).any())
+    notes = [*file.notes]
+    if floating:
+        notes.append("the base is free, which a URDF leaves to whoever loads it")
+    header = f"Converted from {file.path.name} by pupper-analysis."
+    return Draft(to_text(root, header), {}, tuple(notes), tuple(left), False)
+
+
+def _robot_name(file: MjcfFile) -> str:
+    return str(file.spec.modelname) or file.path.stem
+
+
+def _base(file: MjcfFile, model: mujoco.MjModel) -> int:
+    """Returns the body with the free joint, or else the one that carries all joints."""
+    free = np.flatnonzero(model.jnt_type == _FREE)
+    if len(free) > 1:
+        raise ModelError(file.path, "it has several free bodies; give a file with one robot")
+    if len(free):
+        return int(model.jnt_bodyid[free[0]])
+    tops = {int(model.body_rootid[body]) for body in model.jnt_bodyid}
+    if len(tops) != 1:
+        what = "no joints" if not tops else "several robots"
+        raise ModelError(file.path, f"it has {what}; give a file with one robot")
+    return tops.pop()
+
+
+def _joint(
+    root: etree._Element, name: str, kind: str, parent: str, child: str, placed: pin.SE3
+) -> etree._Element:
+    node = element(root, "joint", name=name, type=kind)
+    element(node, "parent", link=parent)
+    element(node, "child", link=child)
+    put_placement(node, placed)
+    return node
+
+
+def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[str]:
+    """Writes joints that follow others as <mimic>; returns what no URDF can say."""
+    left = []
+    joints = {str(node.get("name")): node for node in root.findall("joint")}
+    for index in range(model.neq):
+        kind = mujoco.mjtEq(int(model.eq_type[index]))
+        name = kind.name.removeprefix("mjEQ_").lower()
+        one, two = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        line = np.array(model.eq_data[index, :5])
+        if kind == mujoco.mjtEq.mjEQ_JOINT and two >= 0 and not line[2:].any():
+            follower, leader = str(model.joint(one).name), str(model.joint(two).name)
+            if follower in joints and leader in joints:
+                rest = model.qpos0[model.jnt_qposadr[[one, two]]]
+                offset = float(rest[0] + line[0] - line[1] * rest[1])
+                element(
+                    joints[follower],
+                    "mimic",
+                    joint=leader,
+                    multiplier=words(line[1]),
+                    offset=words(offset),
+                )
+                continue
+        left.append(f"equality constraint {index + 1} ({name})")
+    return left
+
+
+def _others(model: mujoco.MjModel) -> list[str]:
+    """Says what else a URDF cannot say."""
+    moving = model.jnt_type != _FREE
+    dofs = model.jnt_dofadr[moving]
+    some = []
+    if model.dof_armature[dofs].any():
+        low, high = (float(f(model.dof_armature[dofs])) for f in (np.min, np.max))
+        some.append(f"armature ({low:g} to {high:g} kg m^2): crosscheck takes it from the MJCF")
+    base = model.dof_damping[: 6 * int((~moving).sum())]
+    if base.any():
+        some.append(f"damping of the free joint ({float(base.max()):g} N s/m)")
+    if model.jnt_stiffness[moving].any():
+        some.append(f"springs of {int((model.jnt_stiffness[moving] != 0).sum())} joints")
+    if model.body_gravcomp.any():
+        some.append(f"gravity compensation of {int((model.body_gravcomp != 0).sum())} bodies")
+    for count, what in (
+        (model.ntendon, "tendons"),
+        (model.nkey, "keyframes"),
+        (model.nsensor, "sensors"),
+        (model.nexclude, "excluded contacts"),
+    ):
+        if count:
+            some.append(f"{count} {what}")
+    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
+    servos = int((model.actuator_biastype == affine).sum())
+    if servos:
+        some.append(f"the gains of {servos} servos; their joints have transmissions")
+    return some
+
+
+def _add_transmissions(root: etree._Element, model: mujoco.MjModel) -> None:
+    """Adds a <transmission> for each actuator at a joint, as ros_control reads it."""
+    known = {str(node.get("name")) for node in root.findall("joint")}
+    for actuator in range(model.nactuator):
+        if not is_at_one_joint(model, actuator):
+            continue
+        joint = str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
+        if joint not in known:
+            continue
+        name = str(model.actuator(actuator).name) or f"{joint}_motor"
+        node = element(root, "transmission", name=f"{name}_transmission")
+        element(node, "type").text = "transmission_interface/SimpleTransmission"
+        element(
+            element(node, "joint", name=joint), "hardwareInterface"
+        ).text = "hardware_interface/EffortJointInterface"
+        gear = float(actuator_gear(model, actuator)[0])
+        element(element(node, "actuator", name=name), "mechanicalReduction").text = words(gear)

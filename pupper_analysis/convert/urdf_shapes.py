@@ -1,0 +1,146 @@
+"""The shapes of an MJCF in a URDF."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.convert.xml_text import element, free_name, is_zero, words
+from pupper_analysis.models.mjcf_file import MjcfFile
+
+Array = NDArray[np.float64]
+Geometry = tuple[str, dict[str, str], pin.SE3]
+
+_SHOWN = 3
+"""Geom groups below this are shown by MuJoCo's viewer by default."""
+
+
+class Shapes:
+    """Makes the shapes of links.
+
+    Attributes:
+        left: What was left out, in words.
+    """
+
+    def __init__(self, file: MjcfFile, model: mujoco.MjModel, folder: Path) -> None:
+        """Knows the model's meshes.
+
+        Args:
+            file: The MJCF.
+            model: What MuJoCo compiles it to.
+            folder: Where the URDF shall be.
+        """
+        self.model, self.left = model, list[str]()
+        self._materials: dict[tuple[float, ...], str] = {}
+        self._names: set[str] = set()
+        self._files: dict[str, str] = {}
+        for mesh in file.spec.meshes:
+            found = _path_of(file, mesh)
+            if found is not None:
+                name = mesh.name or Path(mesh.file).stem
+                self._files[name] = Path(os.path.relpath(found, folder)).as_posix()
+
+    def add(self, link: etree._Element, body: int, inside: pin.SE3) -> None:
+        """Adds the shapes of a body to its link: what touches as collision, what is seen as visual.
+
+        Args:
+            link: The link's element.
+            body: The body.
+            inside: Where the body's frame is in the link's.
+        """
+        model = self.model
+        first = int(model.body_geomadr[body])
+        for geom in range(first, first + int(model.body_geomnum[body])):
+            touches = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+            seen = int(model.geom_group[geom]) < _SHOWN or not touches
+            for tag, attributes, placed in self._geometries(geom):
+                for kind in (("visual",) if seen else ()) + (("collision",) if touches else ()):
+                    shape = element(link, kind)
+                    put_placement(shape, inside * placed)
+                    element(element(shape, "geometry"), tag, **attributes)
+                    if kind == "visual":
+                        self._paint(shape, geom)
+
+    def _geometries(self, geom: int) -> list[Geometry]:
+        """Returns what a geom is made of in a URDF, with its placement in the body's frame."""
+        model = self.model
+        kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+        size = np.array(model.geom_size[geom])
+        placed = pin.SE3(
+            rotation_from_quaternion(model.geom_quat[geom]), np.array(model.geom_pos[geom])
+        )
+        if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+            return [("sphere", {"radius": words(size[0])}, placed)]
+        if kind == mujoco.mjtGeom.mjGEOM_BOX:
+            return [("box", {"size": words(2 * size)}, placed)]
+        round_ = {"radius": words(size[0]), "length": words(2 * size[1])}
+        if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+            return [("cylinder", round_, placed)]
+        if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:  # a URDF has none: their sum is the same
+            ends = [
+                placed * pin.SE3(np.eye(3), np.array([0.0, 0.0, side * size[1]]))
+                for side in (-1.0, 1.0)
+            ]
+            balls = [("sphere", {"radius": words(size[0])}, end) for end in ends]
+            return [("cylinder", round_, placed), *balls]
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+            return self._mesh(geom, placed)
+        name = model.geom(geom).name or f"{geom}"
+        what = kind.name.removeprefix("mjGEOM_").lower()
+        self.left.append(f"geom {name!r}: a URDF has no {what}")
+        return []
+
+    def _mesh(self, geom: int, placed: pin.SE3) -> list[Geometry]:
+        model = self.model
+        mesh = int(model.geom_dataid[geom])
+        name = str(model.mesh(mesh).name)
+        if name not in self._files:
+            self.left.append(f"mesh {name!r}: it is in no file that other programs could read")
+            return []
+        # MuJoCo moves a mesh to its com and principal axes, and the geom along.
+        own = pin.SE3(
+            rotation_from_quaternion(model.mesh_quat[mesh]), np.array(model.mesh_pos[mesh])
+        )
+        scale = np.array(model.mesh_scale[mesh])
+        attributes = {"filename": self._files[name]}
+        if not np.array_equal(scale, np.ones(3)):
+            attributes["scale"] = words(scale)
+        return [("mesh", attributes, placed * own.inverse())]
+
+    def _paint(self, shape: etree._Element, geom: int) -> None:
+        """Adds a visual's color: a material is defined where it is first used."""
+        model = self.model
+        material = int(model.geom_matid[geom])
+        rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+        key = tuple(float(f"{value:.4g}") for value in rgba)
+        known = key in self._materials
+        if not known:
+            wanted = str(model.mat(material).name) if material >= 0 else "color"
+            self._materials[key] = free_name(wanted or "color", self._names)
+        node = element(shape, "material", name=self._materials[key])
+        if not known:
+            element(node, "color", rgba=words(key))
+
+
+def put_placement(node: etree._Element, placed: pin.SE3) -> None:
+    """Writes a placement as an <origin>, without what is zero."""
+    xyz = words(placed.translation, scale=1.0)  # m
+    rpy = words(pin.rpy.matrixToRpy(np.array(placed.rotation)), scale=1.0)  # rad
+    if not (is_zero(xyz) and is_zero(rpy)):
+        element(node, "origin", xyz=xyz, rpy=None if is_zero(rpy) else rpy)
+
+
+def _path_of(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
+    """Returns the file of a mesh; None where there is none."""
+    if not mesh.file:
+        return None
+    name = Path(mesh.file).name if file.spec.strippath else mesh.file
+    path = file.path.resolve().parent / mesh.compiler.meshdir / name
+    return path if path.is_file() else None

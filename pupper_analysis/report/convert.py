@@ -1,0 +1,41 @@
+"""Prints what became of a conversion."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from pupper_analysis.convert.conversion import Conversion
+from pupper_analysis.report.console import escape
+
+
+def print_conversion(out: Console, conversion: Conversion) -> None:
+    """Prints what was written, what was added and left out, and the proof.
+
+    Args:
+        out: Where to.
+        conversion: The conversion.
+    """
+    for path in conversion.written:
+        out.print(escape(f"written: {path}"), soft_wrap=True)
+    for note in conversion.notes:
+        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+    for text in conversion.left:
+        out.print(f"[red]left:[/] {escape(text)}", soft_wrap=True)
+    compared = conversion.comparison
+    worst = max(compared.deviations.values())
+    verdict = "[bold green]AGREE[/]" if conversion.agree else "[bold red]DISAGREE[/]"
+    out.print(
+        f"{verdict}: {len(compared.differences)} differences from {escape(conversion.source)}; the "
+        f"dynamics deviate by {worst:.1e}",
+        soft_wrap=True,
+    )
+    stood = conversion.verification
+    if stood is not None:
+        verdict = "[bold green]STANDS[/]" if stood.passed else "[bold red]DOES NOT STAND[/]"
+        out.print(
+            f"{verdict} for {stood.duration:g} s in MuJoCo, {stood.base_height:.4f} m high; "
+            f"torques as predicted to {stood.torque_error:.1e}",
+            soft_wrap=True,
+        )
+    for failure in conversion.failures:
+        out.print(f"[red]failed:[/] {escape(failure)}", soft_wrap=True)
