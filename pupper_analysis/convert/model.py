@@ -75,6 +75,8 @@ def convert_model(
             raise ConfigurationError(name, f"{value} is not positive")
     source, output = Path(source), Path(output)
     check_writable(output)
+    if output.resolve() == source.resolve():
+        raise OutputError(output, "it is the source; give the new file another name")
     if output.exists() and not force:
         raise OutputError(output, "it exists; add --force (force=True) to replace it")
     file = read_model(source, packages)

@@ -7,7 +7,10 @@ import math
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh, null_space
 
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -33,9 +36,8 @@ def stand_gains(
     """Computes the gains of a robot that stands.
 
     The joint that holds the greatest torque gives way by the sag: kp = max |tau| / sag, for all
-    joints. The base then bounces like a mass m on a spring that its weight W = m g presses down by
-    d = sum(tau^2 / kp) / W, by virtual work: its frequency is w = sqrt(g / d), and its damping
-    ratio z = (kd / kp) w / 2.
+    joints. With damping in proportion to stiffness, each mode of the robot on its servos has the
+    damping ratio z = (kd / kp) w / 2 (Rayleigh); w is that of the mode in which it bounces.
 
     Args:
         robot: The robot, with servos.
@@ -54,10 +56,29 @@ def stand_gains(
         kd *= new / kp
         kp = new
     if damping_ratio is not None:
-        gravity = float(np.linalg.norm(robot.gravity))
-        drop = float((torques**2 / kp).sum()) / (robot.total_mass * gravity)
-        kd = kp * 2 * damping_ratio * math.sqrt(drop / gravity)
+        kd = kp * 2 * damping_ratio / bounce_frequency(robot, stand, kp)
     return kp, np.array([_digits(value) for value in kd])
+
+
+def bounce_frequency(robot: Robot, stand: Stand, kp: Array) -> float:
+    """Returns the angular frequency (rad/s) with which a robot bounces on its servos, undamped.
+
+    Feet are pinned, and the ground is hard: the modes are those of K x = w^2 M x in the motions
+    that leave the contact points in place. Of them the one is meant that a vertical jolt excites
+    most, by its participation factor x^T M e_z (x of unit modal mass).
+    """
+    config = Configuration(robot, stand.qpos)
+    offsets = [
+        contact_offset(robot.foot_radius[foot], stand.normals[foot], stand.depths[foot])
+        for foot in stand.stance_feet
+    ]
+    points = config.point_jacobians(stand.stance_feet, np.array(offsets))
+    free = null_space(points.reshape(-1, robot.nv))
+    mass = config.mass_matrix()
+    stiffness = np.concatenate([np.zeros(robot.nv - robot.nu), kp])
+    squares, modes = eigh(free.T @ (stiffness[:, None] * free), free.T @ mass @ free)
+    up = int(np.argmax(np.abs(modes.T @ free.T @ mass[:, 2])))
+    return math.sqrt(float(squares[up]))
 
 
 def held_gains(

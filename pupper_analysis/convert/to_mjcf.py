@@ -93,7 +93,8 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
         notes += [note for note in found if note not in notes]
         notes.append(equip.add_imu(root, bodies))
     else:
-        notes += _put_held(root, meshes, bodies, options)
+        notes.append("the base is fixed in the world")
+        notes += _put_held(root, _trial(root, meshes), bodies, options)
     meshes.write(asset)
     _leave_out_empty(root)
     put_defaults(root)
@@ -144,16 +145,17 @@ def _put_stand(
     Returns:
         Its notes, and why the robot does not stand, if so.
     """
-    robot = _loaded(root, urdf, meshes, options.feet)
+    try:
+        robot = _loaded(root, urdf, meshes, options.feet)
+    except ModelError as error:  # its source is the draft, which nobody knows
+        if options.feet is not None:
+            raise ModelError(urdf.path, error.problem) from error
+        model = _trial(root, meshes)
+        _put_held(root, model, bodies, options)
+        return [], error.problem
     notes = [note for note in robot.notes if not note.startswith("armature is the MJCF's")]
     failure = None
     try:
-        if not robot.feet:
-            raise ModelError(
-                urdf.path,
-                "no feet were found on which it could stand; name them with --foot, or fix the "
-                "base with --fixed-base",
-            )
         equip.add_contacts(root, robot)
         stand = sunk_stand(robot)
         kp, kd = stand_gains(robot, stand, options.sag, options.damping_ratio)
@@ -172,18 +174,18 @@ def _put_stand(
 
 
 def _put_held(
-    root: etree._Element, meshes: Meshes, bodies: UrdfBodies, options: MjcfOptions
+    root: etree._Element, model: mujoco.MjModel, bodies: UrdfBodies, options: MjcfOptions
 ) -> list[str]:
-    """Adds the servos of a robot whose base is fixed; returns what was added, in words."""
+    """Adds the servos of a robot that is held; returns what was added, in words."""
     root.insert(1, etree.Element("option", {"integrator": "implicitfast"}))
-    model = _trial(root, meshes)
-    if not model.njnt:
+    moving = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE.value)
+    if not len(moving):
         return ["it has no joints that move"]
     kp, kd = held_gains(model, options.sag, options.damping_ratio)
-    names = [str(model.joint(index).name) for index in range(model.njnt)]
+    names = [str(model.joint(int(index)).name) for index in moving]
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
     equip.add_servos(root, bodies, dict(zip(names, gains, strict=True)))
-    return [f"the base is fixed in the world; {_said(kp, kd)}"]
+    return [_said(kp, kd)]
 
 
 def _said(kp: Array, kd: Array) -> str:

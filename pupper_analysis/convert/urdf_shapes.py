@@ -12,7 +12,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.convert.xml_text import element, free_name, is_zero, words
+from pupper_analysis.convert.xml_text import ANGLE_DIGITS, element, free_name, is_zero, words
 from pupper_analysis.models.mjcf_file import MjcfFile
 
 Array = NDArray[np.float64]
@@ -132,7 +132,8 @@ class Shapes:
 def put_placement(node: etree._Element, placed: pin.SE3) -> None:
     """Writes a placement as an <origin>, without what is zero."""
     xyz = words(placed.translation, scale=1.0)  # m
-    rpy = words(pin.rpy.matrixToRpy(np.array(placed.rotation)), scale=1.0)  # rad
+    angles = pin.rpy.matrixToRpy(np.array(placed.rotation))
+    rpy = words(angles, scale=1.0, digits=ANGLE_DIGITS)  # rad
     if not (is_zero(xyz) and is_zero(rpy)):
         element(node, "origin", xyz=xyz, rpy=None if is_zero(rpy) else rpy)
 

@@ -10,20 +10,25 @@ NOISE = 1e-13
 """Relative size of what products of rotations make of a zero."""
 
 _DIGITS = 12
-"""Significant digits: a thousand times finer than what `crosscheck --strict` tells apart, and coarse
+"""Significant digits: a thousand times finer than what `crosscheck --strict` tells apart, coarse
 enough for a number that went through rotations to be what it was."""
 
 
-def words(values: ArrayLike, scale: float = 0.0) -> str:
+ANGLE_DIGITS = 15
+"""Of angles: half of pi is what it is to a hundredth of a rounding error."""
+
+
+def words(values: ArrayLike, scale: float = 0.0, digits: int = _DIGITS) -> str:
     """Writes numbers, separated by spaces.
 
     Args:
         values: The numbers.
         scale: What their errors are relative to, if it is more than the greatest of them.
+        digits: How many significant ones.
     """
     array = np.atleast_1d(np.asarray(values, dtype=float))
     noise = NOISE * max(scale, float(np.abs(array).max(initial=0.0)))
-    return " ".join("0" if abs(v) <= noise else f"{v:.{_DIGITS}g}" for v in array.tolist())
+    return " ".join("0" if abs(v) <= noise else f"{v:.{digits}g}" for v in array.tolist())
 
 
 def is_zero(text: str) -> bool:

@@ -142,7 +142,14 @@ def _as_it_is(
         mjcf_source=mjcf.path,
         feet=feet,
     )
-    robot = build_robot(description, fixed_base=fixed_base)
+    try:
+        robot = build_robot(description, fixed_base=fixed_base)
+    except ModelError:
+        if fixed_base or not all(
+            other in {body.name for body in spec.bodies} for _, other in feet.values()
+        ):
+            raise
+        return None  # a body that is named for its sole, which is no sphere around its frame
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *robot.notes))
 
 
