@@ -35,6 +35,8 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
         "folder": tmp_path,
         "path": str(tiny_files.mjcf),
         "urdf": tiny_files.urdf,
+        "source": tiny_files.urdf,
+        "output": tmp_path / "new.xml",
         "mjcf": tiny_files.mjcf,
         "config": pa.Configuration(robot, stand.qpos),
         "qacc": np.zeros(robot.nv),

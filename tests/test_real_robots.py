@@ -425,3 +425,31 @@ def test_a_humanoid_on_two_flat_feet() -> None:
     assert not sag.failures
     assert sag.height_loss == pytest.approx(seen.height_loss, rel=1e-3)
     assert seen.height_loss > 1e-3
+
+
+CONVERTED = {
+    "a1": (URDF, "a1_description/urdf/a1.urdf"),
+    "hyq, whose feet MuJoCo refuses": (URDF, "hyq_description/robots/hyq_no_sensors.urdf"),
+    "solo 12, on round meshes": (URDF, "solo_description/robots/solo12.urdf"),
+    "mini cheetah, without its meshes": (MJCF, "mini_cheetah/mini_cheetah.urdf"),
+    "hyqreal2, on a floating joint": (MJCF, "hyqreal2/hyqreal2.urdf"),
+    "panda, an arm with a mimic joint": (URDF, "panda_description/urdf/panda.urdf"),
+}
+
+
+@pytest.mark.parametrize("name", CONVERTED)
+def test_a_urdf_converts_agrees_and_stands(name: str, tmp_path: Path) -> None:
+    found = pa.convert_model(file(*CONVERTED[name]), tmp_path / "new.xml")
+    assert found.passed, found.failures
+    assert found.comparison.differences == ()
+    assert (found.verification is None) == name.startswith("panda")
+
+
+@pytest.mark.parametrize(
+    ("package", "name"),
+    [(MJCF, "go2/go2.xml"), (MJCF, "aliengo/aliengo.xml"), (LAB, "unitree_g1/xmls/g1.xml")],
+)
+def test_an_mjcf_converts_and_agrees(package: str, name: str, tmp_path: Path) -> None:
+    found = pa.convert_model(file(package, name), tmp_path / "new.urdf")
+    assert found.passed, found.failures
+    assert any("armature" in text or "effort limit" in text for text in found.left)
