@@ -12,7 +12,6 @@ make up for what is missing.
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import tempfile
 import time
@@ -46,18 +45,19 @@ FURTHER = {
 LIMIT = 300
 """Seconds that a converter may take."""
 
-Converter = Callable[[Path, Path], None]
+Converter = Callable[[Path, Path], Path]
 
 
-def ours(urdf: Path, output: Path) -> None:
-    """Converts by this package, proof included."""
+def ours(urdf: Path, output: Path) -> Path:
+    """Converts by this package, proof included; returns the new file."""
     pa.convert_model(urdf, output)
+    return output
 
 
 def command(*words: str) -> Converter:
     """Converts by a command; {urdf} and {output} stand for the files."""
 
-    def convert(urdf: Path, output: Path) -> None:
+    def convert(urdf: Path, output: Path) -> Path:
         local = output.with_name(urdf.name)
         file = read_urdf(urdf)
         for mesh in file.root.iter("mesh"):  # they find meshes by their paths alone
@@ -66,9 +66,11 @@ def command(*words: str) -> Converter:
         local.write_text(to_text(file.root))
         filled = [word.format(urdf=local, output=output) for word in words]
         done = subprocess.run(filled, capture_output=True, text=True, timeout=LIMIT, check=False)
-        if done.returncode or not output.exists():
+        made = [output] if output.exists() else sorted(output.parent.rglob("*.xml"))
+        if done.returncode or not made:
             lines = [line for line in done.stderr.splitlines() if "Error" in line]
             raise RuntimeError(lines[-1] if lines else f"exit status {done.returncode}")
+        return made[0]
 
     return convert
 
@@ -105,7 +107,7 @@ def main(robots: Path, others: Path | None, only: tuple[str, ...]) -> None:
     """Print a table of converters by robots."""
     converters: dict[str, Converter] = {
         "pupper-analysis": ours,
-        f"MuJoCo {mujoco.__version__}": lambda urdf, output: _mujoco(urdf, robots, output),
+        f"MuJoCo {mujoco.__version__}": lambda urdf, output: _mujoco(urdf, robots, output.parent),
     }
     for name, words in (
         ("convert-urdf-to-mjcf", ("{urdf}", "-o", "{output}", "--floating-base")),
@@ -129,17 +131,16 @@ def main(robots: Path, others: Path | None, only: tuple[str, ...]) -> None:
                 output = Path(folder) / "new.xml"
                 begin = time.perf_counter()
                 try:
-                    convert(urdf, output)
+                    made = convert(urdf, output)
                     seconds = time.perf_counter() - begin
-                    cells.append(f"{judged(urdf, output)} ({seconds:.1f} s)")
+                    cells.append(f"{judged(urdf, made)} ({seconds:.1f} s)")
                 except Exception as error:
                     cells.append(f"fails: {_short(error)}")
         out.print(f"| {name} | {' | '.join(cells)} |", soft_wrap=True, markup=False)
 
 
-def _mujoco(urdf: Path, robots: Path, output: Path) -> None:
-    share = (robots / DATA).parents[1]
-    shutil.move(by_mujoco(urdf, share, output.parent), output)
+def _mujoco(urdf: Path, robots: Path, folder: Path) -> Path:
+    return by_mujoco(urdf, (robots / DATA).parents[1], folder)
 
 
 if __name__ == "__main__":
