@@ -496,6 +496,11 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
             pa.convert_model(urdf, output, **{name: value})  # type: ignore[arg-type]
     with pytest.raises(pa.ModelError, match=r"no joint 'elbow'; there are: turn, lift, push"):
         pa.convert_model(urdf, output, armature={"elbow": 0.1})
+    mjcf = tmp_path / "machine.xml"
+    mjcf.write_text(mjcf_text(arm(), free=False))
+    for name, value in (("sag", 0.1), ("merge_fixed", True), ("feet", ["rod"])):
+        with pytest.raises(pa.ConfigurationError, match=f"{name}: .* is an MJCF"):
+            pa.convert_model(mjcf, tmp_path / "new.urdf", **{name: value})  # type: ignore[arg-type]
     output.write_text("mine")
     with pytest.raises(pa.OutputError, match="it exists"):
         pa.convert_model(urdf, output)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 
 from pupper_analysis.arguments import checked
@@ -80,12 +81,13 @@ def convert_model(
     if output.exists() and not force:
         raise OutputError(output, "it exists; add --force (force=True) to replace it")
     file = read_model(source, packages)
+    options = MjcfOptions(feet, fixed_base, merge_fixed, armature, sag, damping_ratio)
     if isinstance(file, UrdfFile):
         check_joints(file, dict(armature or {}))
-        options = MjcfOptions(feet, fixed_base, merge_fixed, armature, sag, damping_ratio)
         draft = mjcf_draft(file, output, options)
         urdf, mjcf = source, output
     else:
+        _refuse_given(options, source)
         draft = urdf_draft(file, output)
         urdf, mjcf = output, source
     written = _write(output, draft)
@@ -109,6 +111,15 @@ def convert_model(
         agree=comparison.agree,
         passed=not failures,
     )
+
+
+def _refuse_given(options: MjcfOptions, source: Path) -> None:
+    """Refuses what only a new MJCF can have."""
+    for field in fields(options):
+        if getattr(options, field.name) != field.default:
+            raise ConfigurationError(
+                field.name, f"{source} is an MJCF, and the URDF made of it has none; leave it out"
+            )
 
 
 def _stood(urdf: Path, mjcf: Path, feet: Feet | None) -> StandVerification:
