@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pupper_analysis.errors import (
         ConfigurationError,
         Infeasibility,
+        MissingPackageError,
         ModelError,
         NoEquilibriumError,
         NoStiffnessError,
@@ -135,6 +136,7 @@ _HOME = {
     "write_variant": "pupper.variant_files",
     "ConfigurationError": "errors",
     "Infeasibility": "errors",
+    "MissingPackageError": "errors",
     "ModelError": "errors",
     "PupperAnalysisError": "errors",
     "StanceUnreachableError": "errors",
@@ -184,6 +186,7 @@ __all__ = [
     "Interval",
     "InverseDynamics",
     "Limit",
+    "MissingPackageError",
     "ModelError",
     "NoEquilibriumError",
     "NoStiffnessError",

@@ -240,3 +240,19 @@ class NotSettlingError(PupperAnalysisError):
     def __init__(self, change: float, problem: str) -> None:
         self.change = change
         super().__init__(problem)
+
+
+class MissingPackageError(PupperAnalysisError):
+    """A package is not installed that only some users need.
+
+    Attributes:
+        package: Its name.
+        extra: Which extra of ``pupper-analysis`` brings it.
+    """
+
+    def __init__(self, package: str, extra: str) -> None:
+        self.package, self.extra = package, extra
+        super().__init__(
+            f"{package} is not installed: pip install {package}, or pip install "
+            f"'pupper-analysis[{extra}]'"
+        )

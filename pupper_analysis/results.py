@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+import html
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from enum import Enum
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import orjson
+from numpy.typing import ArrayLike
+
+from pupper_analysis.errors import MissingPackageError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def to_json(result: object) -> str:
@@ -24,8 +35,37 @@ def _fallback(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} cannot become JSON")
 
 
+_WIDTH = 240
+"""Characters of a result's ``repr``: two or three lines of a terminal."""
+
+_FEW = 3
+"""Numbers or names of a field that are shown one by one."""
+
+
 class Result:
-    """Base of the results."""
+    """Base of the results.
+
+    Their ``repr`` is short: arrays and long lists are shown by their sizes. ``to_json`` has it all.
+    """
+
+    def __init_subclass__(cls) -> None:
+        # A dataclass writes its own __repr__, unless the class itself has one.
+        cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        return _call(type(self).__name__, self._shown())
+
+    def _repr_html_(self) -> str:
+        """Returns it as a table of fields and values, as notebooks show it."""
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{html.escape(name)}</th>"
+            f"<td style='text-align:left'>{html.escape(text)}</td></tr>"
+            for name, text in self._shown()
+        )
+        return f"<b>{type(self).__name__}</b><table>{rows}</table>"
+
+    def _shown(self) -> list[tuple[str, str]]:
+        return [(f.name, short(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]
 
     def to_json(self) -> str:
         """Returns the result as indented JSON."""
@@ -35,3 +75,59 @@ class Result:
         """Returns the result as plain dictionaries, lists and numbers."""
         value: dict[str, Any] = orjson.loads(self.to_json())
         return value
+
+
+class Tabular(Result):
+    """Base of the results that are tables: one row per joint, sample, direction or finding."""
+
+    def _columns(self) -> Mapping[str, ArrayLike | Iterable[object]]:
+        """Returns {column: its values}, all of one length."""
+        raise NotImplementedError
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Returns the table as a pandas ``DataFrame``; units are those of the fields.
+
+        Raises:
+            MissingPackageError: If pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise MissingPackageError("pandas", "pandas") from error
+        return pd.DataFrame({name: list(values) for name, values in self._columns().items()})  # type: ignore[arg-type]
+
+
+def short(value: object) -> str:
+    """Returns a value in few words: numbers with 6 digits, what is long by its size."""
+    if isinstance(value, Enum):
+        return repr(value.value)
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, str):
+        return repr(value if len(value) <= 60 else f"{value[:57]}...")
+    if isinstance(value, np.ndarray):
+        if value.ndim == 1 and value.size <= _FEW:
+            return f"[{', '.join(short(item) for item in value.tolist())}]"
+        return f"<array {' x '.join(map(str, value.shape))}>"
+    if isinstance(value, Mapping):
+        names = ", ".join(map(str, list(value)[:_FEW])) + (", ..." if len(value) > _FEW else "")
+        return f"<{len(value)}: {names}>" if value else "{}"
+    if isinstance(value, tuple | list):
+        if len(value) <= _FEW and all(isinstance(item, str | float | int) for item in value):
+            return f"({', '.join(short(item) for item in value)})"
+        return f"<{len(value)} {type(value[0]).__name__}>"
+    if isinstance(value, Result):
+        return f"{type(value).__name__}(...)"
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _call(name: str, parts: Iterable[tuple[str, str]]) -> str:
+    """Returns ``name(field=value, ...)``, cut at a field's end."""
+    text = f"{name}("
+    for number, (field, value) in enumerate(parts):
+        part = f"{', ' if number else ''}{field}={value}"
+        if len(text) + len(part) > _WIDTH:
+            return f"{text}, ...)"
+        text += part
+    return f"{text})"

@@ -2,13 +2,14 @@
 
 import json
 import math
+import sys
 from dataclasses import dataclass, fields
 from enum import Enum
 from types import MappingProxyType
 
 import numpy as np
 import pytest
-from conftest import load, stand_of
+from conftest import ROOT, load, stand_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -122,3 +123,58 @@ def test_every_result_is_whole_and_strict_json(name: str) -> None:
                 np.testing.assert_array_equal(parsed[field.name], value)
         assert parsed == result.to_dict()  # type: ignore[attr-defined]
         assert parsed == json.loads(pa.to_json(result), **strict)
+
+
+def test_a_repr_is_short_and_says_what_matters() -> None:
+    for name in ("original", "v3"):
+        robot = load(name)
+        assert repr(robot) == (
+            f"<Robot {name!r}: {robot.total_mass:.3f} kg, a free base, 12 joints, 4 feet>"
+        )
+        for result in results_of(name):
+            text = repr(result)
+            assert len(text) < 260
+            assert text.startswith(f"{type(result).__name__}(")
+            assert "\n" not in text
+    held = pa.verify_stand(load("v3"), stand_of("v3"), duration=2.0)
+    assert "passed=True, failures=()" in repr(held)
+    assert "kp=<array 12>" in repr(held)
+    small = Sample(np.array([1.5, -2.0]), 3.25, {"FR": np.eye(2)})
+    assert repr(small) == "Sample(vector=[1.5, -2], number=3.25, feet=<1: FR>)"
+
+
+def test_a_notebook_shows_fields_and_no_markup_of_others() -> None:
+    sample = Sample(np.eye(3), math.inf, {"<script>": np.zeros(1)})
+    shown = sample._repr_html_()
+    assert "<script>" not in shown
+    assert "&lt;script&gt;" in shown
+    assert "&lt;array 3 x 3&gt;" in shown
+    assert shown.count("<tr>") == 3
+
+
+def test_tables_become_dataframes() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    held = pa.gravity_compensation(pa.Configuration(robot, stand.qpos))
+    frame = held.to_dataframe()
+    assert list(frame.columns) == ["joint", "torque", "utilisation"]
+    assert tuple(frame["joint"]) == robot.joint_names
+    np.testing.assert_array_equal(frame["torque"], held.joint_torques)
+    np.testing.assert_allclose(frame["utilisation"], np.abs(frame["torque"]) / robot.effort_limits)
+    sweep = pa.sweep_gains(robot, stand, kp=[5.0, 20.0], kd=[0.1, 0.3, 1.0], duration=2.0)
+    frame = sweep.to_dataframe()
+    row = frame[(frame.kp == 20.0) & (frame.kd == 0.3)]
+    assert float(row.height_deviation.iloc[0]) == sweep.height_deviation[1, 1]
+    path = pa.stance_path(robot, [pa.StandTask(), pa.StandTask(pitch=0.05)], 1.0)
+    frame = path.to_dataframe()
+    knee = robot.joint_names[2]
+    np.testing.assert_array_equal(frame[f"q {knee}"], path.joint_positions()[:, 2])
+    np.testing.assert_array_equal(frame[f"tau {knee}"], path.torques[:, 2])
+    findings = pa.audit_model(ROOT / "urdf" / "pupper_v3.urdf").to_dataframe()
+    assert list(findings.columns)[:2] == ["rule", "severity"]
+
+
+def test_without_pandas_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    held = pa.gravity_compensation(pa.Configuration(load("v3"), stand_of("v3").qpos))
+    with pytest.raises(pa.MissingPackageError, match=r"pip install 'pupper-analysis\[pandas\]'"):
+        held.to_dataframe()

@@ -20,14 +20,14 @@ from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
-from pupper_analysis.results import Result
+from pupper_analysis.results import Tabular
 
 ENGINES_AGREE = 1e-8
 """How far the two engines may deviate on one model, relative to a quantity's scale."""
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(Result):
+class Comparison(Tabular):
     """What became of the comparison of a URDF with an MJCF.
 
     Attributes:
@@ -75,6 +75,10 @@ class Comparison(Result):
     engines: tuple[str, ...]
     objections: tuple[str, ...]
     agree: bool
+
+    def _columns(self) -> dict[str, list[object]]:
+        names = ("kind", "element", "urdf", "mjcf", "unit", "message", "urdf_place", "mjcf_place")
+        return {name: [getattr(found, name) for found in self.differences] for name in names}
 
 
 @checked

@@ -35,7 +35,7 @@ class Description:
     """
 
     name: str
-    urdf: str
+    urdf: str = field(repr=False)
     urdf_source: Path
     mjcf: mujoco.MjSpec
     mjcf_source: Path

@@ -56,7 +56,7 @@ BASES: Mapping[str, Base] = MappingProxyType(
             urdf="pupper_skeleton.urdf",
             mjcf="pupper_skeleton.xml",
             feet={leg: f"{leg}_foot" for leg in ("FL", "FR", "RL", "RR")},
-            foot_depth=lambda leg_scale: 0.14 * min(max(leg_scale, 1.0), 1.5),
+            foot_depth=lambda leg_scale: 0.14 * min(leg_scale, 1.5),
             ballast=Box((0.065, 0.042, 0.018), (0.01, 0.0, 0.075)),
         ),
         "v3": Base(

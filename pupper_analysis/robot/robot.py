@@ -80,6 +80,13 @@ class Robot:
     fingerprint: str
     notes: tuple[str, ...] = field(default=())
 
+    def __repr__(self) -> str:
+        base = "a free base" if self.floating else "a fixed base"
+        return (
+            f"<Robot {self.name!r}: {self.total_mass:.3f} kg, {base}, {self.nu} joints, "
+            f"{len(self.soles)} feet>"
+        )
+
     def __getstate__(self) -> dict[str, Any]:
         return plain_state(self)
 

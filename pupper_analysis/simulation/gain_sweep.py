@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import mujoco
 import mujoco.rollout
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import Result
+from pupper_analysis.results import Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
@@ -38,7 +38,7 @@ KD_GRID = (0.5, 1.0, 2.0, 5.0)
 
 
 @dataclass(frozen=True, eq=False)
-class GainSweep(Result):
+class GainSweep(Tabular):
     """How steady a stand is under a vertical disturbance, for a grid of servo gains.
 
     Attributes:
@@ -67,6 +67,15 @@ class GainSweep(Result):
     frequency: float
     duration: float
     integrator: str
+
+    def _columns(self) -> dict[str, ArrayLike]:
+        kp, kd = np.meshgrid(self.kp, self.kd, indexing="ij")
+        return {
+            "kp": kp.ravel(),
+            "kd": kd.ravel(),
+            "height_deviation": self.height_deviation.ravel(),
+            "fell": self.fell.ravel(),
+        }
 
 
 @checked

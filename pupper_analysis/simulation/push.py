@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import Result
+from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
@@ -48,7 +48,7 @@ _BATCH = 2**25  # numbers (of 8 bytes) that a rollout may take
 
 
 @dataclass(frozen=True, eq=False)
-class PushRecovery(Result):
+class PushRecovery(Tabular):
     """How hard a stand can be pushed, in each of n directions.
 
     Attributes:
@@ -96,6 +96,17 @@ class PushRecovery(Result):
     kp: Array
     kd: Array
     rollouts: int
+
+    def _columns(self) -> dict[str, ArrayLike]:
+        names = ("direction", "impulse", "velocity_step", "failure", "tipping_estimate")
+        values = (
+            self.directions,
+            self.impulses,
+            self.velocity_steps,
+            self.failures,
+            self.tipping_estimate,
+        )
+        return dict(zip(names, values, strict=True))
 
 
 FINEST = 1e-6

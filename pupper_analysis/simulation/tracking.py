@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.results import Result
+from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation import monitor
@@ -39,7 +39,7 @@ impossible path loses is off the ground for some hundredths of the path's time."
 
 
 @dataclass(frozen=True, eq=False)
-class PathTracking(Result):
+class PathTracking(Tabular):
     """What a simulation made of a path.
 
     Attributes:
@@ -77,6 +77,10 @@ class PathTracking(Result):
     time: Array
     joints: Array
     height: Array
+
+    def _columns(self) -> dict[str, Array]:
+        joints = {f"q {number}": values for number, values in enumerate(self.joints.T)}
+        return {"time": self.time, "height": self.height, **joints}
 
 
 @checked

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
-from pupper_analysis.results import Result
+from pupper_analysis.results import Tabular
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
@@ -56,7 +56,7 @@ _SAMPLE = 0.02  # s between the states that are looked at closely
 
 
 @dataclass(frozen=True, eq=False)
-class StandVerification(Result):
+class StandVerification(Tabular):
     """What a simulation made of a stand, against the prediction.
 
     Settled values are means over the last second. Predictions are Pinocchio's, from the URDF.
@@ -121,6 +121,9 @@ class StandVerification(Result):
     mujoco_residual: float
     time: Array
     height: Array
+
+    def _columns(self) -> dict[str, Array]:
+        return {"time": self.time, "height": self.height}
 
 
 @checked

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
-from pupper_analysis.results import Result
+from pupper_analysis.results import Tabular
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.contact import contact_offset
@@ -58,7 +58,7 @@ class ForceDistribution(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class GravityCompensation(Result):
+class GravityCompensation(Tabular):
     """The static equilibrium of a robot.
 
     Attributes:
@@ -90,6 +90,13 @@ class GravityCompensation(Result):
     com_margin: float | None
     residual_force: float
     residual_torque: float
+
+    def _columns(self) -> dict[str, ArrayLike]:
+        return {
+            "joint": self.joint_names,
+            "torque": self.joint_torques,
+            "utilisation": self.motor_utilisation,
+        }
 
 
 @checked

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from pupper_analysis.results import Result
+from pupper_analysis.results import Result, Tabular
 
 
 class Severity(StrEnum):
@@ -56,7 +56,7 @@ class Finding(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Audit(Result):
+class Audit(Tabular):
     """What is wrong in one file.
 
     Attributes:
@@ -78,3 +78,7 @@ class Audit(Result):
     rules_run: tuple[str, ...]
     disabled: tuple[str, ...]
     notes: tuple[str, ...]
+
+    def _columns(self) -> dict[str, list[object]]:
+        names = ("rule", "severity", "file", "line", "element", "message")
+        return {name: [getattr(found, name) for found in self.findings] for name in names}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.files import whole_file
-from pupper_analysis.results import Result
+from pupper_analysis.results import Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.effort import path_effort
 from pupper_analysis.stance.path.geometry import Geometry, clearance, path_geometry
@@ -33,7 +33,7 @@ LEAST_PER_LEG = 16
 
 
 @dataclass(frozen=True, eq=False)
-class StancePath(Result):
+class StancePath(Tabular):
     """A path through stances, and what it takes at its speed, inertia included.
 
     qvel and qacc are the derivatives of qpos in the public convention: linear velocity of the base
@@ -92,6 +92,17 @@ class StancePath(Result):
     peak_speed_utilisation: float
     fastest_joint: str
     infeasible: NDArray[np.bool_]
+
+    def _columns(self) -> dict[str, Array]:
+        angles = dict(zip(self.joint_names, self.joint_positions().T, strict=True))
+        torques = dict(zip(self.joint_names, self.torques.T, strict=True))
+        return {
+            "time": self.time,
+            **{f"q {name}": values for name, values in angles.items()},
+            **{f"tau {name}": values for name, values in torques.items()},
+            "zmp_margin": self.zmp_margin,
+            "com_margin": self.com_margin,
+        }
 
     def joint_positions(self) -> Array:
         """Returns the joints' part (n, nu) of ``qpos`` (rad)."""
