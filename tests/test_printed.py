@@ -149,6 +149,7 @@ ANALYSIS = Stub(
         height_deviation=np.array([[1.1e-3, 2.2e-3, np.inf], [4.4e-3, 0.5e-3, 6.6e-3]]),
         best_kp=30.0,
         best_kd=1.0,
+        at_edge=("kp high",),
         amplitude=2.1,
         frequency=3.2,
         duration=4.3,

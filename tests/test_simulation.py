@@ -338,7 +338,8 @@ def test_joint_without_motor_is_named(tiny: pa.Robot) -> None:
 
 @cache
 def sweep(name: str, amplitude: float = 2.0) -> pa.GainSweep:
-    return pa.sweep_gains(load(name), stand_of(name), amplitude=amplitude)
+    kp, kd = (10.0, 30.0, 60.0, 120.0), (0.5, 1.0, 2.0, 5.0)
+    return pa.sweep_gains(load(name), stand_of(name), kp=kp, kd=kd, amplitude=amplitude)
 
 
 def test_sweep_covers_its_grid() -> None:
@@ -354,6 +355,25 @@ def test_sweep_covers_its_grid() -> None:
     assert result.best_kp == result.kp[row]
     assert result.best_kd == result.kd[column]
     assert result.best_deviation == result.height_deviation.min()
+
+
+def test_by_default_the_grid_is_around_the_models_own_gains() -> None:
+    """And reaches further where the best lies on its edge: here stiffer is steadier."""
+    robot, stand = load("v3"), stand_of("v3")
+    result = pa.sweep_gains(robot, stand)
+    np.testing.assert_allclose(result.kp, [2.5, 5, 10, 20, 40])
+    assert 0.1 in result.kd  # the model's own
+    assert result.best_kp == 40.0
+    assert "kp high" in result.at_edge
+    given = pa.sweep_gains(robot, stand, kp=result.kp.tolist(), kd=result.kd.tolist())
+    np.testing.assert_allclose(given.height_deviation, result.height_deviation, rtol=1e-12)
+    assert given.at_edge == result.at_edge
+    alone = pa.sweep_gains(robot, stand, kp=[5.0], kd=[0.1])
+    assert alone.at_edge == ()
+    row, column = result.kp.tolist().index(5.0), result.kd.tolist().index(0.1)
+    assert alone.height_deviation[0, 0] == pytest.approx(
+        result.height_deviation[row, column], rel=1e-9
+    )
 
 
 def test_stiffer_is_steadier() -> None:

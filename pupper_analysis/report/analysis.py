@@ -283,6 +283,12 @@ def _print_sweep(out: Console, analysis: Analysis) -> None:
             cells[best] = f"[bold green]{cells[best]}[/]"
         table.add_row(f"{kp:g}", *cells)
     out.print(table)
+    if sweep.at_edge:
+        ends = " and ".join(sweep.at_edge)
+        out.print(
+            f"The best lies on the edge of the grid ({ends}): better ones may be beyond.",
+            style="yellow",
+        )
 
 
 def _print_check(out: Console, analysis: Analysis) -> None:

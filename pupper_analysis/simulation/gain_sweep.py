@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import time
@@ -31,10 +32,12 @@ from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
 
-KP_GRID = (10.0, 30.0, 60.0, 120.0)
+FACTORS = (0.5, 1.0, 2.0)
+"""The gains that are tried by default, in parts of the model's own."""
 
-
-KD_GRID = (0.5, 1.0, 2.0, 5.0)
+_WIDENINGS = 2
+"""How often the default grid is widened where the best lies on its edge: to an eighth of the
+model's gains, or to eight times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +53,8 @@ class GainSweep(Tabular):
         best_kp: Of the cell with the least deviation; None if the robot fell in all.
         best_kd: Likewise.
         best_deviation: Likewise (m).
+        at_edge: Where the best lies on the edge of the grid, so that a better one may be beyond:
+            ``"kp high"``, ``"kd low"`` ...; not of a gain with one value.
         amplitude: Of the disturbance on the base (N).
         frequency: Of the disturbance (Hz).
         duration: s.
@@ -63,6 +68,7 @@ class GainSweep(Tabular):
     best_kp: float | None
     best_kd: float | None
     best_deviation: float | None
+    at_edge: tuple[str, ...]
     amplitude: float
     frequency: float
     duration: float
@@ -83,8 +89,8 @@ def sweep_gains(
     robot: Robot,
     stand: Stand,
     *,
-    kp: Sequence[float] = KP_GRID,
-    kd: Sequence[float] = KD_GRID,
+    kp: Sequence[float] | None = None,
+    kd: Sequence[float] | None = None,
     amplitude: float = 2.0,
     frequency: float = 1.2,
     duration: float = 4.0,
@@ -100,8 +106,9 @@ def sweep_gains(
     Args:
         robot: The robot.
         stand: How it stands.
-        kp: Stiffnesses (N m/rad).
-        kd: Dampings (N m s/rad).
+        kp: Stiffnesses (N m/rad); by default ``FACTORS`` of the model's (of the median joint's),
+            and beyond, if the best lies on the edge.
+        kd: Dampings (N m s/rad), likewise.
         amplitude: N.
         frequency: Hz.
         duration: Simulated time (s), at least 2.
@@ -113,47 +120,130 @@ def sweep_gains(
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ModelError: If the model has no servos, and kp or kd is not given.
     """
     check_stand(robot, stand, duration)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     if not (math.isfinite(amplitude) and math.isfinite(frequency)):
         raise ConfigurationError("amplitude, frequency", "they must be finite")
-    if not len(kp) or not len(kd):
+    own = None if kp is not None and kd is not None else servos(robot)
+    axes = [
+        _values(given, None if own is None else getattr(own, name))
+        for name, given in (("kp", kp), ("kd", kd))
+    ]
+    if not all(axes):
         raise ConfigurationError("kp, kd", "give at least one value of each")
-    cells = [(stiffness, damping) for stiffness in kp for damping in kd]
-    drives = [servos(robot, *cell, integrator) for cell in cells]
-    timestep = float(robot.mj_model.opt.timestep)
-    steps = round(duration / timestep)
-    model = drives[0].model
-    ctrl = drives[0].command(robot, stand.joint_positions(robot))
-    control, force = forced_commands(robot, model, ctrl, 1, steps)
-    force[0, :, 2] = amplitude * np.sin(2 * math.pi * frequency * timestep * np.arange(steps))
-    balance = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
-    starts = np.array(
-        [place_on_ground(robot, drive, stand, balance.joint_torques) for drive in drives]
-    )
-    states = _rollout_in_chunks([drive.model for drive in drives], starts, control, progress)
+    trial = _Trial(robot, stand, integrator, amplitude, frequency, duration, progress)
+    trial.run(axes)
+    for _ in range(_WIDENINGS):
+        wider = [
+            _widened(values, end) if given is None else values
+            for values, given, end in zip(axes, (kp, kd), trial.ends(axes), strict=True)
+        ]
+        if wider == axes:
+            break
+        axes = wider
+        trial.run(axes)
+    return trial.result(axes)
 
-    deviations = monitor.base_heights(robot, states)[:, -round(1.0 / timestep) :].std(axis=1)
-    for index, (drive, rows) in enumerate(zip(drives, states, strict=True)):
-        if monitor.diverged(rows, timestep) or _lies(robot, drive.model, stand, rows[-1], ctrl):
-            deviations[index] = np.inf
-    grid = deviations.reshape(len(kp), len(kd))
-    row, column = divmod(int(np.argmin(grid)), len(kd))
-    stands = bool(np.isfinite(grid).any())
-    return GainSweep(
-        kp=np.array(kp, dtype=float),
-        kd=np.array(kd, dtype=float),
-        height_deviation=grid,
-        fell=~np.isfinite(grid),
-        best_kp=float(kp[row]) if stands else None,
-        best_kd=float(kd[column]) if stands else None,
-        best_deviation=float(grid[row, column]) if stands else None,
-        amplitude=amplitude,
-        frequency=frequency,
-        duration=steps * timestep,
-        integrator=drives[0].integrator,
-    )
+
+def _values(given: Sequence[float] | None, own: Array | None) -> list[float]:
+    """Returns the values to be tried of one gain."""
+    if given is not None:
+        return [float(value) for value in given]
+    assert own is not None
+    middle = float(np.median(own))
+    return [factor * middle for factor in FACTORS]
+
+
+def _widened(values: list[float], end: str | None) -> list[float]:
+    """Returns the values with another beyond an end."""
+    if end == "low":
+        return [values[0] * FACTORS[0], *values]
+    return [*values, values[-1] * FACTORS[-1]] if end == "high" else values
+
+
+class _Trial:
+    """Rollouts of a stand under the disturbance; each pair of gains is simulated once."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        stand: Stand,
+        integrator: str,
+        amplitude: float,
+        frequency: float,
+        duration: float,
+        progress: bool,
+    ) -> None:
+        self.robot, self.stand, self.integrator = robot, stand, integrator
+        self.amplitude, self.frequency, self.progress = amplitude, frequency, progress
+        self.timestep = float(robot.mj_model.opt.timestep)
+        self.steps = round(duration / self.timestep)
+        balance = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
+        self.torques = balance.joint_torques
+        self.deviations: dict[tuple[float, float], float] = {}
+
+    def run(self, axes: Sequence[Sequence[float]]) -> None:
+        """Simulates the cells of a grid that were not simulated yet."""
+        pairs = itertools.product(axes[0], axes[1])
+        cells = [pair for pair in pairs if pair not in self.deviations]
+        robot, stand = self.robot, self.stand
+        drives = [servos(robot, *cell, self.integrator) for cell in cells]
+        model = drives[0].model
+        ctrl = drives[0].command(robot, stand.joint_positions(robot))
+        control, force = forced_commands(robot, model, ctrl, 1, self.steps)
+        phase = 2 * math.pi * self.frequency * self.timestep * np.arange(self.steps)
+        force[0, :, 2] = self.amplitude * np.sin(phase)
+        starts = np.array([place_on_ground(robot, drive, stand, self.torques) for drive in drives])
+        models = [drive.model for drive in drives]
+        states = _rollout_in_chunks(models, starts, control, self.progress)
+        last = round(1.0 / self.timestep)
+        deviations = monitor.base_heights(robot, states)[:, -last:].std(axis=1)
+        for cell, model, rows, deviation in zip(cells, models, states, deviations, strict=True):
+            fell = monitor.diverged(rows, self.timestep) or _lies(
+                robot, model, stand, rows[-1], ctrl
+            )
+            self.deviations[cell] = math.inf if fell else float(deviation)
+
+    def grid(self, axes: Sequence[Sequence[float]]) -> Array:
+        """Returns the deviations (n, m) of a grid."""
+        return np.array([[self.deviations[kp, kd] for kd in axes[1]] for kp in axes[0]])
+
+    def ends(self, axes: Sequence[Sequence[float]]) -> tuple[str | None, str | None]:
+        """Returns at which end of kp and of kd the best is: ``"low"``, ``"high"`` or none."""
+        grid = self.grid(axes)
+        if not np.isfinite(grid).any():
+            return None, None
+        places = np.unravel_index(int(np.argmin(grid)), grid.shape)
+
+        def end(place: int, size: int) -> str | None:
+            if size == 1:
+                return None
+            return "low" if place == 0 else "high" if place == size - 1 else None
+
+        return end(int(places[0]), len(axes[0])), end(int(places[1]), len(axes[1]))
+
+    def result(self, axes: Sequence[Sequence[float]]) -> GainSweep:
+        """Returns the result of a grid."""
+        grid = self.grid(axes)
+        row, column = divmod(int(np.argmin(grid)), len(axes[1]))
+        stands = bool(np.isfinite(grid).any())
+        ends = zip(("kp", "kd"), self.ends(axes), strict=True)
+        return GainSweep(
+            kp=np.array(axes[0]),
+            kd=np.array(axes[1]),
+            height_deviation=grid,
+            fell=~np.isfinite(grid),
+            best_kp=axes[0][row] if stands else None,
+            best_kd=axes[1][column] if stands else None,
+            best_deviation=float(grid[row, column]) if stands else None,
+            at_edge=tuple(f"{name} {end}" for name, end in ends if end is not None),
+            amplitude=self.amplitude,
+            frequency=self.frequency,
+            duration=self.steps * self.timestep,
+            integrator=self.integrator,
+        )
 
 
 def _lies(robot: Robot, model: mujoco.MjModel, stand: Stand, state: Array, ctrl: Array) -> bool:
