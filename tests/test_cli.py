@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import mujoco
 import pytest
+from conftest import ROOT, answer
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
+import pupper_analysis as pa
+
+SCRIPTS = ROOT / "scripts"
 
 
 def run(script: str, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -184,3 +188,36 @@ def test_bad_input_of_the_other_scripts(script: str, arguments: list[str]) -> No
     assert result.returncode == 2
     assert len(result.stderr.strip().splitlines()) == 1
     assert "Traceback" not in result.stderr
+
+
+def test_version_and_colors() -> None:
+    assert answer("-V").stdout == answer("--version").stdout
+    assert pa.__version__ in answer("-V").stdout
+
+
+def test_colors_are_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("NO_COLOR", "")
+    file = str(ROOT / "urdf" / "pupper_v3.urdf")
+    colored = answer("audit", file).stdout
+    plain = answer("--no-color", "audit", file).stdout
+    assert "\x1b[" in colored
+    assert "\x1b[3" not in plain
+    assert "SOUND" in plain
+
+
+def test_the_shell_completes() -> None:
+    """As docs/output.md says: click answers to this variable, whatever the shell."""
+    done = subprocess.run(
+        [str(Path(sys.executable).with_name("pupper-analysis"))],
+        env={
+            **os.environ,
+            "_PUPPER_ANALYSIS_COMPLETE": "bash_complete",
+            "COMP_WORDS": "pupper-analysis cross",
+            "COMP_CWORD": "1",
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "plain,crosscheck\n"

@@ -183,7 +183,7 @@ BAD: dict[str, tuple[list[str], str]] = {
     "tolerance nan": (["robot.urdf", "robot.xml", "--tolerance", "mass=nan"], "is not positive"),
     "package without =": (["robot.urdf", "robot.xml", "--package", "parts"], "package: 'parts'"),
     "package nowhere": (["robot.urdf", "robot.xml", "--package", "parts=nowhere"], "nowhere"),
-    "foot": (["robot.urdf", "robot.xml", "--foot", "toe"], "'toe'; there are: foot0, foot1"),
+    "foot": (["robot.urdf", "robot.xml", "--frame", "toe"], "'toe'; there are: foot0, foot1"),
     "format": (["robot.urdf", "robot.xml", "--format", "html"], "'html' is not one of"),
     "option": (["robot.urdf", "robot.xml", "--frobnicate"], "No such option"),
     "JSON in a folder": (["robot.urdf", "robot.xml", "--json", "folder"], "it is a folder"),

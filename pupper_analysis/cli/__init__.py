@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 
@@ -88,13 +89,25 @@ def _say(text: str) -> None:
     click.echo(f"error: {visible(text)}", err=True)
 
 
+def _without_color(_context: click.Context, _option: click.Parameter, given: bool) -> None:
+    if given:
+        os.environ["NO_COLOR"] = "1"  # which rich heeds wherever it prints
+
+
 def main() -> None:
     """Runs the console command."""
     run(group)
 
 
 @click.group("pupper-analysis", context_settings=CONTEXT)
-@click.version_option(package_name="pupper-analysis")
+@click.version_option(None, "-V", "--version", package_name="pupper-analysis")
+@click.option(
+    "--no-color",
+    is_flag=True,
+    expose_value=False,
+    callback=_without_color,
+    help="Print no colors, as with the environment variable NO_COLOR.",
+)
 @click.option(
     DEBUG, is_flag=True, expose_value=False, help="Of an unforeseen error, show the traceback."
 )

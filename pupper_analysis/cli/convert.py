@@ -16,6 +16,7 @@ from pupper_analysis.cli.shared import (
     finish,
     json_option,
     number,
+    working,
 )
 from pupper_analysis.errors import ConfigurationError, OutputError
 
@@ -83,8 +84,6 @@ def convert_command(
     \b
     Exit status: 0 both agree and it stands, 1 not so (the file is there all the same), 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from rich.console import Console
-
     from pupper_analysis.convert.model import convert_model
     from pupper_analysis.models.urdf_file import read_urdf
     from pupper_analysis.report import convert as report
@@ -101,7 +100,7 @@ def convert_command(
         joints = read_urdf(source, folders).root.findall("joint")
         moving = [str(joint.get("name")) for joint in joints if joint.get("type") != "fixed"]
         rotors = _by_pattern(armature, moving)
-    with Console(stderr=True).status("converting, and standing it for 12 s"):
+    with working("converting, and standing it for 12 s"):
         result = convert_model(
             source,
             output,

@@ -42,7 +42,11 @@ map_file_option = click.option(
 
 
 frame_option = click.option(
-    "--foot", "feet", multiple=True, metavar="FRAME", help="Compare this frame (all common ones)."
+    "--frame",
+    "feet",
+    multiple=True,
+    metavar="FRAME",
+    help="Compare this frame. Repeatable; else all that both files have.",
 )
 
 

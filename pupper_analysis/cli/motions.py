@@ -12,6 +12,7 @@ from pupper_analysis.cli.shared import (
     figure_option,
     finish,
     json_option,
+    working,
 )
 from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
 from pupper_analysis.errors import ConfigurationError
@@ -63,7 +64,8 @@ def path(
     check_outputs(csv, npz, json_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    result = study_path(robot, task, seconds, kp=kp, kd=kd)
+    with working("solving the path, and simulating it"):
+        result = study_path(robot, task, seconds, kp=kp, kd=kd)
     print_path(console(), result)
     if csv is not None:
         result.path.to_csv(csv)
@@ -116,14 +118,15 @@ def push(
     check_outputs(figure, json_path)
     robots = asked.robots(names, default=tuple(VARIANTS))
     kp, kd = asked.gains(robots[0])
-    results = study_pushes(
-        robots,
-        task,
-        kp=kp,
-        kd=kd,
-        directions=directions,
-        resolution=resolution,
-    )
+    with working(f"pushing {', '.join(robot.name for robot in robots)}: some ten seconds each"):
+        results = study_pushes(
+            robots,
+            task,
+            kp=kp,
+            kd=kd,
+            directions=directions,
+            resolution=resolution,
+        )
     print_pushes(console(), results)
     if figure is not None:
         from pupper_analysis.report.figures.push import push_figure

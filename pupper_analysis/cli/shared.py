@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from pupper_analysis.errors import ConfigurationError, OutputError
+
+if TYPE_CHECKING:
+    from rich.status import Status
 
 VERIFIED, FAILED, BAD_INPUT, INTERNAL = 0, 1, 2, 3
 """Exit statuses."""
@@ -118,6 +122,13 @@ def length(option: str, text: str) -> tuple[str, float]:
     except ValueError as error:
         problem = f"{value!r} in {text!r} is no length: a number, with or without m, cm, mm"
         raise ConfigurationError(option, problem) from error
+
+
+def working(what: str) -> Status:
+    """Shows on a terminal's standard error that work is going on, and on which."""
+    from rich.console import Console
+
+    return Console(stderr=True).status(what)
 
 
 def write_json(path: Path | None, content: object) -> None:

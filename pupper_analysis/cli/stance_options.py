@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pupper_analysis.cli.shared import ANGLE, LENGTH, assignment, length, number, point
+from pupper_analysis.cli.shared import ANGLE, LENGTH, assignment, length, number, point, working
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -177,10 +177,7 @@ class RobotAndTask:
         for foot, frame in (assignment("foot", text) for text in named):
             link, colon, place = frame.partition(":")
             frames[foot] = (link, place) if colon else frame
-        from rich.console import Console
-
-        # Trials of servos may take some seconds: where somebody watches, it is said what is done.
-        with Console(stderr=True).status("preparing the robot: feet, start pose, servos"):
+        with working("preparing the robot: feet, start pose, servos"):
             robot = load_robot(
                 urdf=urdf,
                 mjcf=mjcf,

@@ -14,6 +14,7 @@ from pupper_analysis.cli.shared import (
     finish,
     json_option,
     point,
+    working,
 )
 from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
 
@@ -76,7 +77,8 @@ def stand(
     check_outputs(figure, json_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)
+    with working("solving the stance, and simulating it"):
+        result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)
     print_stance(console(), result)
     _draw(robot, result, figure)
     finish(json_path, result, passed=result.passed)
@@ -111,7 +113,8 @@ def workspace(
     task = asked.task()
     check_outputs(figure, json_path)
     robot = asked.robot(name)
-    result = base_workspace(robot, task)
+    with working("searching how far the base can go"):
+        result = base_workspace(robot, task)
     print_workspace(console(), robot.name, result)
     if figure is not None:
         from pupper_analysis.report.figures.workspace import workspace_figure
@@ -150,7 +153,8 @@ def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | No
     check_outputs(json_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    result = study_payload(robot, task, place, kp=kp, kd=kd)
+    with working("searching for the payload, and simulating it"):
+        result = study_payload(robot, task, place, kp=kp, kd=kd)
     print_payload(console(), result)
     finish(json_path, result, passed=result.passed)
 
@@ -196,7 +200,8 @@ def best(
     check_outputs(figure, json_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)
+    with working("searching for the best stance, and simulating it"):
+        result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)
     print_best(console(), result)
     _draw(robot, result.stance, figure)
     finish(json_path, result, passed=result.passed)
