@@ -20,6 +20,7 @@ from matplotlib.image import imread
 import pupper_analysis as pa
 from pupper_analysis.errors import ConfigurationError, OutputError
 from pupper_analysis.report.figures.gains import gain_figure
+from pupper_analysis.report.figures.ground import ground_corners, step_corners
 from pupper_analysis.report.figures.heights import height_figure
 from pupper_analysis.report.figures.pose import pose_figure
 from pupper_analysis.report.figures.skeleton import hull_corners, nearest_edge_point, skeleton
@@ -165,6 +166,45 @@ def test_pose_figure_says_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert f"margin {1e3 * analysis.statics.com_margin:.1f} mm" in texts
     for foot, force in analysis.statics.contact_forces.items():
         assert f"{foot}\n{np.linalg.norm(force):.2f} N" in texts
+
+
+def test_pose_figure_draws_slopes_steps_and_lifted_feet(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = load("v3")
+    ground = pa.Ground(slope=0.15, uphill=0.8, heights={"FR": 0.02})
+    task = pa.StandTask(ground=ground, swing={"RL": 0.02}, com="inside", com_margin=0.01)
+    stand = pa.solve_stand(robot, task)
+    plane, (step,) = ground_corners(stand), step_corners(stand)
+    for corner in plane:
+        assert corner @ ground.normal() == pytest.approx(0, abs=1e-12)
+    feet = np.array(list(stand.foot_targets.values()))
+    assert (plane.min(axis=0)[:2] < feet.min(axis=0)[:2]).all()
+    # The step's top is where the foot touches it, its bottom in the plane.
+    top = max(corner @ ground.normal() for corner in step)
+    touch = stand.contact_points["FR"] @ ground.normal()
+    assert top == pytest.approx(touch, abs=1e-9)
+    assert min(corner @ ground.normal() for corner in step) == pytest.approx(0, abs=1e-9)
+    figure = drawn(monkeypatch, pose_figure, robot, stand, pa.stand_statics(robot, stand))
+    labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    assert "lifted" in labels
+    figure.canvas.draw()
+    boxes = [
+        text.get_window_extent() for text in figure.axes[0].texts if text.get_text().endswith(" N")
+    ]
+    assert len(boxes) == 3
+    for number, one in enumerate(boxes):
+        assert not any(one.overlaps(other) for other in boxes[number + 1 :])
+
+
+def test_a_failed_run_is_marked(monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analysis_of("v3")
+    fields = {**vars(analysis.sagging), "failures": ("it tipped over",)}
+    failed = other(analysis, sagging=SimpleNamespace(**fields))
+    for shown, count in ((analysis, len(analysis.sagging.failures) > 0), (failed, 1)):
+        figure = drawn(monkeypatch, height_figure, [shown])
+        texts = [t.get_text() for t in figure.axes[0].get_legend().get_texts()]
+        assert sum(text.endswith("mm, fails") for text in texts) == count
+        marks = [line for line in figure.axes[0].lines if line.get_marker() == "X"]
+        assert len(marks) == count
 
 
 @pytest.mark.parametrize("draw", PANELS, ids=lambda draw: draw.__name__)

@@ -25,6 +25,15 @@ if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis
 
 _WITH: dict[str, Any] = {"color": BLUE, "lw": 1.5, "marker": "o", "ms": 4, "mfc": "white"}
+_FAILS: dict[str, Any] = {
+    "color": BLACK,
+    "marker": "X",
+    "ms": 9,
+    "mec": "white",
+    "ls": "",
+    "zorder": 5,
+    "clip_on": False,
+}
 _WITHOUT: dict[str, Any] = {"color": RED, "lw": 1.5, "ls": (0, (5, 1.5)), "marker": "s", "ms": 4}
 
 
@@ -46,6 +55,10 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         low = high = task
         for run, style in ((analysis.verification, _WITH), (analysis.sagging, _WITHOUT)):
             label = f"{1e3 * run.height_loss:.2f} mm"
+            if run.failures:
+                label += ", fails"
+                end = np.flatnonzero(np.isfinite(run.height))[-1]
+                axes.plot(run.time[end], 1e3 * run.height[end], **_FAILS)
             axes.plot(run.time, 1e3 * run.height, **style, markevery=(0.1, 0.2), label=label)
             low = min(low, float(np.nanmin(1e3 * run.height)))
             high = max(high, float(np.nanmax(1e3 * run.height)))
@@ -73,6 +86,7 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             Line2D([], [], color=BLACK, lw=1.2, ls=":", label="task"),
             Line2D([], [], **_WITH, label="with feed-forward"),
             Line2D([], [], **_WITHOUT, label="without"),
+            Line2D([], [], **_FAILS, label="fails"),
             Line2D([], [], ls="", label="in the panels: height lost, mean of the last second"),
         ],
     )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import textwrap
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
@@ -16,6 +19,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 from mpl_toolkits.mplot3d.proj3d import proj_transform  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
+from pupper_analysis.report.figures.ground import draw_ground, step_corners
 from pupper_analysis.report.figures.skeleton import (
     BOX_FACES,
     Skeleton,
@@ -45,6 +49,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _ELEVATION, _AZIMUTH = 16, -33  # deg: from the front and the right
 _ARROW = 0.35  # length of the largest force's arrow / length of the support polygon
+_LABEL = (4.6, 2.6)  # width and height of a force's label, in heights of its letters
 _LONGEST = 10  # letters of a foot's name beside the polygon: what there is room for
 _NEAR, _FAR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
@@ -58,6 +63,7 @@ _COM: dict[str, Any] = {
     "ms": 8,
 }
 
+_LIFTED: dict[str, Any] = {"color": BLACK, "marker": "o", "ls": "", "mfc": "white", "mew": 1.6}
 _PROJECTION: dict[str, Any] = {"color": GREEN, "marker": "x", "ls": "", "mew": 2.2, "ms": 7}
 
 
@@ -80,11 +86,12 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     put_title(figure, f"{robot.name}: how it stands")
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; the contact forces that last"
     figure.text(0.012, 0.925, textwrap.fill(text, 120), size=FONT, va="top")
-    _draw_in_space(figure, lines, statics)
-    _draw_from_above(figure, lines, statics)
+    _draw_in_space(figure, lines, stand, statics)
+    _draw_from_above(figure, lines, stand, statics)
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_NEAR, lw=3, marker="o", mfc="white", mec=BLACK, ms=4, label="leg"),
         Line2D([], [], color=BLACK, marker="o", ls="", ms=6, label="foot"),
+        *([Line2D([], [], **_LIFTED, label="lifted")] if stand.task.swing else []),
         Patch(facecolor=_BASE_FACE, edgecolor=_BASE_EDGE, label="base"),
         Line2D([], [], color=RED, marker=r"$\uparrow$", ls="", ms=9, label="contact force"),
         Line2D([], [], **_COM, label="com"),
@@ -95,18 +102,21 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     save(figure, path)
 
 
-def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation) -> None:
+def _draw_in_space(
+    figure: Figure, lines: Skeleton, stand: Stand, statics: GravityCompensation
+) -> None:
     # mpl_toolkits has no type information.
     axes: Any = figure.add_axes((-0.03, 0.165, 0.74, 0.76), projection="3d", computed_zorder=False)
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_proj_type("ortho")
+    draw_ground(axes, stand)
     polygon = hull_corners(statics.contact_points.values())
     ground = 1e3 * np.column_stack([polygon, _heights_below(statics, polygon)])
     axes.add_collection3d(
         Poly3DCollection([ground], facecolor=_SUPPORT, alpha=0.6, edgecolor=BLUE, lw=1.2, zorder=1)
     )
     hips = 1e3 * np.array([leg[0] for leg in lines.legs.values()])
-    for leg in lines.legs.values():
+    for foot, leg in lines.legs.items():
         # The viewer stands on the right: the legs of that side hide the base, it hides the others.
         near = leg[0, 1] < hips[:, 1].mean() / 1e3
         order = 4 if near else 2
@@ -117,7 +127,8 @@ def _draw_in_space(figure: Figure, lines: Skeleton, statics: GravityCompensation
         axes.plot(
             x[:-1], y[:-1], z[:-1], "o", color="white", mec=BLACK, mew=0.8, ms=4, zorder=order
         )
-        axes.plot(x[-1:], y[-1:], z[-1:], "o", color=BLACK, ms=7 * _small(statics), zorder=order)
+        mark = _LIFTED if foot in stand.task.swing else {"color": BLACK, "marker": "o"}
+        axes.plot(x[-1:], y[-1:], z[-1:], **mark, ms=7 * _small(statics), zorder=order)
     for arm in lines.arms:
         axes.plot(*(1e3 * arm.T), color=_FAR, lw=2.5, solid_capstyle="round", zorder=2)
     for box in lines.boxes:
@@ -153,13 +164,18 @@ def _draw_forces(axes: Any, lines: Skeleton, statics: GravityCompensation, polyg
     _fit(axes, 1e3 * np.concatenate([lines.points(), list(tails.values())]))
     # In the projection that the axes have now: an arrow's head in space would be seen askew.
     projection = axes.get_proj()
+    seen = {
+        foot: [proj_transform(*(1e3 * end), projection)[:2] for end in (tails[foot], tips[foot])]
+        for foot in forces
+    }
+    aside = _aside(axes, {foot: tail for foot, (tail, _) in seen.items()})
     for foot, force in forces.items():
-        arrow = (1e3 * tails[foot], 1e3 * tips[foot])
-        (x0, y0, _), (x1, y1, _) = (proj_transform(*end, projection) for end in arrow)
+        tail, tip = seen[foot]
         axes.annotate(
             f"{foot}\n{np.linalg.norm(force):.2f} N",
-            (x1, y1),
-            (x0, y0),
+            tail,
+            (aside[foot], -1),
+            textcoords="offset points",
             size=FONT,
             color=RED,
             ha="center",
@@ -167,15 +183,41 @@ def _draw_forces(axes: Any, lines: Skeleton, statics: GravityCompensation, polyg
             zorder=7,
             parse_math=False,
             bbox={"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.75},
+        )
+        axes.annotate(
+            "",
+            tip,
+            tail,
+            zorder=7,
             arrowprops={
                 "arrowstyle": "-|>",
                 "color": RED,
                 "lw": 1.8,
                 "shrinkA": 0,
                 "shrinkB": 0,
-                "relpos": (0.5, 1),
             },
         )
+
+
+def _aside(axes: Any, labels: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    """Returns by how much labels are moved to the side, in points, so that none hides another.
+
+    Args:
+        axes: In space.
+        labels: {foot: the middle of its label's top}, in the axes' projection.
+    """
+    axes.apply_aspect()  # which drawing does, too late for this
+    places = {foot: axes.transData.transform(place) for foot, place in labels.items()}  # pixels
+    wide, high = (size * FONT * DPI / 72 for size in _LABEL)
+    moved = dict.fromkeys(labels, 0.0)
+    for _ in labels:  # to move one aside may bring it to the next
+        for one, two in itertools.combinations(labels, 2):
+            across = places[two][0] + moved[two] - places[one][0] - moved[one]
+            lacks = wide - abs(across)
+            if lacks > 0 and abs(places[two][1] - places[one][1]) < high:
+                way = math.copysign(lacks / 2, across)
+                moved[one], moved[two] = moved[one] - way, moved[two] + way
+    return {foot: 72 / DPI * by for foot, by in moved.items()}
 
 
 def _small(statics: GravityCompensation) -> float:
@@ -212,7 +254,9 @@ def _fit(axes: Any, shown: Array) -> None:
         axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
 
 
-def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensation) -> None:
+def _draw_from_above(
+    figure: Figure, lines: Skeleton, stand: Stand, statics: GravityCompensation
+) -> None:
     axes = figure.add_axes((0.735, 0.17, 0.255, 0.66))
     put_style(axes, "from above")
     points = {foot: 1e3 * point[:2] for foot, point in statics.contact_points.items()}
@@ -226,6 +270,13 @@ def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensati
         axes.plot(
             1e3 * leg[:, 1], 1e3 * leg[:, 0], color=_FAR, lw=3, solid_capstyle="round", zorder=2
         )
+    for box in step_corners(stand):
+        outline = 1e3 * hull_corners(box)
+        axes.plot(outline[:, 1], outline[:, 0], color=_FAR, lw=1.0, ls="--", zorder=1.5)
+    for foot in stand.task.swing:
+        for point in stand.foot_targets if foot not in stand.foot_targets else (foot,):
+            x, y = 1e3 * stand.foot_targets[point][:2]
+            axes.plot(y, x, **_LIFTED, ms=6 * _small(statics), zorder=3)
     middle = np.mean(list(points.values()), axis=0)
     for x, y in points.values():
         axes.plot(y, x, "o", color=BLACK, ms=6 * _small(statics), zorder=3)
@@ -242,6 +293,20 @@ def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensati
             va="center",
             parse_math=False,
         )
+    _draw_margin(axes, statics, polygon)
+    shown = 1e3 * lines.points()
+    axes.set_aspect("equal")
+    room = float(np.ptp(shown, axis=0).max()) / 300
+    axes.set_xlim(shown[:, 1].max() + 55 * room, shown[:, 1].min() - 55 * room)
+    axes.set_ylim(shown[:, 0].min() - 15 * room, shown[:, 0].max() + 15 * room)
+    axes.xaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
+    axes.yaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
+    axes.set_xlabel("y, left (mm)", size=FONT)
+    axes.set_ylabel("x, forward (mm)", size=FONT)
+
+
+def _draw_margin(axes: Axes, statics: GravityCompensation, polygon: Array) -> None:
+    """Draws the com from above, and how far it is from the edge of the support polygon (mm)."""
     com = 1e3 * statics.center_of_mass[:2]
     axes.plot(com[1], com[0], **_PROJECTION, zorder=5)
     if statics.com_margin is not None:
@@ -260,15 +325,6 @@ def _draw_from_above(figure: Figure, lines: Skeleton, statics: GravityCompensati
             bbox={"fc": "white", "ec": "none", "pad": 1.5, "alpha": 0.9},
             zorder=6,
         )
-    shown = 1e3 * lines.points()
-    axes.set_aspect("equal")
-    room = float(np.ptp(shown, axis=0).max()) / 300
-    axes.set_xlim(shown[:, 1].max() + 55 * room, shown[:, 1].min() - 55 * room)
-    axes.set_ylim(shown[:, 0].min() - 15 * room, shown[:, 0].max() + 15 * room)
-    axes.xaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
-    axes.yaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
-    axes.set_xlabel("y, left (mm)", size=FONT)
-    axes.set_ylabel("x, forward (mm)", size=FONT)
 
 
 def _tick_step(points: Array) -> float:

@@ -69,6 +69,10 @@ def put_style(axes: Axes, title: str) -> None:
         axes.spines[spine].set_visible(False)
 
 
+_MANY = 8
+"""Entries of a legend that need less room between them to stand in one line."""
+
+
 def put_legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
     """Puts a legend in one line under a figure."""
     figure.legend(
@@ -78,7 +82,8 @@ def put_legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
         fontsize=FONT,
         frameon=False,
         handletextpad=0.5,
-        columnspacing=1.4,
+        columnspacing=1.4 if len(handles) < _MANY else 0.8,
+        handlelength=2.0 if len(handles) < _MANY else 1.6,
     )
 
 
