@@ -40,7 +40,7 @@ def test_prints_place_rule_reason_and_remedy(broken: Path) -> None:
     assert f"{broken}:{line} mass-not-positive" in result.stdout
     assert RULES["mass-not-positive"].todo in result.stdout
     assert "mirror-limits" in result.stdout
-    assert "UNSOUND" in result.stdout
+    assert result.stdout.splitlines()[-1].startswith("UNSOUND ")
 
 
 def test_a_sound_file(tmp_path: Path) -> None:
@@ -49,10 +49,19 @@ def test_a_sound_file(tmp_path: Path) -> None:
         str(ROOT / "mjcf" / "pupper_v3.xml"), "--fail-on", "warning", "--json", str(report)
     )
     assert result.returncode == 0, result.stdout
-    assert "SOUND" in result.stdout
+    assert result.stdout.splitlines()[-1].startswith("SOUND ")
     content = json.loads(report.read_text())
     assert content["passed"] is True
     assert len(content["rules_run"]) > 30
+
+
+def test_what_has_warnings_is_not_called_sound(broken: Path) -> None:
+    result = run(str(broken), "--disable", "mass-not-positive")
+    assert result.returncode == 0
+    verdict = result.stdout.splitlines()[-1]
+    assert verdict.startswith("SUSPECT ")
+    assert "0 errors" in verdict
+    assert "warning" in verdict
 
 
 def test_disabled_rules_and_the_least_severity_that_fails(broken: Path) -> None:

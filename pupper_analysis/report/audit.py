@@ -42,7 +42,11 @@ def print_audit(out: Console, audit: Audit) -> None:
         f"{number} {severity}{'' if severity == 'info' or number == 1 else 's'}"
         for severity, number in audit.counts.items()
     )
-    verdict = "[bold green]SOUND[/]" if audit.passed else "[bold red]UNSOUND[/]"
+    verdict = "[bold green]SOUND[/]"
+    if not audit.passed:
+        verdict = "[bold red]UNSOUND[/]"
+    elif audit.counts.get(Severity.WARNING):
+        verdict = "[bold yellow]SUSPECT[/]"  # no error, but what is very likely a slip
     out.print(
         f"{verdict} {escape(audit.file)}: {counts}, by {len(audit.rules_run)} rules", soft_wrap=True
     )

@@ -68,8 +68,8 @@ def print_stance(out: Console, stance: Stance) -> None:
     if verification.passed:
         out.print(
             f"[bold green]HOLDS[/] in MuJoCo: "
-            f"torques within {verification.torque_error:.2%}, "
-            f"forces within {verification.force_error:.2%} of the prediction"
+            f"torques within {verification.torque_error:.1e}, forces within "
+            f"{verification.force_error:.1e} of the prediction (relative to the largest)"
         )
     else:
         out.print(f"[bold red]FAILS[/] in MuJoCo: {escape('; '.join(verification.failures))}")
