@@ -95,6 +95,16 @@ def test_bad_seconds_are_refused(seconds: float) -> None:
     assert caught.value.field == "seconds"
 
 
+@pytest.mark.parametrize("name", ["original", "v3-heavy"])
+def test_other_variants_fall_and_stand(name: str) -> None:
+    result = drop.drop(4.0, variant=name)
+    assert result.stable
+    assert result.readings[1].time > 0.1  # it has fallen
+    expected = math.sqrt(2 * drop.FALL / GRAVITY) if name == "original" else result.readings[1].time
+    assert result.readings[1].time == pytest.approx(expected, abs=0.01)
+    assert result.readings[-1].acceleration[2] == pytest.approx(GRAVITY, abs=0.02)
+
+
 # ------------------------------------------------------------------------------------- the view
 
 
@@ -128,8 +138,9 @@ def test_the_snippet_reads_the_imu() -> None:
 
 
 def test_what_the_joints_really_do() -> None:
-    model, data = home("pupper_v3_fixed.xml")
-    actions = {action.name: action for action in words.joint_actions(model, data)}
+    robot, data = drop.at_home("v3", fixed=True)
+    model = robot.mj_model
+    actions = {action.name: action for action in words.joint_actions(robot, data)}
     assert list(actions) == [model.actuator(index).name for index in range(model.nu)]
     for name, action in actions.items():
         side = 1.0 if "_l_" in name else -1.0
@@ -138,14 +149,15 @@ def test_what_the_joints_really_do() -> None:
         np.testing.assert_allclose(action.axis, expected[1], atol=1e-9)
 
 
-@pytest.mark.parametrize("file", ["pupper_v3_fixed.xml", "pupper_v3.xml"])
-def test_feet_move_as_told(file: str) -> None:
-    model, data = home(file)
-    if file == "pupper_v3.xml":  # another attitude of the base must make no difference
+@pytest.mark.parametrize("fixed", [True, False])
+def test_feet_move_as_told(fixed: bool) -> None:
+    robot, data = drop.at_home("v3", fixed=fixed)
+    model = robot.mj_model
+    if not fixed:  # another attitude of the base must make no difference
         data.qpos[3:7] = [0.5, -0.5, 0.5, 0.5]
         mujoco.mj_forward(model, data)
     base = model.body("base_link").id
-    for action in words.joint_actions(model, data):
+    for action in words.joint_actions(robot, data):
         site = model.site(f"{action.name[:-1]}3_foot_site").id
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, jacobian, None, site)

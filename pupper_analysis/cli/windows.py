@@ -1,26 +1,50 @@
-"""``pupper-analysis view`` and ``drop``: Pupper v3 in MuJoCo's viewer, or in words."""
+"""``pupper-analysis view`` and ``drop``: a variant in MuJoCo's viewer, or in words."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from pupper_analysis.cli.shared import CONTEXT, FAILED, check_outputs
+from pupper_analysis.cli.stance_options import VARIANT, derived_variant, name_argument, options
 from pupper_analysis.errors import ConfigurationError
 
+if TYPE_CHECKING:
+    from pupper_analysis.pupper.variants import VariantSpec
 
-@click.command(context_settings=CONTEXT, short_help="Show Pupper v3 in MuJoCo's viewer.")
+
+@click.command(context_settings=CONTEXT, short_help="Show a variant in MuJoCo's viewer.")
+@name_argument
+@options(VARIANT)
 @click.option("--fixed", is_flag=True, help="Fix the base in the air; else it falls and lands.")
 @click.option("--headless", is_flag=True, help="Open no window: print the model and its IMU.")
-def view(fixed: bool, headless: bool) -> None:
-    """Show Pupper v3 in MuJoCo's viewer (on macOS, run this with mjpython)."""
+def view(
+    name: str | None,
+    base: str | None,
+    leg_scale: float | None,
+    torso_mass_scale: float | None,
+    fixed: bool,
+    headless: bool,
+) -> None:
+    """Show a variant in MuJoCo's viewer: v3, or NAME (on macOS, run this with mjpython).
+
+    \b
+    Examples:
+      pupper-analysis view
+      pupper-analysis view long-leg --fixed
+      pupper-analysis view --base v3 --leg-scale 1.2 --headless
+    """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper import viewer
 
-    viewer.view(fixed=fixed, headless=headless)
+    variant = _variant(name, base, leg_scale, torso_mass_scale)
+    viewer.view(variant, fixed=fixed, headless=headless)
 
 
-@click.command(context_settings=CONTEXT, short_help="Drop Pupper v3, and see that it stands.")
+@click.command(context_settings=CONTEXT, short_help="Drop a variant, and see that it stands.")
+@name_argument
+@options(VARIANT)
 @click.option("--headless", is_flag=True, help="Open no window: simulate, and print the result.")
 @click.option("--seconds", type=float, help="Simulated time of the drop (s).  [default: 6]")
 @click.option("--demo", type=click.Choice(["squat", "sway", "lift"]), help="Let it move instead.")
@@ -29,8 +53,17 @@ def view(fixed: bool, headless: bool) -> None:
     type=click.Path(path_type=Path),
     help="Write the path of a demo here, or to -.",
 )
-def drop(headless: bool, seconds: float | None, demo: str | None, csv: Path | None) -> None:
-    """Drop Pupper v3 from its home pose, and see that it stands (on macOS, run with mjpython).
+def drop(
+    name: str | None,
+    base: str | None,
+    leg_scale: float | None,
+    torso_mass_scale: float | None,
+    headless: bool,
+    seconds: float | None,
+    demo: str | None,
+    csv: Path | None,
+) -> None:
+    """Drop v3, or NAME, from its home pose, and see that it stands (on macOS, with mjpython).
 
     With --demo it moves instead: squat, sway from side to side, or shift its weight and lift a
     foot. Every sample of the path is a stand in balance, solved on the whole body.
@@ -38,6 +71,7 @@ def drop(headless: bool, seconds: float | None, demo: str | None, csv: Path | No
     \b
     Exit status: 0 it stands, or follows the path; 1 it does not; 2 bad input.
     """  # noqa: D301 - click reads the \b
+    variant = _variant(name, base, leg_scale, torso_mass_scale)
     if demo is None:
         if csv is not None:
             raise ConfigurationError("--csv", "only a demo has a path to write; give --demo too")
@@ -45,13 +79,23 @@ def drop(headless: bool, seconds: float | None, demo: str | None, csv: Path | No
         from pupper_analysis.pupper.drop import DEFAULT_SECONDS
 
         seconds = DEFAULT_SECONDS if seconds is None else seconds
-        good = viewer.stand(headless=headless, seconds=seconds)
+        good = viewer.stand(variant, headless=headless, seconds=seconds)
     else:
         if seconds is not None:
             raise ConfigurationError("--seconds", "a demo has its own duration")
         from pupper_analysis.pupper import demo as demos
 
         check_outputs(csv)
-        good = demos.demo(demo, headless=headless, csv=csv)
+        good = demos.demo(demo, variant, headless=headless, csv=csv)
     if not good:
         click.get_current_context().exit(FAILED)
+
+
+def _variant(
+    name: str | None, base: str | None, leg_scale: float | None, torso_mass_scale: float | None
+) -> str | VariantSpec:
+    """Returns the variant that is named, or given by a base and its scales; v3 by default."""
+    derived = derived_variant(base, leg_scale, torso_mass_scale)
+    if derived is not None and name is not None:
+        raise ConfigurationError("NAME", "give a variant's name, or --base and its scales")
+    return derived if derived is not None else name or "v3"

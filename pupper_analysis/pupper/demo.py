@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.pupper.window import check_display, show
 from pupper_analysis.report.console import console
 from pupper_analysis.report.stance import print_tracking
@@ -63,11 +64,14 @@ def demo_stances(robot: Robot, name: str, *, depth: float = 0.2) -> list[StandTa
     return [stand, over, up, up, over, stand]
 
 
-def demo(name: str, *, headless: bool, csv: Path | None = None) -> bool:
-    """Moves Pupper v3 in MuJoCo, and prints how well it follows.
+def demo(
+    name: str, variant: str | VariantSpec = "v3", *, headless: bool, csv: Path | None = None
+) -> bool:
+    """Moves a variant in MuJoCo, and prints how well it follows.
 
     Args:
         name: One of ``DEMOS``.
+        variant: Its name, or a ``VariantSpec``.
         headless: Open no window.
         csv: Where to write the path: time, joint positions and torques.
 
@@ -80,7 +84,7 @@ def demo(name: str, *, headless: bool, csv: Path | None = None) -> bool:
     """
     if not headless:
         check_display()
-    robot = load_variant("v3")
+    robot = load_variant(variant)
     path = demo_path(robot, name)
     if not headless:
         _show(robot, path)

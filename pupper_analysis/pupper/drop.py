@@ -1,4 +1,4 @@
-"""Pupper v3 dropped on the ground: what it does, and what its IMU reads."""
+"""A variant dropped on the ground: what it does, and what its IMU reads."""
 
 from __future__ import annotations
 
@@ -10,16 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.models import mjcf
-from pupper_analysis.pupper.variants import model_folder
+from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.pupper.window import show
 from pupper_analysis.results import Result
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
 
 Array = NDArray[np.float64]
 
 DEFAULT_SECONDS = 6.0
 """How long a drop is simulated (s). It lands after 0.18 s; after 2.3 s it is steady to 0.005 mm."""
+
+FALL = 0.15
+"""How high the feet are above the ground (m) where the keyframe has them on it; v3's are, too."""
 
 SECONDS = (2.0, 600.0)
 """The shortest and the longest drop that can be asked for (s)."""
@@ -64,24 +69,36 @@ class Drop(Result):
     readings: tuple[Reading, ...]
 
 
-def drop(seconds: float = DEFAULT_SECONDS, *, window: bool = False) -> Drop:
-    """Drops Pupper v3 from its keyframe ``home``, 0.28 m up, with ``ctrl = 0``: the home pose.
+def drop(
+    seconds: float = DEFAULT_SECONDS,
+    *,
+    variant: str | VariantSpec = "v3",
+    window: bool = False,
+) -> Drop:
+    """Drops a variant, its servos at the joint positions of its keyframe ``home``.
+
+    It falls from where the keyframe has it (v3: 0.28 m up); if that is on the ground, its feet are
+    ``FALL`` above it.
 
     Args:
         seconds: How long (s), from 2 to 600.
+        variant: Its name, or a ``VariantSpec``.
         window: Show it in real time.
 
     Raises:
         ConfigurationError: If ``seconds`` is out of its bounds.
         DisplayError: If no window can be opened.
         ModelError: If the model file is missing or damaged.
+        VariantError: If the name is unknown.
     """
     check_seconds(seconds)
-    model, data = at_home("pupper_v3.xml")
+    robot, data = at_home(variant)
+    model = robot.mj_model
+    servos_at_home = data.ctrl.copy()
     samples = [_sample(data)]
 
     def step() -> None:
-        data.ctrl[:] = 0.0
+        data.ctrl[:] = servos_at_home
         mujoco.mj_step(model, data)
         samples.append(_sample(data))
 
@@ -134,11 +151,19 @@ def check_seconds(seconds: float) -> None:
         )
 
 
-def at_home(file: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Returns a model of the package, and its data at the keyframe ``home``."""
-    path = model_folder("mjcf") / file
-    model = mjcf.compile_spec(mjcf.load(path), path)
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-    mujoco.mj_forward(model, data)
-    return model, data
+def at_home(variant: str | VariantSpec, *, fixed: bool = False) -> tuple[Robot, mujoco.MjData]:
+    """Returns a variant, and MuJoCo's data with its joints, and its servos' commands, at home.
+
+    A free base is above the ground.
+    """
+    robot = load_variant(variant, fixed_base=fixed)
+    data = mujoco.MjData(robot.mj_model)
+    qpos = robot.home.copy()
+    if not fixed:
+        feet = Configuration(robot, qpos).foot_positions()
+        clearance = min(float(place[2]) - robot.foot_radius[foot] for foot, place in feet.items())
+        qpos[2] += FALL - clearance if clearance < FALL / 2 else 0.0
+    robot.mj_convention.set_state(data, qpos)
+    data.ctrl[robot.mj_convention.actuator_index] = qpos[robot.nq - robot.nu :]
+    mujoco.mj_forward(robot.mj_model, data)
+    return robot, data

@@ -1,4 +1,4 @@
-"""Pupper v3 on the screen, or in words: its joints, its IMU, and the stand it drops into."""
+"""A variant on the screen, or in words: its joints, its IMU, and the stand it drops into."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.pupper.drop import DEFAULT_SECONDS, at_home, check_seconds, drop
+from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.pupper.window import check_display, opened_window, play
 from pupper_analysis.pupper.words import print_imu, print_joints, print_readings
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
 
 
-def view(*, fixed: bool, headless: bool) -> None:
-    """Shows Pupper v3 at its keyframe ``home`` until the window is closed.
+def view(variant: str | VariantSpec = "v3", *, fixed: bool, headless: bool) -> None:
+    """Shows a variant with its joints as in its keyframe ``home``, until the window is closed.
 
     With a fixed base nothing moves by itself; the viewer's sliders under "Control" set the joints.
     With a free base gravity and contact run in real time, and the sliders command the servos.
 
     Args:
+        variant: Its name, or a ``VariantSpec``.
         fixed: Fix the base in the world.
         headless: Open no window; print what the joints do and how the IMU is read.
 
@@ -29,10 +31,11 @@ def view(*, fixed: bool, headless: bool) -> None:
     """
     if not headless:
         check_display()
-    model, data = at_home("pupper_v3_fixed.xml" if fixed else "pupper_v3.xml")
+    robot, data = at_home(variant, fixed=fixed)
+    model = robot.mj_model
     print(f"nq={model.nq}, nv={model.nv}, nu={model.nu}")
     if headless:
-        print_joints(model, data)
+        print_joints(robot, data)
         print_imu(data, at_rest=fixed)
         return
 
@@ -50,12 +53,15 @@ def view(*, fixed: bool, headless: bool) -> None:
         play(handle, model.opt.timestep, step)
 
 
-def stand(*, headless: bool, seconds: float = DEFAULT_SECONDS) -> bool:
-    """Drops Pupper v3 from its keyframe ``home`` and prints how steadily it stands at the end.
+def stand(
+    variant: str | VariantSpec = "v3", *, headless: bool, seconds: float = DEFAULT_SECONDS
+) -> bool:
+    """Drops a variant and prints how steadily it stands at the end.
 
     With a window it runs in real time; a window that is closed early does not change the result.
 
     Args:
+        variant: Its name, or a ``VariantSpec``.
         headless: Open no window; print what the IMU reads on the way.
         seconds: How long (s), from 2 to 600.
 
@@ -70,7 +76,7 @@ def stand(*, headless: bool, seconds: float = DEFAULT_SECONDS) -> bool:
     check_seconds(seconds)
     if not headless:
         check_display()
-    result = drop(seconds, window=not headless)
+    result = drop(seconds, variant=variant, window=not headless)
     if headless:
         print_readings(result.readings)
     deviation = 1e3 * result.height_deviation

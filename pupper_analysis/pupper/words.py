@@ -1,4 +1,4 @@
-"""Pupper v3 in words: what its joints do, and how its IMU is read."""
+"""A variant in words: what its joints do, and how its IMU is read."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.pupper.drop import Reading
-from pupper_analysis.pupper.variants import BASES
 from pupper_analysis.results import Result
+from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 IMU_SENSORS = {
@@ -52,15 +52,16 @@ class JointAction(Result):
     upper: float
 
 
-def joint_actions(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[JointAction, ...]:
-    """Returns what each hinge of a v3 model does at the state of ``data``, in actuator order."""
-    base = int(model.site("body_imu_site").bodyid[0])
+def joint_actions(robot: Robot, data: mujoco.MjData) -> tuple[JointAction, ...]:
+    """Returns what each hinge of a variant does at the state of ``data``, in actuator order."""
+    model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
     to_base = data.xmat[base].reshape(3, 3).T
     feet: dict[int, Array] = {}  # of each leg's bodies
-    for site in BASES["v3"].feet.values():
-        body = int(model.site(site).bodyid[0])
+    for end, centre in robot.foot_places.values():
+        body = end
+        place = data.xpos[end] + data.xmat[end].reshape(3, 3) @ centre
         while body != base:
-            feet[body] = data.site(site).xpos
+            feet[body] = place
             body = int(model.body_parentid[body])
     actions = []
     for joint in (int(joint) for joint in model.actuator_trnid[:, 0]):
@@ -86,7 +87,7 @@ def _motion(axis: Array) -> str:
     return next((name for name, unit in _AXES.items() if abs(axis @ unit) > close), "oblique")
 
 
-def print_joints(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+def print_joints(robot: Robot, data: mujoco.MjData) -> None:
     """Prints what each joint does to its foot."""
     print(
         "\nJoints: axis, and what it does to the foot, in the base frame (x forward, y left, z up)"
@@ -100,7 +101,7 @@ def print_joints(model: mujoco.MjModel, data: mujoco.MjData) -> None:
             _numbers(1e3 * action.foot_motion, 0),
             f"{action.lower:+.2f} to {action.upper:+.2f}",
         )
-        for action in joint_actions(model, data)
+        for action in joint_actions(robot, data)
     ]
     _print_table(rows)
 
