@@ -29,7 +29,9 @@ def put_defaults(root: etree._Element) -> None:
     """
     top = root.find("default")
     assert top is not None
-    taken = {str(default.get("class")) for default in root.iter("default")}
+    taken = {str(default.get("class")) for default in root.iter("default")} | {
+        "main"
+    }  # MuJoCo's own
     for tag, attributes in _SHARED.items():
         elements = [found for found in root.iter(tag) if found.getparent().tag != "default"]
         if len(elements) < 2:
