@@ -60,6 +60,8 @@ def remarks(audit: Audit) -> list[Annotation]:
             finding.rule,
             f"{finding.element}: {finding.message} {finding.todo}",
             _place(finding),
+            rule=f"audit/{finding.rule}",
+            about=RULES[finding.rule].title,
         )
         for finding in audit.findings
     ]
