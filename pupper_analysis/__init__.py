@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         UnknownNameError,
         VariantError,
     )
+    from pupper_analysis.guard.check import RepositoryCheck, check_repository
     from pupper_analysis.prepare.load import load_robot
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.pupper.variant_files import write_variant
@@ -152,6 +153,8 @@ _HOME = {
     "GravityCompensation": "statics.equilibrium",
     "ForceDistribution": "statics.equilibrium",
     "gravity_compensation": "statics.equilibrium",
+    "RepositoryCheck": "guard.check",
+    "check_repository": "guard.check",
     "Sync": "sync.models",
     "sync_models": "sync.models",
     "VARIANTS": "pupper.variants",
@@ -190,6 +193,7 @@ __all__ = [
     "PayloadTrial",
     "PupperAnalysisError",
     "PushRecovery",
+    "RepositoryCheck",
     "Robot",
     "StancePath",
     "StanceUnreachableError",
@@ -208,6 +212,7 @@ __all__ = [
     "audit_model",
     "base_workspace",
     "best_stance",
+    "check_repository",
     "compare_models",
     "cross_check",
     "fastest_path",

@@ -7,6 +7,7 @@ import traceback
 
 import click
 
+from pupper_analysis.cli.guard import check_command
 from pupper_analysis.cli.models import audit_command, crosscheck
 from pupper_analysis.cli.motions import path, push
 from pupper_analysis.cli.process import Ended, endings, go_on, patient_output
@@ -117,6 +118,7 @@ for _command in (
     crosscheck,
     sync_command,
     audit_command,
+    check_command,
     view,
     drop,
 ):

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
-from pupper_analysis.report.sarif import Result, Rule, sarif
+from pupper_analysis.report.sarif import Result, Rule, from_root, sarif
 
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode's categories of what is not seen but acts: controls, directions, ends of lines."""
@@ -104,7 +104,7 @@ def github(annotations: Iterable[Annotation]) -> str:
     lines = []
     for annotation in grouped(annotations):
         file, line = annotation.file_and_line
-        parameters = [f"file={_property(file)}"] if file else []
+        parameters = [f"file={_property(from_root(file))}"] if file else []
         parameters += [f"line={line}"] if line is not None else []
         parameters.append(f"title={_property(annotation.title)}")
         lines.append(f"::{annotation.level} {','.join(parameters)}::{_data(annotation.message)}")
@@ -157,8 +157,14 @@ def junit(suite: str, cases: Iterable[Case]) -> str:
 def for_machines(
     style: str, suite: str, annotations: Iterable[Annotation], cases: Iterable[Case]
 ) -> str:
-    """Returns what is said to machines: annotations (``github``), a log for code scanning
-    (``sarif``), or a report (``junit``)."""
+    """Returns what is said to machines.
+
+    Args:
+        style: ``github`` (annotations), ``sarif`` (a log for code scanning), ``junit`` (a report).
+        suite: The name of the report's suite.
+        annotations: What is said in the first two.
+        cases: What is said in the report.
+    """
     if style == "github":
         return github(annotations)
     if style == "sarif":

@@ -60,15 +60,18 @@ class Result:
     known: bool | None = None
 
 
-def root() -> Path:
-    """Returns the folder that paths are relative to: GitHub's checkout, or the current one."""
-    return Path(os.environ.get("GITHUB_WORKSPACE") or Path.cwd()).resolve()
-
-
 def from_root(file: str | Path) -> str:
-    """Returns a file's path relative to the repository, with ``/``; absolute if it is outside."""
-    path = Path(file).resolve()
-    return path.relative_to(root()).as_posix() if path.is_relative_to(root()) else path.as_posix()
+    """Returns a file's path as CI services know it, with ``/``.
+
+    It is relative to the checkout (or the current folder, where there is none), and absolute if it
+    is outside.
+    """
+    root = Path(os.environ.get("GITHUB_WORKSPACE") or Path.cwd())
+    path = Path(os.path.abspath(file))  # noqa: PTH100  (a link is the file that is in the checkout)
+    for one, folder in ((path, root), (path.resolve(), root.resolve())):
+        if one.is_relative_to(folder):
+            return one.relative_to(folder).as_posix()
+    return path.as_posix()
 
 
 def sarif(results: Iterable[Result]) -> str:
