@@ -49,9 +49,7 @@ class Entry(Result):
 
     def __str__(self) -> str:
         check, pair, file, kind, element = self.identity
-        return (
-            f"{check} {pair or file}: {kind} of {element}" if element else f"{check} {pair}: {kind}"
-        )
+        return f"{check} of {pair or file}: {kind}{f' of {element}' if element else ''}"
 
 
 def read_baseline(path: Path) -> tuple[Entry, ...]:
