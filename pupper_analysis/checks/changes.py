@@ -45,40 +45,6 @@ class Change:
         )
 
 
-ORDER = (
-    "name",
-    "type",
-    "parent",
-    "base frame",
-    "zero",
-    "gravity",
-    "mass",
-    "com",
-    "inertia",
-    "position",
-    "rotation",
-    "axis",
-    "frame",
-    "damping",
-    "armature",
-    "lower limit",
-    "upper limit",
-    "effort",
-    "velocity",
-    "friction",
-    "mimic",
-    "spring",
-    "damping polynomial",
-    "gravity compensation",
-    "tendon",
-    "actuator",
-    "fluid",
-    "equality",
-    "flex",
-    "plugin",
-    "flag",
-)
-
 NOTHING = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
 
 
@@ -141,6 +107,17 @@ def changes_between(
                     f"of {other_owner} {sides.two}"
                 )
             yield Change("frame", name, position, other, "m", message, _take_frame(name), felt=True)
+
+
+def patched_with(first: Parameters, second: Parameters, sides: Sides = FORMATS) -> Parameters:
+    """Returns the first parameters with the second's value for every difference.
+
+    What is within the tolerance is taken over as well, so that only what was overlooked is left.
+    """
+    patched = first
+    for change in changes_between(first, second, NOTHING, sides):
+        patched = change.apply(patched, second)
+    return patched
 
 
 def _body_changes(

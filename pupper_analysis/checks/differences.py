@@ -12,6 +12,42 @@ from numpy.typing import NDArray
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
+
+ORDER = (
+    "name",
+    "type",
+    "parent",
+    "base frame",
+    "zero",
+    "gravity",
+    "mass",
+    "com",
+    "inertia",
+    "position",
+    "rotation",
+    "axis",
+    "frame",
+    "damping",
+    "armature",
+    "lower limit",
+    "upper limit",
+    "effort",
+    "velocity",
+    "friction",
+    "mimic",
+    "spring",
+    "damping polynomial",
+    "gravity compensation",
+    "tendon",
+    "actuator",
+    "fluid",
+    "equality",
+    "flex",
+    "plugin",
+    "flag",
+)
+"""All kinds: those of equal effect are listed in this order."""
+
 _STRUCTURE = ("name", "type", "parent", "base frame", "zero", "gravity")
 _LIMITS = ("lower limit", "upper limit", "effort")
 _FELT = 1e-3  # least relative effect that goes before limits and efforts
@@ -69,6 +105,12 @@ class Difference(Result):
     urdf_place: str | None = None
     mjcf_place: str | None = None
     made_of: tuple[str, ...] = ()
+
+    @property
+    def rank(self) -> tuple[float, ...]:
+        """What a user must mend first, first: by tier, then by effect, then by kind."""
+        main, every = self.weight
+        return self.tier, -main, -every, ORDER.index(self.kind)
 
     @property
     def weight(self) -> tuple[float, float]:
@@ -144,10 +186,15 @@ class Explanation(Result):
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Weighs deviations against the quantities of the URDF's model, and against the whole."""
+    """Weighs deviations against the quantities of the first model, and against the whole.
 
-    urdf: Mapping[str, Array]
-    mjcf: Mapping[str, Array]
+    Attributes:
+        one: The first model's; of a URDF and an MJCF, the URDF's.
+        two: The second's.
+    """
+
+    one: Mapping[str, Array]
+    two: Mapping[str, Array]
 
     def scale(self, name: str) -> float:
         """Returns the greatest absolute value of a quantity.
@@ -158,7 +205,7 @@ class Judge:
         least = 1e-300
         if name in ("gravity", "bias forces"):
             least = 1e-3 * 9.81 * self.scale("mass matrix")
-        return max(float(np.abs(self.urdf[name]).max()), least)
+        return max(float(np.abs(self.one[name]).max()), least)
 
     def relative(self, name: str, one: Array, two: Array) -> float:
         """Returns the worst deviation, relative to the scale; infinite if it is no number."""
@@ -172,7 +219,7 @@ class Judge:
         for name, values in after.items():
             relative = self.relative(name, values, before[name])
             if relative > 1e-12:  # rounding
-                total = self.relative(name, self.urdf[name], self.mjcf[name])
+                total = self.relative(name, self.one[name], self.two[name])
                 # Of what is rounding, nothing is a share.
                 share = relative / total if 1e-9 < total < math.inf else math.inf
                 found[name] = Effect(relative * self.scale(name), relative, share)

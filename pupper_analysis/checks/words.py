@@ -17,14 +17,24 @@ class Sides:
     """What two models are called that are compared.
 
     Attributes:
-        one: Where the first's numbers stand.
-        two: Where the second's stand.
+        first: The first.
+        second: The second.
         alike: Whether both are of one format, so that what one states the other could state, too.
     """
 
-    one: str
-    two: str
+    first: str
+    second: str
     alike: bool
+
+    @property
+    def one(self) -> str:
+        """Where the first's numbers stand."""
+        return f"in {self.first}"
+
+    @property
+    def two(self) -> str:
+        """Where the second's stand."""
+        return f"in {self.second}"
 
     def pair(self, one: float, two: float, unit: str) -> str:
         """Gives the first's number and the second's."""
@@ -39,10 +49,10 @@ class Sides:
         return text.replace("  ", " ")
 
 
-FORMATS = Sides("in the URDF", "in the MJCF", alike=False)
+FORMATS = Sides("the URDF", "the MJCF", alike=False)
 """A URDF and an MJCF."""
 
-VERSIONS = Sides("in the old file", "in the new one", alike=True)
+VERSIONS = Sides("the old file", "the new file", alike=True)
 """Two files of one format."""
 
 
