@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pupper_analysis.checks.compare import Comparison, compare_models
     from pupper_analysis.checks.engines import CrossCheck, cross_check
     from pupper_analysis.checks.tolerances import Tolerances
+    from pupper_analysis.checks.versions.compare import ModelDiff, diff_models
     from pupper_analysis.errors import (
         ConfigurationError,
         Infeasibility,
@@ -125,6 +126,8 @@ _HOME = {
     "sunk_stand": "stance.sunk",
     "compare_models": "checks.compare",
     "Tolerances": "checks.tolerances",
+    "ModelDiff": "checks.versions.compare",
+    "diff_models": "checks.versions.compare",
     "OutputError": "errors",
     "Configuration": "robot.configuration",
     "CrossCheck": "checks.engines",
@@ -182,6 +185,7 @@ __all__ = [
     "Interval",
     "InverseDynamics",
     "Limit",
+    "ModelDiff",
     "ModelError",
     "NoEquilibriumError",
     "NoStiffnessError",
@@ -215,6 +219,7 @@ __all__ = [
     "check_repository",
     "compare_models",
     "cross_check",
+    "diff_models",
     "fastest_path",
     "gravity_compensation",
     "inverse_dynamics",

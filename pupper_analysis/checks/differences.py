@@ -14,6 +14,7 @@ from pupper_analysis.results import Result
 Array = NDArray[np.float64]
 
 ORDER = (
+    "joint",
     "name",
     "type",
     "parent",
@@ -40,6 +41,7 @@ ORDER = (
     "gravity compensation",
     "tendon",
     "actuator",
+    "motor",
     "fluid",
     "equality",
     "flex",
@@ -48,7 +50,7 @@ ORDER = (
 )
 """All kinds: those of equal effect are listed in this order."""
 
-_STRUCTURE = ("name", "type", "parent", "base frame", "zero", "gravity")
+_STRUCTURE = ("joint", "name", "type", "parent", "base frame", "zero", "gravity")
 _LIMITS = ("lower limit", "upper limit", "effort")
 _FELT = 1e-3  # least relative effect that goes before limits and efforts
 _SCREW = 0.01  # likewise of a body's mass
@@ -82,7 +84,8 @@ class Difference(Result):
             `conventions`), or ``armature`` (which a URDF cannot state: then it
             differs from that of the joints at the same place of other legs); ``mimic``, that the
             URDF alone has; ``name``, where names count; or what the MJCF alone has, the kinds of
-            `passive.extra.Extra`.
+            `passive.extra.Extra`. Of two versions of a file also ``joint``, that one of them lacks,
+            and ``motor``.
         element: The joint, the body (named by the joint that moves it, or the base) or the frame;
             of what the MJCF alone has, its name there, or ``#3``.
         urdf: The URDF's value, in the URDF's frames; None where it has none.

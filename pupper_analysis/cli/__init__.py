@@ -7,7 +7,7 @@ import traceback
 
 import click
 
-from pupper_analysis.cli.guard import check_command
+from pupper_analysis.cli.guard import check_command, diff_command
 from pupper_analysis.cli.models import audit_command, crosscheck
 from pupper_analysis.cli.motions import path, push
 from pupper_analysis.cli.process import Ended, endings, go_on, patient_output
@@ -116,6 +116,7 @@ for _command in (
     path,
     push,
     crosscheck,
+    diff_command,
     sync_command,
     audit_command,
     check_command,

@@ -1,4 +1,4 @@
-"""``pupper-analysis check``: all models that a repository's configuration names."""
+"""``pupper-analysis check`` and ``diff``: a repository's models, now and before."""
 
 from __future__ import annotations
 
@@ -6,7 +6,16 @@ from pathlib import Path
 
 import click
 
-from pupper_analysis.cli.shared import CONTEXT, check_outputs, finish, format_option, json_option
+from pupper_analysis.cli.models import package_folders, package_option
+from pupper_analysis.cli.shared import (
+    CONTEXT,
+    assignment,
+    check_outputs,
+    finish,
+    format_option,
+    json_option,
+    number,
+)
 
 
 @click.command(
@@ -74,3 +83,63 @@ def check_command(
         if style == "github":
             click.echo(f"{'passed' if result.passed else 'failed'}: {report.summary(result)}")
     finish(json_path, result, passed=result.passed)
+
+
+@click.command(
+    "diff", context_settings=CONTEXT, short_help="What has changed between two versions of a model."
+)
+@click.argument("old")
+@click.argument("new")
+@click.option(
+    "--map",
+    "pairs",
+    multiple=True,
+    metavar="OLD=NEW",
+    help="A joint's old and new name, if neither name nor place tells. May be repeated.",
+)
+@package_option
+@click.option(
+    "--tolerance",
+    "changes",
+    multiple=True,
+    metavar="KIND=VALUE",
+    help="What is let be, as of crosscheck (1e-9). May be repeated.",
+)
+@json_option
+def diff_command(
+    old: str,
+    new: str,
+    pairs: tuple[str, ...],
+    packages: tuple[str, ...],
+    changes: tuple[str, ...],
+    json_path: Path | None,
+) -> None:
+    """Show what has changed in the robot between OLD and NEW: two URDFs, or two MJCFs.
+
+    Each change of a number has its lines in both files and its effect on the dynamics; then what
+    it does to the mass, and to the torques that hold the links in the air. Moved text, link frames
+    that are put elsewhere, and other ways to say the same, are no changes. OLD or NEW may be
+    REVISION:PATH, a file as git has it.
+
+    \b
+    Examples:
+      pupper-analysis diff HEAD:robots/go1.urdf robots/go1.urdf
+      pupper-analysis diff v1.0:./robot.xml main:./robot.xml
+      pupper-analysis diff robot.urdf longer.urdf --map knee=knee_joint --tolerance mass=1e-3
+
+    \b
+    Exit status: 0 they are the same, 1 they are different, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.checks.tolerances import Tolerances
+    from pupper_analysis.checks.versions.compare import diff_models
+    from pupper_analysis.report.console import console
+    from pupper_analysis.report.versions import print_diff
+
+    names = dict(assignment("map", text) for text in pairs)
+    tolerances = Tolerances.strict().changed(dict(number("tolerance", text) for text in changes))
+    check_outputs(json_path)
+    result = diff_models(
+        old, new, names=names, packages=package_folders(packages), tolerances=tolerances
+    )
+    print_diff(console(), result)
+    finish(json_path, result, passed=result.same)
