@@ -170,6 +170,8 @@ V3 = [str(ROOT / "urdf" / "pupper_v3.urdf"), str(ROOT / "mjcf" / "pupper_v3.xml"
         (["audit", V3[0]], ("yourdfpy",)),
         (["audit", V3[1]], ("yourdfpy", "trimesh")),
         (["sync", *V3, "--take", "urdf", "--dry-run"], ()),
+        (["diff", V3[0], V3[0]], ("yourdfpy",)),
+        (["diff", V3[1], V3[1]], ("yourdfpy", "trimesh")),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
