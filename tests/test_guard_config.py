@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from pupper_analysis.checks.audit import Severity
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.guard import config
 from pupper_analysis.guard.config import find_config, read_config
 from pupper_analysis.guard.toml import read_toml, toml_table, toml_value
 
@@ -66,10 +67,10 @@ name = "b"
 urdf = "b.urdf"
 strict = false
 """
-    config = read_config(written(folder, text))
-    assert config.baseline == folder / "known.toml"
-    assert config.fail_on is Severity.WARNING
-    a, b = config.pairs
+    read = read_config(written(folder, text))
+    assert read.baseline == folder / "known.toml"
+    assert read.fail_on is Severity.WARNING
+    a, b = read.pairs
     assert (a.name, a.urdf, a.mjcf) == ("a", folder / "a.urdf", folder / "a.xml")
     assert a.names == {"one": "eins", "two": "zwei"}
     assert (a.feet, a.base, a.strict) == (("FL", "FR"), "trunk", True)
@@ -82,10 +83,10 @@ strict = false
 
 
 def test_what_is_not_said(folder: Path) -> None:
-    config = read_config(written(folder, LEAST))
-    assert config.baseline == folder / "pupper-analysis-baseline.toml"
-    assert config.fail_on is Severity.ERROR
-    (pair,) = config.pairs
+    read = read_config(written(folder, LEAST))
+    assert read.baseline == folder / "pupper-analysis-baseline.toml"
+    assert read.fail_on is Severity.ERROR
+    (pair,) = read.pairs
     assert (pair.names, pair.feet, pair.packages, pair.disabled) == ({}, (), {}, {})
     assert pair.tolerances == Tolerances()
 
@@ -139,6 +140,23 @@ def test_what_is_refused(folder: Path, text: str, line: int, said: str) -> None:
     assert said in str(caught.value)
     assert str(caught.value).startswith(f"{path}:{line}: ")
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+def test_the_page_tells_of_every_key_and_no_other(folder: Path) -> None:
+    page = (ROOT / "docs" / "guard.md").read_text()
+    rows = re.findall(r"^\| (`[^|]*`) \| (the file|a pair|both) \|", page, re.M)
+    told: dict[str, set[str]] = {"the file": set(), "a pair": set(), "both": set()}
+    for names, whose in rows:
+        told[whose] |= set(re.findall("`([a-z-]+)`", names))
+    assert told["the file"] | told["both"] == set(config._TOP)
+    assert told["a pair"] | told["both"] == set(config._PAIR)
+    (example,) = re.findall(r"```toml\n(.*?)```", page, re.S)
+    for name in ("urdf/go1.urdf", "mjcf/go1.xml"):
+        (folder / name).parent.mkdir()
+        (folder / name).write_text("")
+    (pair,) = read_config(written(folder, example)).pairs
+    assert pair.names == {"lf_haa": "FL_hip"}
+    assert pair.tolerances.mass == 1e-3
 
 
 def test_an_empty_file_says_what_it_lacks(folder: Path) -> None:

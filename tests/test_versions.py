@@ -539,6 +539,31 @@ def test_options(tmp_path: Path) -> None:
         assert said in result.stderr
 
 
+def test_a_robot_without_joints(tmp_path: Path) -> None:
+    """A quadrotor, say: its body is compared all the same."""
+    alone = {"base": ROBOT["base"]}
+    diff = diff_of(tmp_path, alone, changed(alone, "base", mass=7.0), "urdf")
+    assert kinds(diff) == [("mass", "base")]
+    assert diff.complete
+    assert diff.torques == {}
+    assert "joint positions" not in diff.deviations
+
+
+def test_what_is_undefined_is_left_out_and_said(tmp_path: Path) -> None:
+    """A last link without mass has no acceleration; all else of it can be compared."""
+    old = changed(ROBOT, "shank2", mass=0.0)
+    diff = diff_of(tmp_path, old, old, "urdf")
+    assert diff.same
+    assert diff.complete
+    assert "forward dynamics" not in diff.deviations
+    assert diff.notes == (
+        "forward dynamics: not compared, for links without mass make it undefined in the old file",
+    )
+    assert kinds(diff_of(tmp_path, old, changed(old, "base", mass=7.0), "urdf")) == [
+        ("mass", "base")
+    ]
+
+
 def test_two_robots_that_have_nothing_in_common() -> None:
     with pytest.raises(pa.ModelError, match="no joint of it is one of"):
         pa.diff_models(ROOT / "urdf/pupper_v3.urdf", ROOT / "urdf/pupper_skeleton.urdf")

@@ -32,6 +32,12 @@ class Trial:
     values: Parameters
 
     @cached_property
+    def undefined(self) -> tuple[str, ...]:
+        """Quantities that are no numbers: links without mass move by themselves."""
+        found = self._evaluated(self.values)
+        return tuple(name for name, value in found.items() if not np.isfinite(value).all())
+
+    @cached_property
     def joints(self) -> dict[str, Array]:
         """{joint: (n,) positions inside its limits (rad or m)}."""
         rng, found = np.random.default_rng(0), {}
@@ -67,7 +73,11 @@ class Trial:
         return places, rng.normal(size=(_COUNT, 6))
 
     def behaviour(self, values: Parameters) -> dict[str, Array]:
-        """Evaluates a tree of the same joints at all states."""
+        """Evaluates a tree of the same joints at all states, without what is undefined."""
+        found = self._evaluated(values)
+        return {name: value for name, value in found.items() if name not in self.undefined}
+
+    def _evaluated(self, values: Parameters) -> dict[str, Array]:
         model = to_pinocchio(values)
         data, order = model.createData(), _dofs(model, values)
         rows: dict[str, list[Array]] = {}
@@ -82,8 +92,9 @@ class Trial:
             result["forward dynamics"] = pin.aba(model, data, q, v, tau - damping * v)[order]
             pin.framesForwardKinematics(model, data, q)
             result["com"] = _com(model, data)
-            places = [data.oMi[model.getJointId(name)].translation for name in self.values.joints]
-            result["joint positions"] = np.array(places)
+            if values.joints:
+                joints = [model.getJointId(name) for name in self.values.joints]
+                result["joint positions"] = np.array([data.oMi[j].translation for j in joints])
             if values.frames:
                 frames = [model.getFrameId(name, pin.FrameType.BODY) for name in values.frames]
                 places = [data.oMf[frame].translation for frame in frames]

@@ -158,7 +158,7 @@ class _Comparison:
 
     def _alike(self, one: Parameters, two: Parameters) -> tuple[Parameters, Parameters]:
         """Fixes the joints that one version lacks, and gives the new one the old names."""
-        if not self.pairs:
+        if one.joints and two.joints and not self.pairs:
             raise ModelError(
                 self.sources[1].name, f"no joint of it is one of {self.sources[0].name}"
             )
@@ -224,7 +224,7 @@ class _Comparison:
             deviations={name: judge.relative(name, before[name], after[name]) for name in before},
             left=left,
             complete=all(value <= EXPLAINED for value in left.values()),
-            notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes))),
+            notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes, *_undefined(trial)))),
         )
 
     def _others(self) -> Iterator[Difference]:
@@ -261,6 +261,12 @@ class _Comparison:
             difference.effects,
             *places,
         )
+
+
+def _undefined(trial: Trial) -> Iterator[str]:
+    """Says what was not compared."""
+    for name in trial.undefined:
+        yield f"{name}: not compared, for links without mass make it undefined in the old file"
 
 
 def _parents_first(values: Parameters) -> list[str]:
