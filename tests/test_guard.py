@@ -74,6 +74,16 @@ def test_a_new_difference_fails_at_its_lines(folder: Path) -> None:
     assert "FAILED: 1 to mend, 1 known" in result.stdout
 
 
+def test_the_same_on_several_joints_is_said_once(folder: Path) -> None:
+    change(folder / "hopper.xml", 'damping="0.05"', 'damping="0.06"')
+    shown = run(folder).stdout
+    assert shown.count("damping (new)") == 1
+    # The knee first: what it carries is lighter, so that it is felt more.
+    assert "joint knee: damping 0.05 N m s/rad in the URDF, 0.06 N m s/rad in the MJCF" in shown
+    assert "; likewise on 1 more: hip" in shown
+    assert "FAILED: 2 to mend" in shown
+
+
 def test_a_known_difference_that_grows_or_shrinks_has_changed(folder: Path) -> None:
     for mass in ("0.25", "0.21"):
         shutil.copy(SAMPLE / "hopper.xml", folder)
@@ -138,6 +148,17 @@ def test_a_file_that_cannot_be_read_fails_and_hides_nothing_else(folder: Path) -
     assert "refused" not in (folder / BASELINE).read_text()
     shutil.copy(SAMPLE / "hopper.urdf", folder)
     assert pa.check_repository(folder / "pupper-analysis.toml").passed
+
+
+def test_nobody_can_write_into_the_baseline_that_a_file_is_not_read(folder: Path) -> None:
+    change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
+    config = folder / "pupper-analysis.toml"
+    (remark,) = (r for r in pa.check_repository(config).remarks if r.kind == "refused")
+    entries = [*read_baseline(folder / BASELINE), Entry(remark.identity, remark.values)]
+    write_baseline(folder / BASELINE, entries)
+    check = pa.check_repository(config)
+    assert not check.passed
+    assert [r.state for r in check.remarks if r.kind == "refused"] == [State.NEW]
 
 
 def test_two_files_that_cannot_be_compared(folder: Path) -> None:

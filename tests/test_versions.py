@@ -252,6 +252,24 @@ def test_what_only_an_mjcf_states(tmp_path: Path) -> None:
     assert "stiffness" in line_at(found["spring", "knee3"].new_place)
 
 
+def test_motors_of_other_kinds(tmp_path: Path) -> None:
+    """By the names of what they act on, whatever its number."""
+    extra = (
+        '<tendon><fixed name="cable"><joint joint="hip0" coef="1"/></fixed></tendon>'
+        '<actuator><motor name="winch" tendon="cable" gear="2"/>'
+        '<motor name="thruster" site="foot2" gear="0 0 1 0 0 0"/></actuator>'
+    )
+    text = mjcf_text(ROBOT, extra=extra)
+    more = text.replace('<site name="foot0"', '<site name="mark"/><site name="foot0"')
+    assert pa.diff_models(*written(tmp_path, text, more, "xml")).same
+    new = text.replace('site="foot2"', 'site="foot3"').replace('gear="2"', 'gear="2.5"')
+    diff = pa.diff_models(*written(tmp_path, text, new, "xml"))
+    assert [change.message for change in diff.changes] == [
+        "motor winch: gear (2) in the old file, gear (2.5) in the new file",
+        "motor thruster: at site foot2 in the old file, at site foot3 in the new file",
+    ]
+
+
 def test_a_base_that_is_fixed_now(tmp_path: Path) -> None:
     text = mjcf_text(ROBOT)
     diff = pa.diff_models(*written(tmp_path, text, mjcf_text(ROBOT, free=False), "xml"))

@@ -88,8 +88,8 @@ def check_command(
 @click.command(
     "diff", context_settings=CONTEXT, short_help="What has changed between two versions of a model."
 )
-@click.argument("old")
-@click.argument("new")
+@click.argument("old", type=click.Path())
+@click.argument("new", type=click.Path())
 @click.option(
     "--map",
     "pairs",

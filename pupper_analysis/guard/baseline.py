@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from pupper_analysis.errors import ModelError
 from pupper_analysis.files import whole_file
-from pupper_analysis.guard.remarks import Remark, State
+from pupper_analysis.guard.remarks import REFUSED, Remark, State
 from pupper_analysis.guard.toml import read_toml, toml_table
 from pupper_analysis.models.places import source_name
 from pupper_analysis.results import Result
@@ -120,6 +120,8 @@ def judged(
     """
     waiting: dict[tuple[str, ...], list[Entry]] = {}
     for entry in entries:
+        if entry.identity[3] == REFUSED:
+            continue  # nobody can know what is in a file that cannot be read
         waiting.setdefault(entry.identity, []).append(entry)
     result = list(remarks)
     for number, remark in enumerate(result):

@@ -19,7 +19,15 @@ from pupper_analysis.guard.baseline import (
     write_baseline,
 )
 from pupper_analysis.guard.config import GuardConfig, Pair, find_config, read_config
-from pupper_analysis.guard.remarks import Remark, State, of_audit, of_comparison, of_error, relative
+from pupper_analysis.guard.remarks import (
+    REFUSED,
+    Remark,
+    State,
+    of_audit,
+    of_comparison,
+    of_error,
+    relative,
+)
 from pupper_analysis.results import Result
 
 
@@ -99,10 +107,10 @@ def check_repository(
     known, left = judged(_distinct(found), before)
     unseen = _unseen(settings, known, left)
     if update_baseline:
-        taken = [entry_of(remark) for remark in known if remark.kind != "refused"]
+        taken = [entry_of(remark) for remark in known if remark.kind != REFUSED]
         write_baseline(settings.baseline, [*taken, *unseen])
         known = tuple(
-            remark if remark.kind == "refused" else replace(remark, state=State.KNOWN)
+            remark if remark.kind == REFUSED else replace(remark, state=State.KNOWN)
             for remark in known
         )
     ordered = sorted(
@@ -161,7 +169,7 @@ def _check_pair(pair: Pair, folder: Path) -> tuple[PairCheck, list[Remark]]:
 
 
 def _refused(remarks: Iterable[Remark]) -> bool:
-    return any(remark.kind == "refused" for remark in remarks)
+    return any(remark.kind == REFUSED for remark in remarks)
 
 
 def _distinct(remarks: Iterable[Remark]) -> Iterator[Remark]:
@@ -179,7 +187,7 @@ def _unseen(
 ) -> list[Entry]:
     """Returns the entries that may have no remark because their files could not be read."""
     folder = config.path.parent
-    refused = {remark.pair for remark in remarks if remark.kind == "refused"}
+    refused = {remark.pair for remark in remarks if remark.kind == REFUSED}
     files = {
         relative(file, folder)
         for pair in config.pairs

@@ -21,6 +21,10 @@ DIGITS = 9
 """Significant digits of the values that are kept: more are rounding errors of some machine."""
 
 
+REFUSED = "refused"
+"""The kind of a remark that a file cannot be read, or two cannot be compared; never known."""
+
+
 class State(StrEnum):
     """What the baseline knows of a remark."""
 
@@ -133,7 +137,7 @@ _ABOUT = {
     "joint": "one file has a joint that the other lacks",
     "agreement": "the files do not agree, apart from single differences",
     "base": "the base is not the one that the configuration names",
-    "refused": "a model cannot be read or compared",
+    REFUSED: "a model cannot be read or compared",
 }
 
 
@@ -164,7 +168,7 @@ def of_error(
     return Remark(
         check,
         pair.name,
-        "refused",
+        REFUSED,
         pair.name,
         relative(path, folder),
         {"message": str(error)},

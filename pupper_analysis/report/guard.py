@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from rich.console import Console
 
@@ -23,18 +23,8 @@ def print_check(out: Console, check: RepositoryCheck, *, everything: bool = Fals
         everything: Print what does not fail, too.
     """
     shown = [remark for remark in check.remarks if everything or remark.fails]
-    for remark in shown:
-        style = STYLES[remark.severity]
-        place = _from_root(remark.place) or remark.file
-        out.print(
-            f"[{style}]{remark.severity}[/] {escape(place)} "
-            f"[dim]{escape(f'{remark.check} {remark.kind}')} ({remark.state})[/]",
-            soft_wrap=True,
-        )
-        other = f" [{_from_root(remark.other_place)}]" if remark.other_place else ""
-        out.print(f"  {escape(remark.message + other)}", soft_wrap=True)
-        if remark.before is not None:
-            out.print(f"  {escape(_before(remark))}", style="dim", soft_wrap=True)
+    for group in _groups(shown):
+        _print_group(out, group)
     for entry in check.stale:
         text = f"stale: {entry}: it does not occur any more"
         out.print(escape(text + _what_of_stale(check)), style="yellow", soft_wrap=True)
@@ -45,6 +35,32 @@ def print_check(out: Console, check: RepositoryCheck, *, everything: bool = Fals
             out.print(escape(f"  {rule} is switched off: {reason}"), style="dim", soft_wrap=True)
     verdict = "[bold green]PASSED[/]" if check.passed else "[bold red]FAILED[/]"
     out.print(f"{verdict}: {escape(summary(check))}", soft_wrap=True)
+
+
+def _groups(remarks: Iterable[Remark]) -> list[list[Remark]]:
+    """Puts together remarks of one kind and file with the same values, old and new."""
+    groups: dict[tuple[str, ...], list[Remark]] = {}
+    for remark in remarks:
+        same = (remark.state, str(remark.values), str(remark.before))
+        key = (remark.check, remark.pair, remark.kind, remark.file, *same)
+        groups.setdefault(key, []).append(remark)
+    return list(groups.values())
+
+
+def _print_group(out: Console, group: list[Remark]) -> None:
+    first, *others = group
+    style, place = STYLES[first.severity], _from_root(first.place) or first.file
+    out.print(
+        f"[{style}]{first.severity}[/] {escape(place)} "
+        f"[dim]{escape(f'{first.check} {first.kind}')} ({first.state})[/]",
+        soft_wrap=True,
+    )
+    other = f" [{_from_root(first.other_place)}]" if first.other_place else ""
+    names = ", ".join(remark.element for remark in others)
+    more = f"; likewise on {len(others)} more: {names}" if others else ""
+    out.print(f"  {escape(first.message + other + more)}", soft_wrap=True)
+    if first.before is not None:
+        out.print(f"  {escape(_before(first))}", style="dim", soft_wrap=True)
 
 
 def summary(check: RepositoryCheck) -> str:

@@ -131,11 +131,8 @@ def _motors(scene: Scene) -> dict[tuple[str, str], Any]:
     """Returns what commands make motors do, {("motor", name): numbers}; limits are the joints'."""
     model, found = scene.model, {}
     for motor in range(model.nu):
-        target = int(model.actuator_trnid[motor, 0])
-        kind = mujoco.mjtTrn(int(model.actuator_trntype[motor])).name.removeprefix("mjTRN_")
-        joint = kind.startswith("JOINT")
         value: dict[str, Any] = {
-            "at": f"joint {scene.joint_name(target)}" if joint else f"{kind.lower()} {target}",
+            "at": _target(scene, motor),
             "gear": _short(actuator_gear(model, motor)),
             "gain": _short(model.actuator_gainprm[motor]),
             "bias": _short(model.actuator_biasprm[motor]),
@@ -144,6 +141,16 @@ def _motors(scene: Scene) -> dict[tuple[str, str], Any]:
             value["ctrlrange"] = _short(model.actuator_ctrlrange[motor], trim=False)
         found["motor", scene.name("actuator", motor)] = value
     return found
+
+
+def _target(scene: Scene, motor: int) -> str:
+    """Says what a motor acts on, by kind and name."""
+    kind = mujoco.mjtTrn(int(scene.model.actuator_trntype[motor])).name.removeprefix("mjTRN_")
+    target = int(scene.model.actuator_trnid[motor, 0])
+    if kind.startswith("JOINT"):
+        return f"joint {scene.joint_name(target)}"
+    what = "site" if kind == "SLIDERCRANK" else kind.lower()
+    return f"{what} {scene.name(what, target)}"
 
 
 def _short(values: Any, *, trim: bool = True) -> list[float]:
