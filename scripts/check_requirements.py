@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from importlib.metadata import requires
+from importlib.metadata import requires, version
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -22,9 +22,13 @@ NOT_NEEDED = ("placo", "matplotlib", "clarabel")
 
 HEADER = f"""\
 # What `check`, `crosscheck`, `audit`, `sync` and `diff` need: the dependencies of pyproject.toml
-# without {", ".join(NOT_NEEDED)}; and the versions that placo pins, without which pip finds a
-# Pinocchio and a urdfdom that do not load together. Then: pip install --no-deps pupper-analysis
+# without {", ".join(NOT_NEEDED)}. Then: pip install --no-deps pupper-analysis
 # Written by scripts/check_requirements.py.
+"""
+
+PINS = """\
+# The versions that placo {} pins, without which pip finds a Pinocchio and a urdfdom that do not
+# load together:
 """
 
 
@@ -43,8 +47,10 @@ def requirements() -> str:
         del needed[name]
     # Pins of placo alone: what it depends on without one is its own, not Pinocchio's.
     pinned = [line for line in requires("placo") or () if "==" in line and ";" not in line]
-    needed |= {name_of(line): line for line in pinned}
-    return HEADER + "".join(f"{line}\n" for line in needed.values())
+    for line in pinned:
+        needed.pop(name_of(line), None)
+    lines = (HEADER, *needed.values(), PINS.format(version("placo")).rstrip(), *pinned)
+    return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
 if __name__ == "__main__":
