@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pupper_analysis.checks.compare import Comparison, compare_models
     from pupper_analysis.checks.engines import CrossCheck, cross_check
     from pupper_analysis.checks.tolerances import Tolerances
+    from pupper_analysis.checks.versions.compare import ModelDiff, diff_models
     from pupper_analysis.convert.conversion import Conversion
     from pupper_analysis.convert.model import convert_model
     from pupper_analysis.errors import (
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
         UnknownNameError,
         VariantError,
     )
+    from pupper_analysis.guard.check import RepositoryCheck, check_repository
     from pupper_analysis.prepare.load import load_robot
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.pupper.variant_files import write_variant
@@ -129,6 +131,8 @@ _HOME = {
     "sunk_stand": "stance.sunk",
     "compare_models": "checks.compare",
     "Tolerances": "checks.tolerances",
+    "ModelDiff": "checks.versions.compare",
+    "diff_models": "checks.versions.compare",
     "OutputError": "errors",
     "Configuration": "robot.configuration",
     "CrossCheck": "checks.engines",
@@ -158,6 +162,8 @@ _HOME = {
     "GravityCompensation": "statics.equilibrium",
     "ForceDistribution": "statics.equilibrium",
     "gravity_compensation": "statics.equilibrium",
+    "RepositoryCheck": "guard.check",
+    "check_repository": "guard.check",
     "Sync": "sync.models",
     "sync_models": "sync.models",
     "VARIANTS": "pupper.variants",
@@ -187,6 +193,7 @@ __all__ = [
     "InverseDynamics",
     "Limit",
     "MissingPackageError",
+    "ModelDiff",
     "ModelError",
     "NoEquilibriumError",
     "NoStiffnessError",
@@ -198,6 +205,7 @@ __all__ = [
     "PayloadTrial",
     "PupperAnalysisError",
     "PushRecovery",
+    "RepositoryCheck",
     "Robot",
     "StancePath",
     "StanceUnreachableError",
@@ -216,9 +224,11 @@ __all__ = [
     "audit_model",
     "base_workspace",
     "best_stance",
+    "check_repository",
     "compare_models",
     "convert_model",
     "cross_check",
+    "diff_models",
     "fastest_path",
     "gravity_compensation",
     "inverse_dynamics",

@@ -20,7 +20,7 @@ ROOMS = (
     ("stance",),
     ("simulation",),
     ("checks",),
-    ("sync",),
+    ("sync", "guard"),
     ("prepare",),
     ("convert",),
     ("analysis",),

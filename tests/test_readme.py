@@ -91,7 +91,13 @@ def test_a_command_runs(command: str, tmp_path: Path) -> None:
     urdf, mjcf = pa.write_variant("heavy", tmp_path / "written")
     (tmp_path / "robot.urdf").write_bytes(urdf.read_bytes())
     (tmp_path / "robot.xml").write_bytes(mjcf.read_bytes())
+    pair = '[[pair]]\nname = "robot"\nurdf = "robot.urdf"\nmjcf = "robot.xml"\n'
+    (tmp_path / "pupper-analysis.toml").write_text(pair)
     arguments = shlex.split(command.replace("FILE", "robot.urdf"))[1:]
+    if "HEAD:" in command:
+        who = ["-c", "user.name=a", "-c", "user.email=a@example.com"]
+        for git in (["init"], ["add", "robot.urdf"], [*who, "commit", "--message=robot"]):
+            subprocess.run(["git", *git], cwd=tmp_path, check=True)
     result = answer(*arguments, folder=tmp_path)
     assert result.returncode == 0, result.stderr + result.stdout
     for option, file in pairwise(arguments):

@@ -26,7 +26,7 @@ def armature_differences(
             f"joint {name}: armature {value:.6g} {unit} in the MJCF, but {usual:.6g} {unit} on the "
             "joints at the same place of the other legs (a URDF cannot state it)"
         )
-        effects = judge.effects(judge.urdf, alone)
+        effects = judge.effects(judge.one, alone)
         differences.append(Difference("armature", name, None, value, unit, message, effects))
     return differences
 
@@ -64,4 +64,4 @@ def armature_of(robot: Robot, values: Parameters, states: States, judge: Judge) 
     without_it = {name: replace(joint, armature=0.0) for name, joint in values.joints.items()}
     bare = behaviour(robot, replace(values, joints=without_it), states)
     armature = {name: values.joints[name].armature for name in robot.joint_names}
-    return Armature(armature, judge.effects(judge.urdf, bare))
+    return Armature(armature, judge.effects(judge.one, bare))

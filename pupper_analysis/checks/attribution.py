@@ -11,7 +11,7 @@ import numpy as np
 from pupper_analysis.checks.alignment import Alignment, aligned
 from pupper_analysis.checks.armature import armature_differences, armature_of
 from pupper_analysis.checks.behaviour import behaviour, mujoco_behaviour, still_acting
-from pupper_analysis.checks.changes import NOTHING, ORDER, changes_between
+from pupper_analysis.checks.changes import changes_between, patched_with
 from pupper_analysis.checks.conventions import Conventions, convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, Explanation, Judge
 from pupper_analysis.checks.passive.extra import Extra, as_it_is, without
@@ -97,11 +97,9 @@ def explain(
         extra.switch(bare, None)
         differences.append(_extra(extra, effects))
     differences += [_mimic(name, (mimics or {})[name]) for name in uncoupled]
-    patched = behaviour(robot, _patched(first, second), states)
+    patched = behaviour(robot, patched_with(first, second), states)
     left = {name: judge.relative(name, patched[name], stripped[name]) for name in patched}
-    differences.sort(
-        key=lambda d: (d.tier, -d.weight[0], -d.weight[1], ORDER.index(d.kind)),
-    )
+    differences.sort(key=lambda difference: difference.rank)
     return Explanation(
         differences=tuple(differences),
         deviations={name: judge.relative(name, urdf[name], mjcf[name]) for name in urdf},
@@ -127,17 +125,6 @@ def align(robot: Robot, tolerances: Tolerances) -> Alignment:
     # MuJoCo tells the axes of a body, which later joints turn.
     still = [j for j in joints if last[model.jnt_bodyid[j]] != j]
     return aligned(mjcf, urdf, tolerances, {model.joint(joint).name for joint in still})
-
-
-def _patched(first: Parameters, second: Parameters) -> Parameters:
-    """Returns the first with the second's value for every difference.
-
-    What is within the tolerance is taken over as well, so that only what was overlooked is left.
-    """
-    patched = first
-    for change in changes_between(first, second, NOTHING):
-        patched = change.apply(patched, second)
-    return patched
 
 
 def _extra(extra: Extra, effects: dict[str, Effect]) -> Difference:

@@ -13,13 +13,13 @@ from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.checks.differences import Difference, Effect
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.words import (
+    FORMATS,
+    Sides,
     in_degrees,
     mirrored,
     mm,
-    pair,
     quaternion_order,
     ratio,
-    triple,
     vector,
 )
 from pupper_analysis.models.parameters import Body, Joint, Parameters
@@ -45,60 +45,31 @@ class Change:
         )
 
 
-ORDER = (
-    "name",
-    "type",
-    "parent",
-    "base frame",
-    "zero",
-    "gravity",
-    "mass",
-    "com",
-    "inertia",
-    "position",
-    "rotation",
-    "axis",
-    "frame",
-    "damping",
-    "armature",
-    "lower limit",
-    "upper limit",
-    "effort",
-    "velocity",
-    "friction",
-    "mimic",
-    "spring",
-    "damping polynomial",
-    "gravity compensation",
-    "tendon",
-    "actuator",
-    "fluid",
-    "equality",
-    "flex",
-    "plugin",
-    "flag",
-)
-
 NOTHING = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
 
 
-def changes_between(one: Parameters, two: Parameters, tolerances: Tolerances) -> Iterable[Change]:
+def changes_between(
+    one: Parameters, two: Parameters, tolerances: Tolerances, sides: Sides = FORMATS
+) -> Iterable[Change]:
     """Yields the differences of two sets of parameters.
 
     Args:
-        one: Those of the URDF.
-        two: Those of the MJCF.
+        one: The first; of a URDF and an MJCF, the URDF's.
+        two: The second, with bodies, joints and frames of the same names.
         tolerances: What counts as a difference.
+        sides: What the two are called.
     """
     for name, body in one.bodies.items():
-        yield from _body_changes(name, body, two.bodies[name], tolerances)
+        yield from _body_changes(name, body, two.bodies[name], tolerances, sides)
     for name, joint in one.joints.items():
-        yield from _joint_changes(name, joint, two.joints[name], tolerances)
+        yield from _joint_changes(name, joint, two.joints[name], tolerances, sides)
     if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
-        message = (
-            f"gravity: {vector(one.gravity)} m/s^2, which Pinocchio gives a URDF, "
-            f"{vector(two.gravity)} m/s^2 in the MJCF"
-        )
+        message = f"gravity: {sides.triple(one.gravity, two.gravity, 'm/s^2')}"
+        if not sides.alike:
+            message = (
+                f"gravity: {vector(one.gravity)} m/s^2, which Pinocchio gives a URDF, "
+                f"{vector(two.gravity)} m/s^2 {sides.two}"
+            )
         yield Change(
             "gravity",
             "option",
@@ -109,10 +80,11 @@ def changes_between(one: Parameters, two: Parameters, tolerances: Tolerances) ->
             lambda first, second: replace(first, gravity=second.gravity),
             felt=True,
         )
-    if abs(two.base_damping - one.base_damping) > tolerances.damping * two.base_damping:
+    greater = max(one.base_damping, two.base_damping)
+    if abs(two.base_damping - one.base_damping) > tolerances.damping * greater:
         message = (
-            f"free joint of {one.base}: damping {one.base_damping:g} in the URDF, "
-            f"{two.base_damping:g} N s/m in the MJCF (a default class reaches it; use <freejoint/>)"
+            f"free joint of {one.base}: damping {one.base_damping:g} {sides.one}, "
+            f"{two.base_damping:g} N s/m {sides.two} (a default class reaches it; use <freejoint/>)"
         )
         yield Change(
             "damping",
@@ -128,19 +100,32 @@ def changes_between(one: Parameters, two: Parameters, tolerances: Tolerances) ->
         other_owner, other = two.frames[name]
         apart = float(np.linalg.norm(other - position))
         if owner != other_owner or apart > tolerances.position:
-            message = f"frame {name} is {mm(apart)} apart: {triple(position, other, 'm')}"
+            message = f"frame {name} is {mm(apart)} apart: {sides.triple(position, other, 'm')}"
             if owner != other_owner:
                 message = (
-                    f"frame {name} is on the body of {owner} in the URDF, "
-                    f"of {other_owner} in the MJCF"
+                    f"frame {name} is on the body of {owner} {sides.one}, "
+                    f"of {other_owner} {sides.two}"
                 )
             yield Change("frame", name, position, other, "m", message, _take_frame(name), felt=True)
 
 
-def _body_changes(name: str, one: Body, two: Body, tolerances: Tolerances) -> Iterable[Change]:
+def patched_with(first: Parameters, second: Parameters, sides: Sides = FORMATS) -> Parameters:
+    """Returns the first parameters with the second's value for every difference.
+
+    What is within the tolerance is taken over as well, so that only what was overlooked is left.
+    """
+    patched = first
+    for change in changes_between(first, second, NOTHING, sides):
+        patched = change.apply(patched, second)
+    return patched
+
+
+def _body_changes(
+    name: str, one: Body, two: Body, tolerances: Tolerances, sides: Sides
+) -> Iterable[Change]:
     greater = max(abs(one.mass), abs(two.mass))
     if abs(two.mass - one.mass) > tolerances.mass * greater:
-        message = f"body of {name}: mass {pair(one.mass, two.mass, 'kg')}"
+        message = f"body of {name}: mass {sides.pair(one.mass, two.mass, 'kg')}"
         message += ratio(one.mass, two.mass)
         yield Change(
             "mass", name, one.mass, two.mass, "kg", message, _take_body(name, "mass"), felt=True
@@ -148,7 +133,7 @@ def _body_changes(name: str, one: Body, two: Body, tolerances: Tolerances) -> It
     apart = float(np.linalg.norm(two.com - one.com))
     if apart > tolerances.com:
         message = (
-            f"body of {name}: com {mm(apart)} apart: {triple(one.com, two.com, 'm')}"
+            f"body of {name}: com {mm(apart)} apart: {sides.triple(one.com, two.com, 'm')}"
             f"{mirrored(one.com, two.com, tolerances.com)}"
         )
         yield Change(
@@ -160,7 +145,7 @@ def _body_changes(name: str, one: Body, two: Body, tolerances: Tolerances) -> It
         for label, place in INERTIA_ENTRIES.items():
             a, b = float(one.inertia[place]), float(two.inertia[place])
             if abs(b - a) > tolerances.inertia * size:
-                entries.append(f"{label} {pair(a, b, 'kg m^2')}{ratio(a, b)}")
+                entries.append(f"{label} {sides.pair(a, b, 'kg m^2')}{ratio(a, b)}")
         message = f"body of {name}: inertia about the com: {'; '.join(entries)}{_turned(one, two)}"
         yield Change(
             "inertia",
@@ -185,17 +170,19 @@ def _turned(one: Body, two: Body) -> str:
     return ""
 
 
-def _joint_changes(name: str, one: Joint, two: Joint, tolerances: Tolerances) -> Iterable[Change]:
-    yield from _kinds_of_joints(name, one, two)
-    yield from _placements(name, one, two, tolerances)
-    yield from _axes(name, one, two, tolerances)
-    yield from _joint_numbers(name, one, two, tolerances)
+def _joint_changes(
+    name: str, one: Joint, two: Joint, tolerances: Tolerances, sides: Sides
+) -> Iterable[Change]:
+    yield from _kinds_of_joints(name, one, two, sides)
+    yield from _placements(name, one, two, tolerances, sides)
+    yield from _axes(name, one, two, tolerances, sides)
+    yield from _joint_numbers(name, one, two, tolerances, sides)
 
 
-def _kinds_of_joints(name: str, one: Joint, two: Joint) -> Iterable[Change]:
+def _kinds_of_joints(name: str, one: Joint, two: Joint, sides: Sides) -> Iterable[Change]:
     """Yields another parent, and another type."""
     if one.parent != two.parent:
-        message = f"joint {name}: its parent is {one.parent} in the URDF, {two.parent} in the MJCF"
+        message = f"joint {name}: its parent is {one.parent} {sides.one}, {two.parent} {sides.two}"
         yield Change(
             "parent",
             name,
@@ -208,19 +195,21 @@ def _kinds_of_joints(name: str, one: Joint, two: Joint) -> Iterable[Change]:
         )
     if one.slides != two.slides:
         kinds = ["prismatic" if joint.slides else "revolute" for joint in (one, two)]
-        message = f"joint {name}: {kinds[0]} in the URDF, {kinds[1]} in the MJCF"
+        message = f"joint {name}: {kinds[0]} {sides.one}, {kinds[1]} {sides.two}"
         yield Change(
             "type", name, kinds[0], kinds[1], "", message, _take_joint(name, "slides"), felt=True
         )
 
 
-def _placements(name: str, one: Joint, two: Joint, tolerances: Tolerances) -> Iterable[Change]:
+def _placements(
+    name: str, one: Joint, two: Joint, tolerances: Tolerances, sides: Sides
+) -> Iterable[Change]:
     """Yields another position or orientation in the parent's frame."""
     apart = float(np.linalg.norm(two.position - one.position))
     if apart > tolerances.position:
         message = (
             f"joint {name}: {mm(apart)} apart, from its parent's frame: "
-            f"{triple(one.position, two.position, 'm')}"
+            f"{sides.triple(one.position, two.position, 'm')}"
             f"{mirrored(one.position, two.position, tolerances.position)}"
         )
         yield Change(
@@ -255,20 +244,24 @@ def _placements(name: str, one: Joint, two: Joint, tolerances: Tolerances) -> It
         )
 
 
-def _axes(name: str, one: Joint, two: Joint, tolerances: Tolerances) -> Iterable[Change]:
+def _axes(
+    name: str, one: Joint, two: Joint, tolerances: Tolerances, sides: Sides
+) -> Iterable[Change]:
     """Yields another axis."""
     between = math.acos(min(1.0, max(-1.0, float(one.axis @ two.axis))))
     if float(np.linalg.norm(np.cross(one.axis, two.axis))) > tolerances.axis or between > 1.0:
         reversed_axis = between > math.pi - tolerances.axis
         how = "reversed" if reversed_axis else f"turned by {math.degrees(between):.4g} deg"
-        message = f"joint {name}: axis {how}: {triple(one.axis, two.axis, '')}"
+        message = f"joint {name}: axis {how}: {sides.triple(one.axis, two.axis, '')}"
         yield Change(
             "axis", name, one.axis, two.axis, "1", message, _take_joint(name, "axis"), felt=True
         )
 
 
-def _joint_numbers(name: str, one: Joint, two: Joint, tolerances: Tolerances) -> Iterable[Change]:
-    """Yields other limits, damping and friction."""
+def _joint_numbers(
+    name: str, one: Joint, two: Joint, tolerances: Tolerances, sides: Sides
+) -> Iterable[Change]:
+    """Yields other limits, damping and friction; and armature, where both can state it."""
     for kind, field, unit, tolerance, relative in (
         ("lower limit", "lower", "rad", tolerances.limit, False),
         ("upper limit", "upper", "rad", tolerances.limit, False),
@@ -276,9 +269,12 @@ def _joint_numbers(name: str, one: Joint, two: Joint, tolerances: Tolerances) ->
         ("velocity", "velocity", "rad/s", tolerances.velocity, True),
         ("damping", "damping", "N m s/rad", tolerances.damping, True),
         ("friction", "friction", "N m", tolerances.friction, True),
+        ("armature", "armature", "kg m^2", tolerances.inertia, True),
     ):
         a, b = float(getattr(one, field)), float(getattr(two, field))
-        if field == "velocity" and not (math.isfinite(a) and math.isfinite(b)):
+        if field == "armature" and not sides.alike:
+            continue  # both have the MJCF's
+        if field == "velocity" and not sides.alike and not (math.isfinite(a) and math.isfinite(b)):
             continue  # an MJCF cannot state it
         if a == b or (
             math.isfinite(a)
@@ -286,15 +282,15 @@ def _joint_numbers(name: str, one: Joint, two: Joint, tolerances: Tolerances) ->
             and abs(b - a) <= tolerance * (max(abs(a), abs(b)) if relative else 1.0)
         ):
             continue
-        if field == "effort" and a == 0 and math.isinf(b):
+        if field == "effort" and a == 0 and math.isinf(b) and not sides.alike:
             continue  # neither states one
-        unit = unit.replace("N m", "N").replace("rad", "m") if one.slides else unit
-        message = f"joint {name}: {kind} {pair(a, b, unit)}{in_degrees(a, b)}"
-        if field == "effort" and a == 0:
+        if one.slides:
+            unit = unit.replace("N m", "N").replace("rad", "m").replace("kg m^2", "kg")
+        message = f"joint {name}: {kind} {sides.pair(a, b, unit)}{in_degrees(a, b)}"
+        if field == "effort" and a == 0 and not sides.alike:
             message += " (many exporters write 0 where nothing is known)"
-        yield Change(
-            kind, name, a, b, unit, message, _take_joint(name, field), felt=field == "damping"
-        )
+        felt = field in ("damping", "armature")
+        yield Change(kind, name, a, b, unit, message, _take_joint(name, field), felt=felt)
 
 
 def _take_body(name: str, field: str) -> Callable[[Parameters, Parameters], Parameters]:

@@ -28,7 +28,7 @@ from pupper_analysis.checks.alignment import (
 )
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.tolerances import Tolerances
-from pupper_analysis.checks.words import vector
+from pupper_analysis.checks.words import FORMATS, Sides, vector
 from pupper_analysis.models.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -54,6 +54,14 @@ class Conventions:
     base: pin.SE3 | None = None
     shown: bool = True
     zeros: Mapping[str, float] = field(default_factory=dict)
+
+    def done(self, values: Parameters) -> Parameters:
+        """Returns a robot, given in the URDF's conventions, in the MJCF's."""
+        if self.base is not None:
+            values = with_base(values, self.base)
+        for name, offset in self.zeros.items():
+            values = with_zero(values, name, offset)
+        return values
 
     def undone(self, values: Parameters) -> Parameters:
         """Returns a robot, given in the MJCF's conventions, in the URDF's."""
@@ -299,21 +307,22 @@ def _set_origin(element: etree._Element, pose: pin.SE3) -> None:
 
 
 def convention_changes(
-    found: Conventions, first: Parameters
+    found: Conventions, first: Parameters, sides: Sides = FORMATS
 ) -> Iterator[tuple[Difference, Parameters]]:
-    """Yields each convention as a difference, and the URDF's robot without that change.
+    """Yields each convention as a difference, and the first robot without that change.
 
     Args:
         found: The conventions; of a fixed base that shows it, where its frame is is no difference.
-        first: The URDF's robot, in the MJCF's conventions.
+        first: The first robot, in the second's conventions.
+        sides: What the two are called.
     """
     if found.base is not None and (first.floating or not found.shown):
         message = (
-            f"the base's frame is elsewhere: that of the URDF is {pose_in_words(found.base)}, in "
-            "that of the MJCF"
+            f"the base's frame is elsewhere: that of {sides.first} is {pose_in_words(found.base)}, "
+            f"in that of {sides.second}"
             + (", so that the base's qpos means another pose" if first.floating else "")
             + ("" if found.shown else ", or the zero of the one joint on it is")
-            + "; all else is compared in the MJCF's frame"
+            + f"; all else is compared in the frame of {sides.second}"
         )
         pose = np.array(found.base.homogeneous)
         difference = Difference("base frame", first.base, pose, np.eye(4), "m", message, {})
@@ -322,9 +331,9 @@ def convention_changes(
         unit = "m" if first.joints[name].slides else "rad"
         degrees = "" if unit == "m" else f" ({math.degrees(offset):.4g} deg)"
         message = (
-            f"joint {name}: its zero is elsewhere, and its limits with it: q of the URDF = q of "
-            f"the MJCF {'+' if offset > 0 else '-'} {abs(offset):.6g} {unit}{degrees}; else it is "
-            "the same joint"
+            f"joint {name}: its zero is elsewhere, and its limits with it: q of {sides.first} = q "
+            f"of {sides.second} {'+' if offset > 0 else '-'} {abs(offset):.6g} {unit}{degrees}; "
+            "else it is the same joint"
         )
         difference = Difference("zero", name, offset, 0.0, unit, message, {})
         yield difference, with_zero(first, name, -offset)

@@ -12,7 +12,45 @@ from numpy.typing import NDArray
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
-_STRUCTURE = ("name", "type", "parent", "base frame", "zero", "gravity")
+
+ORDER = (
+    "joint",
+    "name",
+    "type",
+    "parent",
+    "base frame",
+    "zero",
+    "gravity",
+    "mass",
+    "com",
+    "inertia",
+    "position",
+    "rotation",
+    "axis",
+    "frame",
+    "damping",
+    "armature",
+    "lower limit",
+    "upper limit",
+    "effort",
+    "velocity",
+    "friction",
+    "mimic",
+    "spring",
+    "damping polynomial",
+    "gravity compensation",
+    "tendon",
+    "actuator",
+    "motor",
+    "fluid",
+    "equality",
+    "flex",
+    "plugin",
+    "flag",
+)
+"""All kinds: those of equal effect are listed in this order."""
+
+_STRUCTURE = ("joint", "name", "type", "parent", "base frame", "zero", "gravity")
 _LIMITS = ("lower limit", "upper limit", "effort")
 _FELT = 1e-3  # least relative effect that goes before limits and efforts
 _SCREW = 0.01  # likewise of a body's mass
@@ -46,7 +84,8 @@ class Difference(Result):
             `conventions`), or ``armature`` (which a URDF cannot state: then it
             differs from that of the joints at the same place of other legs); ``mimic``, that the
             URDF alone has; ``name``, where names count; or what the MJCF alone has, the kinds of
-            `passive.extra.Extra`.
+            `passive.extra.Extra`. Of two versions of a file also ``joint``, that one of them lacks,
+            and ``motor``.
         element: The joint, the body (named by the joint that moves it, or the base) or the frame;
             of what the MJCF alone has, its name there, or ``#3``.
         urdf: The URDF's value, in the URDF's frames; None where it has none.
@@ -69,6 +108,12 @@ class Difference(Result):
     urdf_place: str | None = None
     mjcf_place: str | None = None
     made_of: tuple[str, ...] = ()
+
+    @property
+    def rank(self) -> tuple[float, ...]:
+        """What a user must mend first, first: by tier, then by effect, then by kind."""
+        main, every = self.weight
+        return self.tier, -main, -every, ORDER.index(self.kind)
 
     @property
     def weight(self) -> tuple[float, float]:
@@ -144,10 +189,15 @@ class Explanation(Result):
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Weighs deviations against the quantities of the URDF's model, and against the whole."""
+    """Weighs deviations against the quantities of the first model, and against the whole.
 
-    urdf: Mapping[str, Array]
-    mjcf: Mapping[str, Array]
+    Attributes:
+        one: The first model's; of a URDF and an MJCF, the URDF's.
+        two: The second's.
+    """
+
+    one: Mapping[str, Array]
+    two: Mapping[str, Array]
 
     def scale(self, name: str) -> float:
         """Returns the greatest absolute value of a quantity.
@@ -158,7 +208,7 @@ class Judge:
         least = 1e-300
         if name in ("gravity", "bias forces"):
             least = 1e-3 * 9.81 * self.scale("mass matrix")
-        return max(float(np.abs(self.urdf[name]).max()), least)
+        return max(float(np.abs(self.one[name]).max()), least)
 
     def relative(self, name: str, one: Array, two: Array) -> float:
         """Returns the worst deviation, relative to the scale; infinite if it is no number."""
@@ -172,7 +222,7 @@ class Judge:
         for name, values in after.items():
             relative = self.relative(name, values, before[name])
             if relative > 1e-12:  # rounding
-                total = self.relative(name, self.urdf[name], self.mjcf[name])
+                total = self.relative(name, self.one[name], self.two[name])
                 # Of what is rounding, nothing is a share.
                 share = relative / total if 1e-9 < total < math.inf else math.inf
                 found[name] = Effect(relative * self.scale(name), relative, share)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import mujoco
@@ -110,8 +111,16 @@ def bodies_of(robot: Robot) -> dict[str, str]:
     return bodies
 
 
-def mjcf_tree(spec: mujoco.MjSpec, source: Path) -> parameters.Parameters:
+def mjcf_tree(
+    spec: mujoco.MjSpec, source: Path, base: str = "", frames: Iterable[str] = ()
+) -> parameters.Parameters:
     """Returns the parameters of an MJCF's joints and bodies, in the frame of its base.
+
+    Args:
+        spec: The MJCF; all its joints but a free one are named hinges or slides.
+        source: Where it came from, for messages.
+        base: What its base is called.
+        frames: Bodies and sites whose places count.
 
     Raises:
         ModelError: If MuJoCo cannot compile it.
@@ -123,13 +132,13 @@ def mjcf_tree(spec: mujoco.MjSpec, source: Path) -> parameters.Parameters:
         raise ModelError(source, f"MuJoCo cannot compile it: {message}") from error
     model = pinocchio_from_mujoco(compiled)
     names = [joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
-    tree = parameters.from_pinocchio(model, "", names, {})
+    tree = parameters.from_pinocchio(model, base, names, {name: name for name in frames})
     if tree.floating or not names:
         return tree
-    base = int(compiled.jnt_bodyid[compiled.joint(names[0]).id])
-    while compiled.body_weldid[base] != 0:
-        base = int(compiled.body_parentid[base])
+    body = int(compiled.jnt_bodyid[compiled.joint(names[0]).id])
+    while compiled.body_weldid[body] != 0:
+        body = int(compiled.body_parentid[body])
     data = mujoco.MjData(compiled)
     mujoco.mj_kinematics(compiled, data)
-    pose = pin.SE3(data.xmat[base].reshape(3, 3).copy(), np.array(data.xpos[base]))
+    pose = pin.SE3(data.xmat[body].reshape(3, 3).copy(), np.array(data.xpos[body]))
     return with_base(tree, pose.inverse())

@@ -64,8 +64,11 @@ def guess(
     by quarters in one of the files; if two turns match as many joints, each its own way, nothing is
     guessed.
     """
-    one = urdf_tree(root, urdf)
-    two = mjcf_tree(spec, mjcf)
+    return guess_of_trees(urdf_tree(root, urdf), mjcf_tree(spec, mjcf), pairs)
+
+
+def guess_of_trees(one: Parameters, two: Parameters, pairs: Mapping[str, str]) -> Guess:
+    """Matches the joints of two trees, likewise; ``pairs`` are those that have a partner."""
     free = len([name for name in one.joints if name not in pairs])
     rest = len([name for name in two.joints if name not in pairs.values()])
     if not free or not rest:

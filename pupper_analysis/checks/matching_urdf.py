@@ -116,8 +116,16 @@ def links_of(root: etree._Element, robot: Robot) -> dict[str, str]:
     return links
 
 
-def urdf_tree(root: etree._Element, source: Path) -> parameters.Parameters:
-    """Returns the parameters of a URDF's joints and bodies.
+def urdf_tree(
+    root: etree._Element, source: Path, base: str = "", frames: Iterable[str] = ()
+) -> parameters.Parameters:
+    """Returns the parameters of a URDF's joints and bodies, with a free base.
+
+    Args:
+        root: Its XML; all its joints are fixed, hinges or slides.
+        source: Where it came from, for messages.
+        base: What its base is called.
+        frames: Links whose places count.
 
     Raises:
         ModelError: If Pinocchio cannot read it.
@@ -127,4 +135,5 @@ def urdf_tree(root: etree._Element, source: Path) -> parameters.Parameters:
         model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, f"not a valid URDF: {' '.join(str(error).split())}") from error
-    return parameters.from_pinocchio(model, "", list(model.names)[2:], {})
+    names = list(model.names)[2:]
+    return parameters.from_pinocchio(model, base, names, {name: name for name in frames})

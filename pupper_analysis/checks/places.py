@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import mujoco
+from lxml import etree
+
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.matching import Match
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -9,7 +12,7 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import parse_text
 
-_URDF_CHILD = {
+URDF_CHILD = {
     "mass": "inertial/mass",
     "com": "inertial/origin",
     "inertia": "inertial/inertia",
@@ -27,7 +30,7 @@ _URDF_CHILD = {
     "mimic": "mimic",
 }
 
-_MJCF_SECTION = {
+MJCF_SECTION = {
     "tendon": "tendon",
     "actuator": "actuator",
     "equality": "equality",
@@ -35,11 +38,11 @@ _MJCF_SECTION = {
 }
 """Sections of an MJCF whose elements a URDF has none of."""
 
-_WHOLE = {"fluid": ("density", "viscosity"), "gravity": ("gravity",), "flag": (), "plugin": ()}
+WHOLE = {"fluid": ("density", "viscosity"), "gravity": ("gravity",), "flag": (), "plugin": ()}
 """Kinds that concern the whole of a URDF, and the options of the MJCF that state them."""
 
 
-_MJCF_ATTRIBUTES = {
+MJCF_ATTRIBUTES = {
     "lower limit": ("range",),
     "upper limit": ("range",),
     "damping": ("damping",),
@@ -57,8 +60,11 @@ def urdf_members(matched: Match, mover: str) -> list[tuple[str, float]]:
 
     The link that the joint moves comes first, though it may have none.
     """
-    root = parse_text(matched.robot.description.urdf)
-    top = matched.urdf_link[mover]
+    return links_moving_with(parse_text(matched.robot.description.urdf), matched.urdf_link[mover])
+
+
+def links_moving_with(root: etree._Element, top: str) -> list[tuple[str, float]]:
+    """Returns (link, kg) of a URDF's link, and of those with mass on fixed joints below it."""
     masses = {
         str(link.get("name")): float(link.find("inertial/mass").get("value"))
         for link in root.findall("link")
@@ -81,16 +87,20 @@ def mjcf_members(matched: Match, mover: str) -> list[tuple[str, float]]:
 
     The body that the joint moves comes first, though it may have none.
     """
-    model = matched.robot.mj_model
-    top = model.body(matched.mjcf_body[mover]).id
+    return bodies_moving_with(matched.robot.mj_model, matched.mjcf_body[mover])
+
+
+def bodies_moving_with(model: mujoco.MjModel, body: str) -> list[tuple[str, float]]:
+    """Returns (body, kg) of an MJCF's body, and of those with mass that are welded to it."""
+    top = model.body(body).id
     group = [
-        body
-        for body in range(1, model.nbody)
-        if model.body_weldid[body] == model.body_weldid[top]
-        and (model.body_mass[body] > 0 or body == top)
+        each
+        for each in range(1, model.nbody)
+        if model.body_weldid[each] == model.body_weldid[top]
+        and (model.body_mass[each] > 0 or each == top)
     ]
-    group.sort(key=lambda body: body != top)
-    return [(str(model.body(body).name), float(model.body_mass[body])) for body in group]
+    group.sort(key=lambda each: each != top)
+    return [(str(model.body(each).name), float(model.body_mass[each])) for each in group]
 
 
 def shares(
@@ -104,7 +114,7 @@ def shares(
         (
             "URDF",
             urdf_members(matched, difference.element),
-            lambda name: urdf.place("link", name, _URDF_CHILD[difference.kind]),
+            lambda name: urdf.place("link", name, URDF_CHILD[difference.kind]),
         ),
         ("MJCF", mjcf_members(matched, difference.element), mjcf.weighing),
     ):
@@ -134,12 +144,12 @@ def path_of(place: Place) -> str:
 
 def urdf_place(difference: Difference, matched: Match, file: UrdfFile) -> Place:
     """Returns where a difference stands in the URDF."""
-    child = _URDF_CHILD.get(difference.kind)
+    child = URDF_CHILD.get(difference.kind)
     movers = {body: mover for mover, body in matched.mjcf_body.items()}
     if difference.kind == "gravity compensation":
         mover = movers.get(difference.element)
         return Place(file.path) if mover is None else file.place("link", matched.urdf_link[mover])
-    if difference.kind in _MJCF_SECTION or difference.kind in _WHOLE:
+    if difference.kind in MJCF_SECTION or difference.kind in WHOLE:
         return Place(file.path)
     if difference.kind in ("mass", "com", "inertia"):
         heaviest = max(urdf_members(matched, difference.element), key=lambda member: member[1])[0]
@@ -165,14 +175,14 @@ def urdf_place(difference: Difference, matched: Match, file: UrdfFile) -> Place:
 def mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> Place:
     """Returns where a difference stands in the MJCF."""
     element, kind = difference.element, difference.kind
-    if kind in _MJCF_SECTION:
+    if kind in MJCF_SECTION:
         if not element.startswith("#"):
-            return file.place(_MJCF_SECTION[kind], element)
+            return file.place(MJCF_SECTION[kind], element)
         if matched.only_mjcf:  # the numbers are those of what was left
             return Place(file.path)
-        return file.numbered(_MJCF_SECTION[kind], int(element[1:]))
-    if kind in _WHOLE:
-        words = {"flag": (element,)}.get(kind, _WHOLE[kind])
+        return file.numbered(MJCF_SECTION[kind], int(element[1:]))
+    if kind in WHOLE:
+        words = {"flag": (element,)}.get(kind, WHOLE[kind])
         tag = "flag" if kind == "flag" or not words else "option"
         stated = (at for found, at in file.elements(tag) if set(words) & set(found))
         return next(stated, Place(file.path))
@@ -195,7 +205,7 @@ def mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> Place:
         name = matched.robot.description.frames[element][1]
         tries = [("site", name, None), ("body", name, None), ("geom", name, None)]
     for tag, name, below in tries:
-        place = None if below else file.stated(tag, name, _MJCF_ATTRIBUTES.get(kind, ()))
+        place = None if below else file.stated(tag, name, MJCF_ATTRIBUTES.get(kind, ()))
         if place is not None:
             return place
     places = [file.place(*one) for one in tries]

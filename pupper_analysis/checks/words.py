@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -11,18 +12,48 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def pair(urdf: float, mjcf: float, unit: str) -> str:
-    """Gives the URDF's number and the MJCF's."""
-    one, two = (
-        f"{value:.6g} {unit}" if math.isfinite(value) else "unlimited" for value in (urdf, mjcf)
-    )
-    return f"{one} in the URDF, {two} in the MJCF"
+@dataclass(frozen=True)
+class Sides:
+    """What two models are called that are compared.
+
+    Attributes:
+        first: The first.
+        second: The second.
+        alike: Whether both are of one format, so that what one states the other could state, too.
+    """
+
+    first: str
+    second: str
+    alike: bool
+
+    @property
+    def one(self) -> str:
+        """Where the first's numbers stand."""
+        return f"in {self.first}"
+
+    @property
+    def two(self) -> str:
+        """Where the second's stand."""
+        return f"in {self.second}"
+
+    def pair(self, one: float, two: float, unit: str) -> str:
+        """Gives the first's number and the second's."""
+        first, second = (
+            f"{value:.6g} {unit}" if math.isfinite(value) else "unlimited" for value in (one, two)
+        )
+        return f"{first} {self.one}, {second} {self.two}"
+
+    def triple(self, one: Array, two: Array, unit: str) -> str:
+        """Gives the first's vector and the second's."""
+        text = f"{vector(one)} {unit} {self.one}, {vector(two)} {unit} {self.two}"
+        return text.replace("  ", " ")
 
 
-def triple(urdf: Array, mjcf: Array, unit: str) -> str:
-    """Gives the URDF's vector and the MJCF's."""
-    text = f"{vector(urdf)} {unit} in the URDF, {vector(mjcf)} {unit} in the MJCF"
-    return text.replace("  ", " ")
+FORMATS = Sides("the URDF", "the MJCF", alike=False)
+"""A URDF and an MJCF."""
+
+VERSIONS = Sides("the old file", "the new file", alike=True)
+"""Two files of one format."""
 
 
 def vector(values: Array) -> str:

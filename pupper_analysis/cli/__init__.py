@@ -9,6 +9,7 @@ import traceback
 import click
 
 from pupper_analysis.cli.convert import convert_command
+from pupper_analysis.cli.guard import check_command, diff_command
 from pupper_analysis.cli.models import audit_command, crosscheck
 from pupper_analysis.cli.motions import path, push
 from pupper_analysis.cli.process import Ended, endings, go_on, patient_output
@@ -129,9 +130,11 @@ for _command in (
     path,
     push,
     crosscheck,
+    diff_command,
     sync_command,
     convert_command,
     audit_command,
+    check_command,
     view,
     drop,
 ):

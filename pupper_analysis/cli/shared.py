@@ -28,10 +28,10 @@ figure_option = click.option("--figure", type=click.Path(path_type=Path), help="
 format_option = click.option(
     "--format",
     "style",
-    type=click.Choice(["text", "github", "junit"]),
+    type=click.Choice(["text", "github", "junit", "sarif"]),
     default="text",
     show_default=True,
-    help="For people, as GitHub annotations, or as JUnit XML.",
+    help="For people, as GitHub annotations, as JUnit XML, or as SARIF for code scanning.",
 )
 
 

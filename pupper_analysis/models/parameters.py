@@ -8,7 +8,7 @@ one set to those of another.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -212,7 +212,54 @@ def _parents_first(parameters: Parameters) -> list[str]:
 
 
 def _append(model: pin.Model, joint: int, body: Body) -> None:
+    model.appendBodyToJoint(joint, _inertia(body), pin.SE3.Identity())
+
+
+def _inertia(body: Body) -> pin.Inertia:
     inertia = pin.Inertia.Zero()
     # One by one: the constructor refuses what no body has, which a file may state all the same.
     inertia.mass, inertia.lever, inertia.inertia = body.mass, body.com, body.inertia
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    return inertia
+
+
+def renamed(values: Parameters, names: Mapping[str, str]) -> Parameters:
+    """Returns the same robot with other names of joints, {name: new name}; others stay."""
+
+    def new(name: str) -> str:
+        return names.get(name, name)
+
+    return replace(
+        values,
+        bodies={new(name): body for name, body in values.bodies.items()},
+        joints={
+            new(name): replace(joint, parent=new(joint.parent))
+            for name, joint in values.joints.items()
+        },
+        frames={name: (new(owner), place) for name, (owner, place) in values.frames.items()},
+    )
+
+
+def with_fixed(values: Parameters, name: str) -> Parameters:
+    """Returns the robot with a joint that is fixed at zero: its body is its parent's."""
+    joint = values.joints[name]
+    pose = pin.SE3(joint.rotation, joint.position)
+    joints = {}
+    for other, child in values.joints.items():
+        if child.parent == name:
+            place = pose * pin.SE3(child.rotation, child.position)
+            child = replace(
+                child,
+                parent=joint.parent,
+                position=np.array(place.translation),
+                rotation=np.array(place.rotation),
+            )
+        if other != name:
+            joints[other] = child
+    bodies = {other: body for other, body in values.bodies.items() if other != name}
+    carried = pose.act(_inertia(values.bodies[name]))
+    bodies[joint.parent] = _body(_inertia(values.bodies[joint.parent]) + carried)
+    frames = {
+        frame: (joint.parent, np.array(pose.act(place))) if owner == name else (owner, place)
+        for frame, (owner, place) in values.frames.items()
+    }
+    return replace(values, joints=joints, bodies=bodies, frames=frames)

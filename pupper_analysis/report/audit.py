@@ -8,8 +8,9 @@ from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
 from pupper_analysis.report.console import escape
 from pupper_analysis.report.formats import Annotation, Case
 
-_STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
-_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "notice"}
+STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
+LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "notice"}
+"""Of annotations."""
 
 
 def print_rules(out: Console) -> None:
@@ -30,7 +31,7 @@ def print_audit(out: Console, audit: Audit) -> None:
     for finding in audit.findings:
         groups.setdefault((finding.rule, finding.message), []).append(finding)
     for finding, *others in groups.values():
-        style = _STYLES[finding.severity]
+        style = STYLES[finding.severity]
         out.print(
             f"[{style}]{finding.severity}[/] {escape(_place(finding))} [dim]{finding.rule}[/]",
             soft_wrap=True,
@@ -60,10 +61,12 @@ def remarks(audit: Audit) -> list[Annotation]:
     """Returns the findings as annotations."""
     return [
         Annotation(
-            _LEVELS[finding.severity],
-            finding.rule,
+            LEVELS[finding.severity],
+            f"{finding.rule}: {finding.element}",
             f"{finding.element}: {finding.message} {finding.todo}",
             _place(finding),
+            rule=f"audit/{finding.rule}",
+            about=RULES[finding.rule].title,
         )
         for finding in audit.findings
     ]

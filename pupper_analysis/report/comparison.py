@@ -186,14 +186,15 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
 
 def remarks(comparison: Comparison) -> list[Annotation]:
     """Returns a remark per difference, at its place in the URDF, and one per joint left over."""
-    found = [Annotation("error", "part", part, comparison.urdf) for part in comparison.parts]
+    urdf = comparison.urdf
+    found = [_remark("part", "part", part, urdf) for part in comparison.parts]
     for cause in comparison.causes:
         place = comparison.differences[cause.differences[0]]
         text = f"{cause.message} [{place.mjcf_place}]"
-        found.append(Annotation("error", "cause", text, place.urdf_place))
+        found.append(_remark("cause", "cause", text, place.urdf_place))
     found += [
-        Annotation(
-            "error",
+        _remark(
+            difference.kind,
             f"{difference.kind} of {difference.element}",
             f"{difference.message} [{difference.mjcf_place}]",
             difference.urdf_place,
@@ -201,22 +202,38 @@ def remarks(comparison: Comparison) -> list[Annotation]:
         for difference in comparison.differences
     ]
     for joints, file, other in (
-        (comparison.only_urdf, comparison.urdf, comparison.mjcf),
-        (comparison.only_mjcf, comparison.mjcf, comparison.urdf),
+        (comparison.only_urdf, urdf, comparison.mjcf),
+        (comparison.only_mjcf, comparison.mjcf, urdf),
     ):
         found += [
-            Annotation("error", f"joint {name}", f"joint {name} is not in {other}", file)
+            _remark("joint", f"joint {name}", f"joint {name} is not in {other}", file)
             for name in joints
         ]
     found += [
-        Annotation("error", "agreement", objection, comparison.mjcf)
+        _remark("agreement", "agreement", objection, comparison.mjcf)
         for objection in comparison.objections
     ]
     if comparison.guessed:
         pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
         message = f"matched by structure, not by name: {pairs}"
-        found.append(Annotation("warning", "guessed joints", message, comparison.urdf))
+        found.append(_remark("guess", "guessed joints", message, urdf, level="warning"))
     return found
+
+
+_ABOUT = {
+    "part": "one file has a part that the other lacks",
+    "cause": "one slip makes several differences",
+    "joint": "one file has a joint that the other lacks",
+    "agreement": "the files do not agree, apart from single differences",
+    "guess": "joints were matched by structure, not by name",
+}
+
+
+def _remark(
+    kind: str, title: str, message: str, place: str | None, *, level: str = "error"
+) -> Annotation:
+    about = _ABOUT.get(kind, f"{kind}: the URDF and the MJCF differ")
+    return Annotation(level, title, message, place, rule=f"crosscheck/{kind}", about=about)
 
 
 def cases(comparison: Comparison) -> list[Case]:

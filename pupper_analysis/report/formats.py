@@ -1,12 +1,14 @@
-"""Findings for machines: GitHub's annotations and JUnit's XML."""
+"""Findings for machines: GitHub's annotations, JUnit's XML, and SARIF."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from xml.etree import ElementTree
+
+from pupper_analysis.report.sarif import Result, Rule, from_root, sarif
 
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode's categories of what is not seen but acts: controls, directions, ends of lines."""
@@ -36,12 +38,62 @@ class Annotation:
         title: A few words.
         message: One sentence.
         place: ``file:line``, ``file``, or None.
+        rule: What kind of thing it is about, the same for all such; the title, if empty.
+        about: The rule in a few words.
+        known: Whether a baseline has it; None where there is no baseline.
     """
 
     level: str
     title: str
     message: str
     place: str | None = None
+    rule: str = ""
+    about: str = ""
+    known: bool | None = None
+
+    @property
+    def file_and_line(self) -> tuple[str, int | None]:
+        """The file ("" if there is none), and the line in it."""
+        file, _, line = (self.place or "").rpartition(":")
+        return (file, int(line)) if file and line.isdecimal() else (self.place or "", None)
+
+
+SHOWN = 10
+"""Annotations of one level that GitHub shows of a step; more are dropped without a word.
+
+Source: GitHub documentation, "Limitations" of annotations of workflow commands.
+"""
+
+
+def grouped(annotations: Iterable[Annotation], most: int = SHOWN) -> list[Annotation]:
+    """Puts annotations together until no level has more than GitHub shows.
+
+    Those of one rule, in one file, become one, at the place of the first; if there are still too
+    many, the last one names the rest.
+    """
+    result: list[Annotation] = []
+    found = list(annotations)
+    for level in dict.fromkeys(annotation.level for annotation in found):
+        here = [annotation for annotation in found if annotation.level == level]
+        if len(here) > most:
+            groups: dict[tuple[str, str], list[Annotation]] = {}
+            for one in here:
+                groups.setdefault((one.rule or one.title, one.file_and_line[0]), []).append(one)
+            here = [_together(group, "of this kind in the file") for group in groups.values()]
+        if len(here) > most:
+            here = [*here[: most - 1], _together(here[most - 1 :], "of other kinds")]
+        result += here
+    return result
+
+
+def _together(group: Sequence[Annotation], how: str) -> Annotation:
+    first, *others = group
+    if not others:
+        return first
+    named = ", ".join(
+        other.title if other.place is None else f"{other.title} ({other.place})" for other in others
+    )
+    return replace(first, message=f"{first.message}; and {len(others)} more {how}: {named}")
 
 
 def github(annotations: Iterable[Annotation]) -> str:
@@ -50,14 +102,10 @@ def github(annotations: Iterable[Annotation]) -> str:
     Source: GitHub documentation, "Workflow commands for GitHub Actions".
     """
     lines = []
-    for annotation in annotations:
-        parameters = []
-        if annotation.place:
-            file, _, line = annotation.place.rpartition(":")
-            if file and line.isdigit():
-                parameters = [f"file={_property(file)}", f"line={line}"]
-            else:
-                parameters = [f"file={_property(annotation.place)}"]
+    for annotation in grouped(annotations):
+        file, line = annotation.file_and_line
+        parameters = [f"file={_property(from_root(file))}"] if file else []
+        parameters += [f"line={line}"] if line is not None else []
         parameters.append(f"title={_property(annotation.title)}")
         lines.append(f"::{annotation.level} {','.join(parameters)}::{_data(annotation.message)}")
     return "\n".join(lines)
@@ -109,9 +157,32 @@ def junit(suite: str, cases: Iterable[Case]) -> str:
 def for_machines(
     style: str, suite: str, annotations: Iterable[Annotation], cases: Iterable[Case]
 ) -> str:
-    """Returns what is said to machines: annotations (``github``) or a report (``junit``)."""
+    """Returns what is said to machines.
+
+    Args:
+        style: ``github`` (annotations), ``sarif`` (a log for code scanning), ``junit`` (a report).
+        suite: The name of the report's suite.
+        annotations: What is said in the first two.
+        cases: What is said in the report.
+    """
     if style == "github":
         return github(annotations)
+    if style == "sarif":
+        return sarif(_result(annotation) for annotation in annotations)
     report = "\n".join(visible(line) for line in junit(suite, cases).split("\n"))
     # A name's own line must not become a workflow command of GitHub's ("::error::", "##[error]").
     return re.sub(r"(?m)^(\s*)([:#])(?=[:#])", lambda at: f"{at[1]}&#{ord(at[2])};", report)
+
+
+def _result(annotation: Annotation) -> Result:
+    file, line = annotation.file_and_line
+    rule = Rule(annotation.rule or annotation.title, annotation.about)
+    return Result(
+        rule,
+        annotation.level,
+        annotation.message,
+        annotation.title,
+        file,
+        line,
+        annotation.known,
+    )

@@ -1,0 +1,1 @@
+"""Compares two versions of a model: what has changed in the robot, and what that does."""

@@ -1,0 +1,318 @@
+"""What has changed between two versions of a model, and what it does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pupper_analysis.arguments import checked
+from pupper_analysis.checks.alignment import aligned
+from pupper_analysis.checks.attribution import EXPLAINED
+from pupper_analysis.checks.changes import changes_between, patched_with
+from pupper_analysis.checks.conventions import convention_changes, conventions
+from pupper_analysis.checks.differences import Difference, Effect, Judge
+from pupper_analysis.checks.matching_structure import guess_of_trees
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.checks.versions.behaviour import Trial
+from pupper_analysis.checks.versions.places import place_in
+from pupper_analysis.checks.versions.revision import Source, opened
+from pupper_analysis.checks.versions.version import Version, version_of
+from pupper_analysis.checks.words import VERSIONS
+from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.parameters import Parameters, renamed, with_fixed
+from pupper_analysis.results import Result
+
+
+@dataclass(frozen=True, eq=False)
+class ModelChange(Result):
+    """One number, vector or element that has changed.
+
+    Attributes:
+        kind: As of a `Difference` between a URDF and an MJCF; also ``joint``, which one version
+            lacks, ``name`` of a joint that is called otherwise, and ``motor``.
+        element: The joint, the body (named by the joint that moves it, or the base), the frame or
+            the motor, by its old name.
+        old: The old value; None if it was not there.
+        new: The new value, in the old link frames; None if it is not there any more.
+        unit: Of both.
+        message: The change in plain words.
+        effects: {quantity: what it does alone}; empty for what is not in a tree of joints.
+        old_place: File and line, where known.
+        new_place: File and line, where known.
+    """
+
+    kind: str
+    element: str
+    old: Any
+    new: Any
+    unit: str
+    message: str
+    effects: dict[str, Effect]
+    old_place: str
+    new_place: str
+
+
+@dataclass(frozen=True, eq=False)
+class ModelDiff(Result):
+    """What has changed between two versions of a model.
+
+    Attributes:
+        old: The old file.
+        new: The new file.
+        same: Whether nothing has changed, within the tolerances.
+        changes: What has, the greatest effect first.
+        mass: The old and the new total mass (kg).
+        torques: {joint: (old, new) greatest torque against gravity (N m; of slides N)} with the
+            base level and held, at random positions; of all joints that both have.
+        deviations: {quantity: relative deviation between the two}.
+        left: {quantity: relative deviation that no change explains}.
+        complete: Whether nothing is left.
+        notes: What was assumed or left out, in plain words.
+    """
+
+    old: str
+    new: str
+    same: bool
+    changes: tuple[ModelChange, ...]
+    mass: tuple[float, float]
+    torques: dict[str, tuple[float, float]]
+    deviations: dict[str, float]
+    left: dict[str, float]
+    complete: bool
+    notes: tuple[str, ...]
+
+
+@checked
+def diff_models(
+    old: str | Path,
+    new: str | Path,
+    *,
+    names: Mapping[str, str] | None = None,
+    packages: Mapping[str, Path] | None = None,
+    tolerances: Tolerances | None = None,
+) -> ModelDiff:
+    """Compares two URDFs or two MJCFs: two versions of one file, or two files.
+
+    What is a matter of choice (link frames, where a hinge's origin is on its axis) is no change.
+    Of shapes, only what they weigh counts; visuals, contacts, keyframes and sensors do not.
+
+    Args:
+        old: The old file, or ``REVISION:PATH`` for one that git has.
+        new: The new one, likewise.
+        names: {old name: new name} of joints that were renamed; others are matched by name, and the
+            rest by structure.
+        packages: {ROS package: its folder}, for ``package://`` paths.
+        tolerances: What counts as a change; by default rounding errors alone do not.
+
+    Raises:
+        ModelError: If a file cannot be read, git does not have it, or only one is a URDF.
+        UnknownNameError: If a name is not in its file.
+    """
+    tolerances = tolerances or Tolerances.strict()
+    with opened(old) as before, opened(new) as after:
+        one, two = (
+            version_of(source.read(lambda path: read_model(path, packages)))
+            for source in (before, after)
+        )
+        if type(one.file) is not type(two.file):
+            problem = f"it is of another format than {before.name}; crosscheck compares these"
+            raise ModelError(after.name, problem)
+        return _Comparison(one, two, (before, after), dict(names or {}), tolerances).result()
+
+
+class _Comparison:
+    """Two versions, with the same joints."""
+
+    def __init__(
+        self,
+        one: Version,
+        two: Version,
+        sources: tuple[Source, Source],
+        names: Mapping[str, str],
+        tolerances: Tolerances,
+    ) -> None:
+        self.one, self.two, self.sources, self.tolerances = one, two, sources, tolerances
+        self.differences: list[Difference] = []
+        # The new version by the old names.
+        second = renamed(two.tree, {two.tree.base: one.tree.base})
+        second = replace(second, base=one.tree.base)
+        self.pairs = self._pairs(one.tree, second, names)
+        self.new_name = {**self.pairs, one.tree.base: two.tree.base}
+        self.old_name = {new: old for old, new in self.new_name.items()}
+        self.first, self.second = self._alike(one.tree, second)
+
+    def _pairs(self, one: Parameters, two: Parameters, names: Mapping[str, str]) -> dict[str, str]:
+        """Returns {old name: new name} of the joints that both have."""
+        for old, new in names.items():
+            for name, tree, source in ((old, one, 0), (new, two, 1)):
+                if name not in tree.joints:
+                    file = self.sources[source].name
+                    raise UnknownNameError(file, "joint (of a mapping)", name, tree.joints)
+        pairs = dict(names)
+        free = [n for n in one.joints if n in two.joints and n not in (*names, *names.values())]
+        pairs |= {name: name for name in free}
+        return pairs | dict(guess_of_trees(one, two, pairs).pairs)
+
+    def _alike(self, one: Parameters, two: Parameters) -> tuple[Parameters, Parameters]:
+        """Fixes the joints that one version lacks, and gives the new one the old names."""
+        if one.joints and two.joints and not self.pairs:
+            raise ModelError(
+                self.sources[1].name, f"no joint of it is one of {self.sources[0].name}"
+            )
+        gone = [name for name in one.joints if name not in self.pairs]
+        come = [name for name in two.joints if name not in self.pairs.values()]
+        for joints, where in ((gone, VERSIONS.first), (come, VERSIONS.second)):
+            for name in joints:
+                old, new = ("there", None) if joints is gone else (None, "there")
+                message = f"joint {name}: it is in {where} alone; all else is compared with it at 0"
+                self.differences.append(Difference("joint", name, old, new, "", message, {}))
+        for old, new in self.pairs.items():
+            if old != new:
+                message = f"joint {old}: it is called {new} {VERSIONS.two}"
+                self.differences.append(Difference("name", old, old, new, "", message, {}))
+        for name in reversed(gone):
+            one = with_fixed(one, name)
+        for name in reversed(come):
+            two = with_fixed(two, name)
+        two = renamed(two, {new: old for old, new in self.pairs.items()})
+        two = replace(two, joints={name: two.joints[name] for name in _parents_first(two)})
+        if one.floating != two.floating:
+            before, after = ("free" if tree.floating else "fixed" for tree in (one, two))
+            message = f"base {one.base}: {before} {VERSIONS.one}, {after} {VERSIONS.two}"
+            self.differences.append(Difference("type", one.base, before, after, "", message, {}))
+            one, two = replace(one, floating=True), replace(two, floating=True)
+        common = [frame for frame in one.frames if frame in two.frames]
+        one, two = (
+            replace(tree, frames={frame: tree.frames[frame] for frame in common})
+            for tree in (one, two)
+        )
+        return one, two
+
+    def result(self) -> ModelDiff:
+        """Compares the trees, and what is not in them."""
+        first, second, tolerances = self.first, self.second, self.tolerances
+        # The comparison is fair in one convention; that it was another one is a change.
+        meant = conventions(first, second, tolerances, fixed=not first.floating)
+        first = meant.done(first)
+        second = aligned(second, first, tolerances).values
+        trial = Trial(first)
+        before, after = trial.behaviour(first), trial.behaviour(second)
+        judge = Judge(before, after)
+        for convention, undone in convention_changes(meant, first, VERSIONS):
+            effects = judge.effects(before, trial.behaviour(undone))
+            self.differences.append(replace(convention, effects=effects))
+        for change in changes_between(first, second, tolerances, VERSIONS):
+            effects = {}
+            if change.felt:
+                effects = judge.effects(before, trial.behaviour(change.apply(first, second)))
+            self.differences.append(change.difference(effects))
+        self.differences += self._others()
+        patched = trial.behaviour(patched_with(first, second, VERSIONS))
+        left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
+        holding = trial.holding_torques(first), trial.holding_torques(second)
+        self.differences.sort(key=lambda difference: difference.rank)
+        return ModelDiff(
+            old=self.sources[0].name,
+            new=self.sources[1].name,
+            same=not self.differences,
+            changes=tuple(map(self._change, self.differences)),
+            mass=(_mass(first), _mass(second)),
+            torques={name: (holding[0][name], holding[1][name]) for name in first.joints},
+            deviations={name: judge.relative(name, before[name], after[name]) for name in before},
+            left=left,
+            complete=all(value <= EXPLAINED for value in left.values()),
+            notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes, *_undefined(trial)))),
+        )
+
+    def _others(self) -> Iterator[Difference]:
+        """Yields changes of what is not in a tree: motors, springs, tendons, mimics ..."""
+        here = self.one.others
+        there = {
+            (kind, self.old_name.get(element, element)): _with_names(value, self.old_name)
+            for (kind, element), value in self.two.others.items()
+        }
+        for key in dict.fromkeys((*here, *there)):
+            kind, element = key
+            old, new = here.get(key), there.get(key)
+            if _values(old) != _values(new):
+                said = f"{_said(old, new)} {VERSIONS.one}, {_said(new, old)} {VERSIONS.two}"
+                yield Difference(kind, element, old, new, "", f"{kind} {element}: {said}", {})
+
+    def _change(self, difference: Difference) -> ModelChange:
+        """Returns a difference as a change, with where it stands in both files."""
+        kind, element = difference.kind, difference.element
+        places = [
+            source.label(place_in(version, kind, name))
+            for source, version, name in (
+                (self.sources[0], self.one, element),
+                (self.sources[1], self.two, self.new_name.get(element, element)),
+            )
+        ]
+        return ModelChange(
+            kind,
+            element,
+            difference.urdf,
+            difference.mjcf,
+            difference.unit,
+            difference.message,
+            difference.effects,
+            *places,
+        )
+
+
+def _undefined(trial: Trial) -> Iterator[str]:
+    """Says what was not compared."""
+    for name in trial.undefined:
+        yield f"{name}: not compared, for links without mass make it undefined in the old file"
+
+
+def _parents_first(values: Parameters) -> list[str]:
+    order, waiting = [], values.children(values.base)
+    while waiting:
+        order.append(waiting.pop(0))
+        waiting = values.children(order[-1]) + waiting
+    return order
+
+
+def _mass(values: Parameters) -> float:
+    return float(sum(body.mass for body in values.bodies.values()))
+
+
+def _with_names(value: Any, names: Mapping[str, str]) -> Any:
+    """Returns what a mimic joint or a motor follows by its old name."""
+    if isinstance(value, list) and value and isinstance(value[0], str):
+        return [names.get(value[0], value[0]), *value[1:]]
+    if isinstance(value, dict) and str(value.get("at", "")).startswith("joint "):
+        name = value["at"].removeprefix("joint ")
+        return {**value, "at": f"joint {names.get(name, name)}"}
+    return value
+
+
+def _values(value: Any) -> Any:
+    """Returns a value in lists, by which two are compared."""
+    if isinstance(value, Mapping):
+        return {key: _values(each) for key, each in value.items()}
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return list(value) if isinstance(value, list | tuple) else value
+
+
+def _said(value: Any, other: Any) -> str:
+    """Says a value; of a table, what is another in the other."""
+    value, other = _values(value), _values(other)
+    if value is None:
+        return "none"
+    if isinstance(value, dict):
+        other = other if isinstance(other, dict) else {}
+        keys = [key for key in value if value[key] != other.get(key)]
+        return ", ".join(f"{key} {_words(value[key])}" for key in keys) or "nothing of the like"
+    return _words(value)
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, list):
+        return "(" + ", ".join(map(_words, value)) + ")"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

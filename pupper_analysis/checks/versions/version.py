@@ -1,0 +1,159 @@
+"""One file as it is compared with another of its format: its tree, and what is not in a tree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+from lxml import etree
+
+from pupper_analysis.checks.matching_mjcf import drop_other_objects, hinges, mjcf_tree, name_all
+from pupper_analysis.checks.matching_urdf import (
+    end_link,
+    moving_joints,
+    root_link,
+    urdf_tree,
+    without_shapes,
+)
+from pupper_analysis.checks.passive.find import extras
+from pupper_analysis.checks.passive.mimics import urdf_mimics
+from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.checks.passive.scene import Scene
+from pupper_analysis.models.conversion import actuator_gear
+from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.urdf_file import UrdfFile
+
+
+@dataclass(frozen=True, eq=False)
+class Version:
+    """One file.
+
+    Attributes:
+        file: The file.
+        tree: Its joints and bodies. The base of a URDF is free, for it states none.
+        others: {(kind, element): value} of what is not in the tree: joints that follow others,
+            motors, springs, tendons ...
+        carriers: {base or joint: the link or body that it moves}.
+        notes: What was assumed or left out, in plain words.
+        model: Of an MJCF, what MuJoCo makes of it.
+        root: Of a URDF, its XML.
+    """
+
+    file: UrdfFile | MjcfFile
+    tree: Parameters
+    others: Mapping[tuple[str, str], Any]
+    carriers: Mapping[str, str]
+    notes: tuple[str, ...]
+    model: mujoco.MjModel | None = None
+    root: etree._Element | None = field(default=None, repr=False)
+
+
+def version_of(file: UrdfFile | MjcfFile) -> Version:
+    """Reads what is compared.
+
+    Raises:
+        ModelError: If it is no robot with joints.
+    """
+    return _of_urdf(file) if isinstance(file, UrdfFile) else _of_mjcf(file)
+
+
+def _of_urdf(file: UrdfFile) -> Version:
+    root, notes = without_shapes(file.root), list(file.notes)
+    mimics = urdf_mimics(root)
+    for joint in root.findall("joint[mimic]"):
+        joint.remove(joint.find("mimic"))
+    moving_joints(root, notes)
+    base = str(root_link(root).get("name"))
+    fixed = [joint for joint in root.findall("joint") if joint.get("type") == "fixed"]
+    frames = [end_link(joint, "child") for joint in fixed]
+    carriers = {
+        str(joint.get("name")): end_link(joint, "child")
+        for joint in root.findall("joint")
+        if joint not in fixed
+    }
+    return Version(
+        file=file,
+        tree=urdf_tree(root, file.path, base, frames),
+        others={("mimic", name): list(value) for name, value in mimics.items()},
+        carriers={base: base, **carriers},
+        notes=tuple(notes),
+        root=root,
+    )
+
+
+def _of_mjcf(file: MjcfFile) -> Version:
+    notes, spec = list(file.notes), file.spec.copy()
+    name_all(spec, set(), notes)
+    whole = compile_spec(spec.copy(), file.path)
+    drop_other_objects(spec, file.path, set(), notes)
+    hinges(spec, file.path, notes)
+    for key in list(spec.keys):
+        spec.delete(key)  # its size may no longer fit
+    model = compile_spec(spec.copy(), file.path)
+    moving = {int(body) for body in model.jnt_bodyid}
+    frames = [model.body(body).name for body in range(1, model.nbody) if body not in moving]
+    frames += [model.site(site).name for site in range(model.nsite) if model.site(site).name]
+    names = [
+        model.joint(joint).name
+        for joint in range(model.njnt)
+        if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE.value
+    ]
+    carriers = {name: model.body(int(model.joint(name).bodyid[0])).name for name in names}
+    base = _base(model, names)
+    reference = Reference(file.compile(), whole, names, base)
+    others: dict[tuple[str, str], Any] = {
+        (extra.kind, extra.element): extra.value for extra in extras(reference)
+    }
+    return Version(
+        file=file,
+        tree=mjcf_tree(spec, file.path, base, frames),
+        others={**others, **_motors(Scene(reference))},
+        carriers={base: base, **carriers},
+        notes=tuple(notes),
+        model=model,
+    )
+
+
+def _base(model: mujoco.MjModel, names: list[str]) -> str:
+    """Returns the name of the body that the first joint's tree begins with."""
+    body = int(model.joint(names[0]).bodyid[0])
+    while model.body_parentid[body] != 0:
+        body = int(model.body_parentid[body])
+    return str(model.body(body).name)
+
+
+def _motors(scene: Scene) -> dict[tuple[str, str], Any]:
+    """Returns what commands make motors do, {("motor", name): numbers}; limits are the joints'."""
+    model, found = scene.model, {}
+    for motor in range(model.nu):
+        value: dict[str, Any] = {
+            "at": _target(scene, motor),
+            "gear": _short(actuator_gear(model, motor)),
+            "gain": _short(model.actuator_gainprm[motor]),
+            "bias": _short(model.actuator_biasprm[motor]),
+        }
+        if model.actuator_ctrllimited[motor]:
+            value["ctrlrange"] = _short(model.actuator_ctrlrange[motor], trim=False)
+        found["motor", scene.name("actuator", motor)] = value
+    return found
+
+
+def _target(scene: Scene, motor: int) -> str:
+    """Says what a motor acts on, by kind and name."""
+    kind = mujoco.mjtTrn(int(scene.model.actuator_trntype[motor])).name.removeprefix("mjTRN_")
+    target = int(scene.model.actuator_trnid[motor, 0])
+    if kind.startswith("JOINT"):
+        return f"joint {scene.joint_name(target)}"
+    what = "site" if kind == "SLIDERCRANK" else kind.lower()
+    return f"{what} {scene.name(what, target)}"
+
+
+def _short(values: Any, *, trim: bool = True) -> list[float]:
+    """Returns numbers without the zeros at their end."""
+    numbers = np.asarray(values, dtype=float)
+    return list(map(float, np.trim_zeros(numbers, "b") if trim else numbers))

@@ -1,0 +1,145 @@
+"""``pupper-analysis check`` and ``diff``: a repository's models, now and before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pupper_analysis.cli.models import package_folders, package_option
+from pupper_analysis.cli.shared import (
+    CONTEXT,
+    assignment,
+    check_outputs,
+    finish,
+    format_option,
+    json_option,
+    number,
+)
+
+
+@click.command(
+    "check", context_settings=CONTEXT, short_help="Check all models of a repository, as its CI."
+)
+@click.option(
+    "--config",
+    type=click.Path(path_type=Path),
+    help="The pupper-analysis.toml; else that of this folder, or of one above it.",
+)
+@click.option(
+    "--update-baseline",
+    is_flag=True,
+    help="Take all that is found as known: write the baseline. Only what is new fails from then.",
+)
+@click.option("--all", "everything", is_flag=True, help="Print what does not fail, too.")
+@json_option
+@format_option
+def check_command(
+    config: Path | None,
+    update_baseline: bool,
+    everything: bool,
+    json_path: Path | None,
+    style: str,
+) -> None:
+    """Crosscheck and audit all models that pupper-analysis.toml names, as a repository's CI does.
+
+    What the baseline has with the same value is known, and passes: so an old robot can be guarded
+    from today on, and only a difference or finding that is new, or has changed, fails. Paths are
+    relative to the file. docs/guard.md has all its keys, the GitHub Action and the hook.
+
+    \b
+    The least pupper-analysis.toml:
+      [[pair]]
+      name = "go1"
+      urdf = "urdf/go1.urdf"
+      mjcf = "mjcf/go1.xml"
+
+    \b
+    Examples:
+      pupper-analysis check
+      pupper-analysis check --update-baseline
+      pupper-analysis check --config robots/pupper-analysis.toml --format github
+      pupper-analysis check --format sarif > check.sarif
+
+    \b
+    Exit status: 0 nothing is new, 1 something is, or a model cannot be read, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.guard.check import check_repository
+    from pupper_analysis.report import formats
+    from pupper_analysis.report import guard as report
+    from pupper_analysis.report.console import console
+
+    check_outputs(json_path)
+    result = check_repository(config, update_baseline=update_baseline)
+    if style == "text":
+        report.print_check(console(), result, everything=everything)
+    else:
+        found = report.remarks(result)
+        if style == "github":
+            found = report.unknown(found)
+        suite = f"check of {Path(result.config).name}"
+        text = formats.for_machines(style, suite, found, report.cases(result))
+        click.echo(text, nl=bool(text))
+        if style == "github":
+            click.echo(f"{'passed' if result.passed else 'failed'}: {report.summary(result)}")
+    finish(json_path, result, passed=result.passed)
+
+
+@click.command(
+    "diff", context_settings=CONTEXT, short_help="What has changed between two versions of a model."
+)
+@click.argument("old", type=click.Path())
+@click.argument("new", type=click.Path())
+@click.option(
+    "--map",
+    "pairs",
+    multiple=True,
+    metavar="OLD=NEW",
+    help="A joint's old and new name, if neither name nor place tells. May be repeated.",
+)
+@package_option
+@click.option(
+    "--tolerance",
+    "changes",
+    multiple=True,
+    metavar="KIND=VALUE",
+    help="What is let be, as of crosscheck (1e-9). May be repeated.",
+)
+@json_option
+def diff_command(
+    old: str,
+    new: str,
+    pairs: tuple[str, ...],
+    packages: tuple[str, ...],
+    changes: tuple[str, ...],
+    json_path: Path | None,
+) -> None:
+    """Show what has changed in the robot between OLD and NEW: two URDFs, or two MJCFs.
+
+    Each change of a number has its lines in both files and its effect on the dynamics; then what
+    it does to the mass, and to the torques that hold the links in the air. Moved text, link frames
+    that are put elsewhere, and other ways to say the same, are no changes. OLD or NEW may be
+    REVISION:PATH, a file as git has it.
+
+    \b
+    Examples:
+      pupper-analysis diff HEAD:robots/go1.urdf robots/go1.urdf
+      pupper-analysis diff v1.0:./robot.xml main:./robot.xml
+      pupper-analysis diff robot.urdf longer.urdf --map knee=knee_joint --tolerance mass=1e-3
+
+    \b
+    Exit status: 0 they are the same, 1 they are different, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.checks.tolerances import Tolerances
+    from pupper_analysis.checks.versions.compare import diff_models
+    from pupper_analysis.report.console import console
+    from pupper_analysis.report.versions import print_diff
+
+    names = dict(assignment("map", text) for text in pairs)
+    tolerances = Tolerances.strict().changed(dict(number("tolerance", text) for text in changes))
+    check_outputs(json_path)
+    result = diff_models(
+        old, new, names=names, packages=package_folders(packages), tolerances=tolerances
+    )
+    print_diff(console(), result)
+    finish(json_path, result, passed=result.same)

@@ -1,0 +1,1 @@
+"""Keeps the models of a repository right: what is checked, and what is known already."""

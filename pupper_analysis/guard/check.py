@@ -1,0 +1,200 @@
+"""Checks all models that a repository's configuration names, against its baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pupper_analysis.arguments import checked
+from pupper_analysis.checks.audit import audit_model
+from pupper_analysis.checks.compare import compare_models
+from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.files import check_writable
+from pupper_analysis.guard.baseline import (
+    Entry,
+    entry_of,
+    judged,
+    read_baseline,
+    write_baseline,
+)
+from pupper_analysis.guard.config import GuardConfig, Pair, find_config, read_config
+from pupper_analysis.guard.remarks import (
+    REFUSED,
+    Remark,
+    State,
+    of_audit,
+    of_comparison,
+    of_error,
+    relative,
+)
+from pupper_analysis.results import Result
+
+
+@dataclass(frozen=True, eq=False)
+class PairCheck(Result):
+    """What was checked of one pair.
+
+    Attributes:
+        name: The pair's name.
+        files: The files that were audited for it, and compared if there are two.
+        agree: Whether they agree within the tolerances; None where they were not compared.
+        disabled: {rule of the audit that was not run: the reason}.
+        notes: What was assumed or left out, in plain words.
+    """
+
+    name: str
+    files: tuple[str, ...]
+    agree: bool | None
+    disabled: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RepositoryCheck(Result):
+    """What was found in a repository's models.
+
+    Attributes:
+        config: The file that says what is checked.
+        baseline: The file of what is known; None if there is none.
+        pairs: What was checked.
+        remarks: What was found, what fails first, with what the baseline knows of it.
+        failures: How many of them fail: not known, and as bad as the configuration's ``fail-on``.
+        stale: Entries of the baseline that do not occur any more; they were taken out if it was
+            written anew.
+        updated: Whether the baseline was written anew.
+        passed: Whether nothing fails.
+    """
+
+    config: str
+    baseline: str | None
+    pairs: tuple[PairCheck, ...]
+    remarks: tuple[Remark, ...]
+    failures: int
+    stale: tuple[Entry, ...]
+    updated: bool
+    passed: bool
+
+
+@checked
+def check_repository(
+    config: str | Path | None = None, *, update_baseline: bool = False
+) -> RepositoryCheck:
+    """Compares and audits all models that a ``pupper-analysis.toml`` names.
+
+    What its baseline has with the same value is known, and passes. A file that cannot be read
+    fails, and the others are checked all the same.
+
+    Args:
+        config: The configuration; by default that of the current folder, or of one above it.
+        update_baseline: Write what is found to the baseline, so that all of it is known. What
+            cannot be read is not taken; its entries stay.
+
+    Raises:
+        ConfigurationError: If there is no configuration.
+        ModelError: If it, or the baseline, is not valid; it tells the line.
+        OutputError: If the baseline cannot be written.
+    """
+    settings = read_config(Path(config) if config is not None else find_config())
+    before = read_baseline(settings.baseline)
+    if update_baseline:
+        check_writable(settings.baseline)
+    pairs, found = [], []
+    for pair in settings.pairs:
+        done, remarks = _check_pair(pair, settings.path.parent)
+        pairs.append(done)
+        found += remarks
+    known, left = judged(_distinct(found), before)
+    unseen = _unseen(settings, known, left)
+    if update_baseline:
+        taken = [entry_of(remark) for remark in known if remark.kind != REFUSED]
+        write_baseline(settings.baseline, [*taken, *unseen])
+        known = tuple(
+            remark if remark.kind == REFUSED else replace(remark, state=State.KNOWN)
+            for remark in known
+        )
+    ordered = sorted(
+        (replace(remark, fails=_fails(remark, settings)) for remark in known),
+        key=lambda remark: (not remark.fails, remark.severity.rank),
+    )
+    failures = sum(remark.fails for remark in ordered)
+    return RepositoryCheck(
+        config=str(settings.path),
+        baseline=str(settings.baseline) if settings.baseline.exists() else None,
+        pairs=tuple(pairs),
+        remarks=tuple(ordered),
+        failures=failures,
+        stale=tuple(entry for entry in left if entry not in unseen),
+        updated=update_baseline,
+        passed=not failures,
+    )
+
+
+def _fails(remark: Remark, config: GuardConfig) -> bool:
+    return remark.state is not State.KNOWN and remark.severity.rank <= config.fail_on.rank
+
+
+def _check_pair(pair: Pair, folder: Path) -> tuple[PairCheck, list[Remark]]:
+    """Compares a pair's files, and audits each."""
+    files = [file for file in (pair.urdf, pair.mjcf) if file is not None]
+    remarks: list[Remark] = []
+    notes: tuple[str, ...] = ()
+    agree = None
+    for file in files:
+        try:
+            audit = audit_model(file, packages=pair.packages, disabled=tuple(pair.disabled))
+        except PupperAnalysisError as error:
+            remarks.append(of_error(error, "audit", pair, file, folder))
+        else:
+            remarks += of_audit(audit, folder)
+    # What cannot be read by itself is not refused once more.
+    if pair.urdf is not None and pair.mjcf is not None and not _refused(remarks):
+        try:
+            comparison = compare_models(
+                pair.urdf,
+                pair.mjcf,
+                names=pair.names,
+                packages=pair.packages,
+                feet=pair.feet,
+                tolerances=pair.tolerances,
+                strict_names=pair.strict,
+            )
+        except PupperAnalysisError as error:
+            remarks.append(of_error(error, "crosscheck", pair, pair.urdf, folder))
+        else:
+            agree, notes = comparison.agree, comparison.notes
+            remarks = [*of_comparison(comparison, pair, folder), *remarks]
+    names = tuple(relative(file, folder) for file in files)
+    return PairCheck(pair.name, names, agree, pair.disabled, notes), remarks
+
+
+def _refused(remarks: Iterable[Remark]) -> bool:
+    return any(remark.kind == REFUSED for remark in remarks)
+
+
+def _distinct(remarks: Iterable[Remark]) -> Iterator[Remark]:
+    """Leaves out findings in files that several pairs have, and that were audited before."""
+    seen = set()
+    for remark in remarks:
+        key = (remark.identity, str(remark.values), remark.place)
+        if remark.check == "crosscheck" or key not in seen:
+            yield remark
+        seen.add(key)
+
+
+def _unseen(
+    config: GuardConfig, remarks: Iterable[Remark], entries: Iterable[Entry]
+) -> list[Entry]:
+    """Returns the entries that may have no remark because their files could not be read."""
+    folder = config.path.parent
+    refused = {remark.pair for remark in remarks if remark.kind == REFUSED}
+    files = {
+        relative(file, folder)
+        for pair in config.pairs
+        if pair.name in refused
+        for file in (pair.urdf, pair.mjcf)
+        if file is not None
+    }
+    return [
+        entry for entry in entries if entry.identity[1] in refused or entry.identity[2] in files
+    ]

@@ -1,0 +1,239 @@
+"""``pupper-analysis.toml``: which models of a repository are checked, and how."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Final
+
+from pupper_analysis.checks.audit import RULES
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.matching import read_mapping
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.guard.toml import Key, TomlFile, read_toml
+
+CONFIG: Final = "pupper-analysis.toml"
+"""The name under which it is looked for."""
+
+BASELINE: Final = "pupper-analysis-baseline.toml"
+"""Where the baseline is, beside it, unless it says otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """One robot: its URDF, its MJCF, or both.
+
+    Attributes:
+        name: Its name in remarks and in the baseline.
+        urdf: The URDF; None if there is none.
+        mjcf: The MJCF; None if there is none. With both, they are compared.
+        names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
+        feet: Frames that are compared; all that both files have, if empty.
+        packages: {ROS package: its folder}.
+        base: What the base is called, by the comparison; None if any will do.
+        tolerances: Of the comparison.
+        strict: Whether names, and damping that a URDF does not state, are differences.
+        disabled: {rule of the audit that is not run: the reason}.
+    """
+
+    name: str
+    urdf: Path | None
+    mjcf: Path | None
+    names: Mapping[str, str]
+    feet: tuple[str, ...]
+    packages: Mapping[str, Path]
+    base: str | None
+    tolerances: Tolerances
+    strict: bool
+    disabled: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class GuardConfig:
+    """What is checked.
+
+    Attributes:
+        path: The file that says so; paths in it are relative to its folder.
+        pairs: The robots.
+        fail_on: The least severity of a finding that fails.
+        baseline: The file of what is known already; it need not exist.
+    """
+
+    path: Path
+    pairs: tuple[Pair, ...]
+    fail_on: Severity
+    baseline: Path
+    file: TomlFile = field(repr=False)
+
+
+def find_config(start: Path | None = None) -> Path:
+    """Looks for the file in a folder, then in those above it.
+
+    Args:
+        start: The folder; the current one by default.
+
+    Raises:
+        ConfigurationError: If there is none.
+    """
+    folder = (start or Path.cwd()).absolute()
+    for each in (folder, *folder.parents):
+        if (each / CONFIG).is_file():
+            return each / CONFIG
+    raise ConfigurationError(
+        "config", f"no {CONFIG} in {folder}, nor in a folder above it; write one, or name its path"
+    )
+
+
+def read_config(path: Path) -> GuardConfig:
+    """Reads it.
+
+    Raises:
+        ModelError: If it cannot be read, or says what is not valid; it tells the line, and what
+            would be valid.
+    """
+    return _Reader(read_toml(path)).config()
+
+
+_SHARED: Final = ("strict", "tolerances", "packages", "disable")
+_TOP: Final = ("baseline", "fail-on", *_SHARED, "pair")
+_PAIR: Final = ("name", "urdf", "mjcf", "map", "map-file", "feet", "base", *_SHARED)
+_KINDS: Final = tuple(kind.name for kind in fields(Tolerances))
+
+
+class _Reader:
+    """Reads one file, and refuses what it does not know."""
+
+    def __init__(self, file: TomlFile) -> None:
+        self.file, self.folder = file, file.path.parent
+
+    def config(self) -> GuardConfig:
+        top = self.file.values
+        self.check_keys(top, (), _TOP)
+        severities = [str(severity) for severity in Severity]
+        fail_on = self.text(top, (), "fail-on") or str(Severity.ERROR)
+        if fail_on not in severities:
+            raise self.invalid(("fail-on",), fail_on, f"one of {', '.join(severities)}")
+        entries = top.get("pair", [])
+        if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
+            raise self.invalid(("pair",), entries, "tables that begin with [[pair]]")
+        if not entries:
+            raise ModelError(self.file.path, "it has no [[pair]]; give name, urdf and mjcf of one")
+        pairs = tuple(self.pair(entry, ("pair", number)) for number, entry in enumerate(entries))
+        for number, pair in enumerate(pairs):
+            if pair.name in [other.name for other in pairs[:number]]:
+                raise self.file.error(("pair", number, "name"), f"{pair.name!r} is there twice")
+        baseline = self.folder / (self.text(top, (), "baseline") or BASELINE)
+        return GuardConfig(self.file.path, pairs, Severity(fail_on), baseline, self.file)
+
+    def pair(self, entry: dict[str, Any], key: Key) -> Pair:
+        self.check_keys(entry, key, _PAIR)
+        name = self.text(entry, key, "name")
+        urdf, mjcf = (self.model(entry, key, kind) for kind in ("urdf", "mjcf"))
+        if not name:
+            raise self.file.error(key, "a [[pair]] needs a name, by which it is spoken of")
+        if urdf is None and mjcf is None:
+            raise self.file.error(key, f"pair {name!r} needs a urdf, an mjcf, or both")
+        top = self.file.values
+        tolerances = Tolerances.strict() if self.flag(entry, key, "strict") else Tolerances()
+        given = {**self.tolerances(top, ()), **self.tolerances(entry, key)}
+        return Pair(
+            name=name,
+            urdf=urdf,
+            mjcf=mjcf,
+            names=self.names(entry, key),
+            feet=self.texts(entry, key, "feet"),
+            packages={**self.packages(top, ()), **self.packages(entry, key)},
+            base=self.text(entry, key, "base"),
+            tolerances=tolerances.changed(given),
+            strict=self.flag(entry, key, "strict"),
+            disabled={**self.disabled(top, ()), **self.disabled(entry, key)},
+        )
+
+    def model(self, entry: dict[str, Any], key: Key, kind: str) -> Path | None:
+        text = self.text(entry, key, kind)
+        if text is None:
+            return None
+        path = self.folder / text
+        if not path.is_file():
+            raise self.file.error((*key, kind), f"{kind} = {text!r}: there is no such file")
+        return path
+
+    def names(self, entry: dict[str, Any], key: Key) -> dict[str, str]:
+        file = self.text(entry, key, "map-file")
+        names = read_mapping(self.folder / file) if file is not None else {}
+        for old, new in self.table(entry, key, "map").items():
+            if not isinstance(new, str):
+                raise self.invalid((*key, "map", old), new, "the name in the MJCF, in quotes")
+            if names.setdefault(old, new) != new:
+                problem = f"{old!r} is mapped to both {names[old]!r} and {new!r}"
+                raise self.file.error((*key, "map", old), problem)
+        return names
+
+    def packages(self, entry: dict[str, Any], key: Key) -> dict[str, Path]:
+        found = {}
+        for name, folder in self.table(entry, key, "packages").items():
+            if not isinstance(folder, str) or not (self.folder / folder).is_dir():
+                raise self.invalid((*key, "packages", name), folder, "a folder that exists")
+            found[name] = self.folder / folder
+        return found
+
+    def tolerances(self, entry: dict[str, Any], key: Key) -> dict[str, float]:
+        table = self.table(entry, key, "tolerances")
+        self.check_keys(table, (*key, "tolerances"), _KINDS)
+        for name, value in table.items():
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not number or not 0 < value < float("inf"):
+                raise self.invalid((*key, "tolerances", name), value, "a positive number")
+        return {name: float(value) for name, value in table.items()}
+
+    def disabled(self, entry: dict[str, Any], key: Key) -> dict[str, str]:
+        table = self.table(entry, key, "disable")
+        self.check_keys(table, (*key, "disable"), tuple(RULES), "rule of the audit")
+        for rule, reason in table.items():
+            if not isinstance(reason, str) or not reason.strip():
+                raise self.invalid((*key, "disable", rule), reason, "the reason, in quotes")
+        return dict(table)
+
+    def check_keys(
+        self, table: Mapping[str, Any], key: Key, valid: tuple[str, ...], what: str = "key"
+    ) -> None:
+        """Refuses keys that are not valid."""
+        for name in table:
+            if name not in valid:
+                inside = ".".join(part for part in key if isinstance(part, str))
+                where = f" in {inside}" if inside else ""
+                problem = f"no {what} {name!r}{where}; valid: {', '.join(valid)}"
+                raise self.file.error((*key, name), problem)
+
+    def text(self, table: dict[str, Any], key: Key, name: str) -> str | None:
+        value = table.get(name)
+        if value is not None and (not isinstance(value, str) or not value or "\0" in value):
+            raise self.invalid((*key, name), value, "a text, in quotes")
+        return value
+
+    def texts(self, table: dict[str, Any], key: Key, name: str) -> tuple[str, ...]:
+        values = table.get(name, [])
+        if not isinstance(values, list) or not all(isinstance(each, str) for each in values):
+            raise self.invalid((*key, name), values, "a list of names, in quotes")
+        return tuple(values)
+
+    def flag(self, table: dict[str, Any], key: Key, name: str) -> bool:
+        """Returns a switch of a pair, or of the whole file."""
+        for values, way in ((table, key), (self.file.values, ())):
+            value = values.get(name)
+            if value is not None and not isinstance(value, bool):
+                raise self.invalid((*way, name), value, "true or false")
+            if value is not None:
+                return value
+        return False
+
+    def table(self, table: dict[str, Any], key: Key, name: str) -> dict[str, Any]:
+        value = table.get(name, {})
+        if not isinstance(value, dict):
+            raise self.invalid((*key, name), value, "a table")
+        return value
+
+    def invalid(self, key: Key, value: object, valid: str) -> ModelError:
+        return self.file.error(key, f"{key[-1]} = {value!r} is not valid; give {valid}")

@@ -1,0 +1,205 @@
+"""Remarks: what a check says of a repository's models, by names that last."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pupper_analysis.checks.audit import RULES, Audit, Severity
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.guard.config import Pair
+from pupper_analysis.results import Result
+
+DIGITS = 9
+"""Significant digits of the values that are kept: more are rounding errors of some machine."""
+
+
+REFUSED = "refused"
+"""The kind of a remark that a file cannot be read, or two cannot be compared; never known."""
+
+
+class State(StrEnum):
+    """What the baseline knows of a remark."""
+
+    NEW = "new"
+    """Nothing."""
+    CHANGED = "changed"
+    """Another value."""
+    KNOWN = "known"
+    """This value."""
+
+
+@dataclass(frozen=True, eq=False)
+class Remark(Result):
+    """One difference between two files, or one finding in a file.
+
+    Attributes:
+        check: ``crosscheck`` or ``audit``.
+        pair: The name of the pair of which it is a difference; "" for a finding, which is the
+            file's, whatever pairs have that.
+        kind: The difference's kind; ``joint``, ``part``, ``agreement`` or ``base`` for what is no
+            single number; the audit's rule; ``refused`` if the file could not be read.
+        element: The joint, body or frame.
+        file: The file: of a difference, the pair's URDF. Relative to the configuration, with ``/``.
+        values: What is remembered of it: both values, or the message.
+        severity: How bad it is.
+        message: One sentence.
+        about: The kind in a few words.
+        place: Where it stands, ``file:line``; a path that can be opened.
+        other_place: Where a difference stands in the MJCF.
+        state: What the baseline knows of it.
+        before: The values in the baseline, if these are others.
+        fails: Whether it makes the check fail: not known, and severe enough.
+    """
+
+    check: str
+    pair: str
+    kind: str
+    element: str
+    file: str
+    values: Mapping[str, Any]
+    severity: Severity
+    message: str
+    about: str
+    place: str | None
+    other_place: str | None = None
+    state: State = State.NEW
+    before: Mapping[str, Any] | None = None
+    fails: bool = False
+
+    @property
+    def identity(self) -> tuple[str, str, str, str, str]:
+        """What tells it from other remarks, whatever its values, and wherever it stands."""
+        return self.check, self.pair, self.file, self.kind, self.element
+
+    @property
+    def subject(self) -> str:
+        """What it is about, in a few words."""
+        if not self.element:
+            return self.kind
+        joint = " of " if self.check == "crosscheck" else ": "
+        return f"{self.kind}{joint}{self.element}"
+
+
+def of_comparison(comparison: Comparison, pair: Pair, folder: Path) -> Iterator[Remark]:
+    """Yields a remark per difference, per joint in one file only, and per objection."""
+    file = relative(comparison.urdf, folder)
+    for difference in comparison.differences:
+        values = {"urdf": difference.urdf, "mjcf": difference.mjcf}
+        yield Remark(
+            "crosscheck",
+            pair.name,
+            difference.kind,
+            difference.element,
+            file,
+            {side: plain(value) for side, value in values.items() if value is not None},
+            Severity.ERROR,
+            difference.message,
+            f"{difference.kind}: the URDF and the MJCF differ",
+            difference.urdf_place,
+            difference.mjcf_place,
+        )
+    said = [("part", "", part, comparison.urdf) for part in comparison.parts]
+    for joints, path, other in (
+        (comparison.only_urdf, comparison.urdf, comparison.mjcf),
+        (comparison.only_mjcf, comparison.mjcf, comparison.urdf),
+    ):
+        lacks = f"is not in {Path(other).name}"
+        said += [("joint", name, f"joint {name} {lacks}", path) for name in joints]
+    said += [("agreement", "", text, comparison.mjcf) for text in comparison.objections]
+    if pair.base not in (None, comparison.base):
+        message = f"the base is {comparison.base}, not {pair.base} as {pair.name} says"
+        said.append(("base", comparison.base, message, comparison.urdf))
+    for kind, element, message, place in said:
+        yield Remark(
+            "crosscheck",
+            pair.name,
+            kind,
+            element,
+            file,
+            {"message": message},
+            Severity.ERROR,
+            message,
+            _ABOUT[kind],
+            place,
+        )
+
+
+_ABOUT = {
+    "part": "one file has a part that the other lacks",
+    "joint": "one file has a joint that the other lacks",
+    "agreement": "the files do not agree, apart from single differences",
+    "base": "the base is not the one that the configuration names",
+    REFUSED: "a model cannot be read or compared",
+}
+
+
+def of_audit(audit: Audit, folder: Path) -> Iterator[Remark]:
+    """Yields a remark per finding."""
+    for finding in audit.findings:
+        yield Remark(
+            "audit",
+            "",
+            finding.rule,
+            finding.element,
+            relative(finding.file, folder),
+            {"message": finding.message},
+            finding.severity,
+            f"{finding.element}: {finding.message.rstrip('.')}. {finding.todo}",
+            RULES[finding.rule].title,
+            finding.file if finding.line is None else f"{finding.file}:{finding.line}",
+        )
+
+
+def of_error(
+    error: PupperAnalysisError, check: str, pair: Pair, path: Path, folder: Path
+) -> Remark:
+    """Returns the remark that a file cannot be read, or two cannot be compared."""
+    place = str(getattr(error, "source", path))
+    file, _, line = place.rpartition(":")
+    known = Path(file if line.isdecimal() else place).is_file()
+    return Remark(
+        check,
+        pair.name,
+        REFUSED,
+        pair.name,
+        relative(path, folder),
+        {"message": str(error)},
+        Severity.ERROR,
+        str(error),
+        _ABOUT["refused"],
+        place if known else str(path),
+    )
+
+
+def relative(file: str | Path, folder: Path) -> str:
+    """Returns a file's path relative to a folder, with ``/``; also if it is not in it."""
+    path, start = Path(file).resolve(), folder.resolve()
+    try:
+        return Path(os.path.relpath(path, start)).as_posix()
+    except ValueError:  # on another drive
+        return path.as_posix()
+
+
+def plain(value: Any) -> Any:
+    """Returns a value as numbers, texts, lists and tables of them, without digits of rounding."""
+    if isinstance(value, np.ndarray):
+        largest = float(np.abs(value).max(initial=0.0))
+        # What is 1e-12 of the largest is nothing; its digits are those of some machine.
+        return plain(np.where(np.abs(value) > 1e-12 * largest, value, 0.0).tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") + 0.0
+    return value if isinstance(value, bool | int | str) else str(value)
