@@ -316,12 +316,12 @@ def _least_scale(name: str, evaluation: Evaluation) -> float:
 
 def _deviation(one: Quantity, two: Quantity, least: float) -> tuple[float, float, float, str]:
     """Returns the worst relative and absolute deviation, the scale, and the place."""
-    same = one.values == two.values  # infinite limits, too
     with np.errstate(invalid="ignore"):
-        difference = np.where(same, 0.0, np.abs(one.values - two.values))
-    difference = np.nan_to_num(difference, nan=np.inf, posinf=np.inf)
+        difference = np.abs(one.values - two.values)
+    difference[one.values == two.values] = 0.0  # infinite limits, too
+    difference[~np.isfinite(difference)] = np.inf
     greatest = np.maximum(np.abs(one.values), np.abs(two.values))
-    greatest = np.where(np.isfinite(greatest), greatest, 0.0)
+    greatest[~np.isfinite(greatest)] = 0.0
     if one.per_row:
         scale = greatest.max(axis=-1, keepdims=True) + np.zeros_like(difference)
     else:

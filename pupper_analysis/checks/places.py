@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.matching import Match
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.xml import parse_text
 
 _URDF_CHILD = {
     "mass": "inertial/mass",
@@ -57,22 +58,14 @@ def urdf_members(matched: Match, mover: str) -> list[tuple[str, float]]:
 
     The link that the joint moves comes first, though it may have none.
     """
-    root = parse_text(matched.robot.description.urdf)
+    masses, fixed = matched.fixed_links.masses, matched.fixed_links.children
     top = matched.urdf_link[mover]
-    masses = {
-        str(link.get("name")): float(link.find("inertial/mass").get("value"))
-        for link in root.findall("link")
-        if link.find("inertial/mass") is not None
-    }
     members, waiting = [(top, masses.get(top, 0.0))], [top]
-    while waiting:
-        here = waiting.pop(0)
-        for joint in root.findall("joint"):
-            if joint.get("type") == "fixed" and joint.find("parent").get("link") == here:
-                link = str(joint.find("child").get("link"))
-                waiting.append(link)
-                if masses.get(link):
-                    members.append((link, masses[link]))
+    for here in waiting:
+        for link in fixed.get(here, ()):
+            waiting.append(link)
+            if masses.get(link):
+                members.append((link, masses[link]))
     return members
 
 
@@ -83,12 +76,8 @@ def mjcf_members(matched: Match, mover: str) -> list[tuple[str, float]]:
     """
     model = matched.robot.mj_model
     top = model.body(matched.mjcf_body[mover]).id
-    group = [
-        body
-        for body in range(1, model.nbody)
-        if model.body_weldid[body] == model.body_weldid[top]
-        and (model.body_mass[body] > 0 or body == top)
-    ]
+    welded = np.flatnonzero(model.body_weldid == model.body_weldid[top]).tolist()
+    group = [body for body in welded if body and (model.body_mass[body] > 0 or body == top)]
     group.sort(key=lambda body: body != top)
     return [(str(model.body(body).name), float(model.body_mass[body])) for body in group]
 

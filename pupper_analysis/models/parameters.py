@@ -7,8 +7,8 @@ one set to those of another.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -102,14 +102,39 @@ class Parameters:
             found.setdefault(joint.parent, []).append(name)
         return found
 
+    def carried_by(self, body: str) -> list[str]:
+        """Returns the frames that a body carries."""
+        return self._carried.get(body, [])
+
+    @cached_property
+    def _carried(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for name, (owner, _) in self.frames.items():
+            found.setdefault(owner, []).append(name)
+        return found
+
     def parents_first(self) -> list[str]:
         """Returns the joints branch by branch: Pinocchio wants each subtree in one piece."""
+        return self.below(self.base)
+
+    def below(self, body: str) -> list[str]:
+        """Returns all joints that a body carries, branch by branch, parents first."""
         order: list[str] = []
-        waiting = self.children(self.base)[::-1]
+        waiting = self.children(body)[::-1]
         while waiting:
             order.append(waiting.pop())
             waiting += self.children(order[-1])[::-1]
         return order
+
+    def part(self, names: Collection[str]) -> Parameters:
+        """Returns some joints alone, the bodies that they move, and the frames on those."""
+        frames = [frame for name in names for frame in self.carried_by(name)]
+        return replace(
+            self,
+            bodies={name: self.bodies[name] for name in names},
+            joints={name: self.joints[name] for name in names},
+            frames={frame: self.frames[frame] for frame in frames},
+        )
 
 
 def from_pinocchio(
