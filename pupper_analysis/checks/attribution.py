@@ -18,7 +18,7 @@ from pupper_analysis.checks.passive.extra import Extra, as_it_is, without
 from pupper_analysis.checks.passive.find import extras
 from pupper_analysis.checks.passive.mimics import Mimics, split_mimics
 from pupper_analysis.checks.passive.reference import Reference
-from pupper_analysis.checks.size import Entries, is_large
+from pupper_analysis.checks.size import Entries, affordable, is_large
 from pupper_analysis.checks.states import random_states
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import trees
@@ -32,6 +32,8 @@ EXPLAINED = 1e-9
 Two engines of double precision agree to some 1e-13; with a mass matrix whose condition number is
 1e6, a hand's fingers on a humanoid, to 1e-10.
 """
+
+_STATES = 10  # at which each difference is weighed
 
 _GRAVITY = np.array([0.0, 0.0, -9.81])  # Pinocchio's and MuJoCo's default (m/s^2)
 
@@ -75,7 +77,7 @@ def explain(
     found = extras(reference)
     coupled, uncoupled = split_mimics(found, reference, mimics or {}, tolerances.limit)
     found = [extra for extra in found if extra not in coupled]
-    states = random_states(robot, 10, seed=0)
+    states = random_states(robot, affordable(robot, _STATES), seed=0)
     entries = _entries(robot, first, reference) if is_large(robot) else None
     behaviour = Behaviour(robot, states, entries)
     urdf = behaviour(first)

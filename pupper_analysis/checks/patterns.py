@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, islice
 
 import mujoco
 import numpy as np
@@ -199,21 +199,20 @@ def _exchanged(case: _Case) -> Found:
     shaken = [top for top, names in limbs.items() if concerned & set(names)]
     pairs: list[tuple[str, str]] = []
     second, gone = case.raw, set[Key]()
-    alike = [
-        pair for pair in combinations(shaken, 2) if len({len(limbs[top]) for top in pair}) == 1
-    ]
-    for one, two in alike[:_EXCHANGES]:
+    tries = ((a, b) for a, b in combinations(shaken, 2) if len(limbs[a]) == len(limbs[b]))
+    for one, two in islice(tries, _EXCHANGES):
         if any({one, two} & set(pair) for pair in pairs):
             continue
         own = {*limbs[one], *limbs[two]}
-        swapped = _renamed(second, dict(zip(limbs[one], limbs[two], strict=True)))
-        left = case.left(swapped, [name for name in case.first.joints if name in own])
+        names = dict(zip(limbs[one], limbs[two], strict=True))
+        both = replace(second.part(own), frames=second.frames)
+        left = case.left(_renamed(both, names), [*limbs[one], *limbs[two]])
         own |= {frame for name in tuple(own) for frame in case.first.carried_by(name)}
         before = {key for key in case.keys if key[1] in own}
         after = {key for key in left if key[1] in own}
         if len(before) > 1 and len(after) <= 0.2 * len(before):
             pairs.append((one, two))
-            second, gone = swapped, gone | (before - after)
+            second, gone = _renamed(second, names), gone | (before - after)
     if pairs:
         names = ", ".join(f"{one} and {two}" for one, two in pairs)
         yield (

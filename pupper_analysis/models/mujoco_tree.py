@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.models.parameters import Joint, Parameters
+from pupper_analysis.models.parameters import Body, Joint, Parameters
 
 Array = NDArray[np.float64]
+_T = TypeVar("_T")
 
 _FREE = "__free__"
 
@@ -35,6 +38,7 @@ class MujocoTree:
         self._joints = {name: self.model.joint(name).id for name in parameters.joints}
         self._bodies = {name: int(self.model.jnt_bodyid[j]) for name, j in self._joints.items()}
         self._bodies[parameters.base] = self._base
+        self._taken = replace(parameters, bodies={}, joints={})
         self.take(parameters)
 
     def fits(self, parameters: Parameters) -> bool:
@@ -43,21 +47,26 @@ class MujocoTree:
 
     def take(self, parameters: Parameters) -> None:
         """Gives the model the numbers of other parameters of its structure."""
-        model = self.model
-        names = list(parameters.joints)
-        ids, joints = [self._joints[name] for name in names], list(parameters.joints.values())
-        _take_bodies(model, [self._bodies[name] for name in parameters.bodies], parameters)
+        model, before = self.model, self._taken
+        bodies = _new(parameters.bodies, before.bodies)
+        if bodies:
+            _take_bodies(model, [self._bodies[name] for name in bodies], list(bodies.values()))
+        joints = _new(parameters.joints, before.joints)
         if joints:
-            _take_joints(model, ids, joints)
+            _take_joints(model, [self._joints[name] for name in joints], list(joints.values()))
+        self._taken = parameters
         if parameters.floating:
             model.dof_armature[:6] = parameters.base_armature
             model.dof_damping[:6] = parameters.base_damping
         model.opt.gravity = parameters.gravity
-        for name, (owner, position) in parameters.frames.items():
+        for name, (_, position) in parameters.frames.items():
             site = model.site(name).id
-            # A frame of another owner is put where it is compiled to be: see `_structure`.
-            assert model.site_bodyid[site] == self._bodies[owner]
             model.site_pos[site] = position
+
+
+def _new(values: Mapping[str, _T], before: Mapping[str, _T]) -> dict[str, _T]:
+    """Returns what is another object than before: most trees differ from the last in one number."""
+    return {name: value for name, value in values.items() if value is not before.get(name)}
 
 
 def _structure(parameters: Parameters) -> tuple[object, ...]:
@@ -88,8 +97,7 @@ def _compiled(parameters: Parameters) -> mujoco.MjModel:
     return spec.compile()
 
 
-def _take_bodies(model: mujoco.MjModel, ids: Sequence[int], parameters: Parameters) -> None:
-    bodies = list(parameters.bodies.values())
+def _take_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[Body]) -> None:
     # Of tensors that no body has, too: a file may state them.
     moments, axes = np.linalg.eigh(np.array([body.inertia for body in bodies]))
     axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]
