@@ -204,15 +204,15 @@ def _exchanged(case: _Case) -> Found:
         if any({one, two} & set(pair) for pair in pairs):
             continue
         own = {*limbs[one], *limbs[two]}
-        names = dict(zip(limbs[one], limbs[two], strict=True))
+        exchange = dict(zip(limbs[one], limbs[two], strict=True))
         both = replace(second.part(own), frames=second.frames)
-        left = case.left(_renamed(both, names), [*limbs[one], *limbs[two]])
+        left = case.left(_renamed(both, exchange), [*limbs[one], *limbs[two]])
         own |= {frame for name in tuple(own) for frame in case.first.carried_by(name)}
         before = {key for key in case.keys if key[1] in own}
         after = {key for key in left if key[1] in own}
         if len(before) > 1 and len(after) <= 0.2 * len(before):
             pairs.append((one, two))
-            second, gone = _renamed(second, names), gone | (before - after)
+            second, gone = _renamed(second, exchange), gone | (before - after)
     if pairs:
         names = ", ".join(f"{one} and {two}" for one, two in pairs)
         yield (
