@@ -142,12 +142,18 @@ def draw(table: list[dict[str, Any]], path: Path) -> None:
                 label=f"{command}: {kind}",
             )
         axis.axhline(goal, color="0.5", linestyle=":")
-        axis.text(10, goal * 0.93, f"goal for 2000 links: {goal} {unit[-2]}", va="top", color="0.4")
+        axis.text(
+            10,
+            goal * 0.93,
+            f"goal for 2000 links: {goal} {unit[unit.index('(') + 1 : -1]}",
+            va="top",
+            color="0.4",
+        )
         axis.axvline(194, color="0.8", zorder=0)
         axis.set(xlabel="links that move", ylabel=unit)
         axis.grid(True, which="both", alpha=0.2)
-    axes[1].text(200, 0.1, "MuJoCo alone", color="0.4")
-    axes[1].text(188, 0.1, "both engines", color="0.4", ha="right")
+    axes[1].text(210, 0.1, "MuJoCo alone", color="0.4")
+    axes[1].text(178, 0.1, "both engines", color="0.4", ha="right")
     axes[0].set_ylim(1, 30)
     axes[1].set_ylim(0.08, 3)
     axes[0].legend(loc="center left", fontsize=8)
