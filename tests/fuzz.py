@@ -142,6 +142,7 @@ def _run(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, flo
             contextlib.redirect_stderr(out),
             warnings.catch_warnings(),
         ):
+            warnings.simplefilter("error", RuntimeWarning)  # NumPy's, of what is no number
             cli.run(cli.group, list(arguments))
     except SystemExit as leaving:
         status = leaving.code if isinstance(leaving.code, int) else 0

@@ -21,6 +21,7 @@ from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import trees
 from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.xml import MAX_NUMBER
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -270,7 +271,7 @@ def _units(case: _Case) -> Found:
     lengths = _factor(places)
     hinges = [(one, raw.joints[name]) for name, one in first.joints.items() if not one.slides]
     bounds = [tuple(np.array([j.lower, j.upper]) for j in pair) for pair in hinges]
-    limits = _factor((a, b) for a, b in bounds if np.isfinite(a).all() and np.isfinite(b).all())
+    limits = _factor((a, b) for a, b in bounds if np.abs([a, b]).max() <= MAX_NUMBER)
     for what, factor, units, kinds in (
         ("limits", limits, _ANGLE, ("lower limit", "upper limit")),
         ("masses", masses, _MASS, ("mass",)),
