@@ -263,6 +263,12 @@ def _pinocchio_model(
                 f"joint {model.names[joint.id]!r} is planar or floating; revolute, continuous and "
                 "prismatic joints, and a free base, can be analysed",
             )
+        if not 0.5 < np.linalg.norm(joint.createData().S) < 2:
+            raise ModelError(
+                source,
+                f"joint {model.names[joint.id]!r}: its axis has no direction; write a unit vector, "
+                '<axis xyz="0 0 1"/> say',
+            )
     joints = set(list(model.names)[2 if floating else 1 :])
     for missing, where, there in (
         (joints - set(joint_names), description.mjcf_source, source),
