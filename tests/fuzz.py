@@ -43,7 +43,7 @@ ROOT = Path(__file__).resolve().parent.parent
 KEPT = ROOT / "build" / "fuzz"
 
 SECONDS = 20
-"""Of computing, after which a command hangs; of waiting, five times as many: a machine is shared."""
+"""Of computing, after which a command hangs; of waiting five times as many: others compute, too."""
 
 STATUSES = (0, 1, 2)
 """Verified, not verified, bad input; 3, a bug, is what is looked for."""
