@@ -51,6 +51,7 @@ def test_frames_are_written_with_all_digits() -> None:
     [
         ('pos="0.0 0.08 -0.2"', 'pos="0.0 nan -0.2"', "body 'shank0': its pos has nan"),
         ('axis="0.0 1.0 0.0"', 'axis="0.0 inf 0.0"', "joint 'knee0': its axis has"),
+        ('axis="0.0 1.0 0.0"', 'axis="0 -1e308 0"', "joint 'knee0': its axis has no direction"),
         ('damping="0.1"', 'damping="nan"', "joint 'hip0': its damping has nan"),
         ('frictionloss="0.2"', 'frictionloss="1e300"', "joint 'hip0': its frictionloss has 1e+300"),
         ('mass="1.0"', 'mass="1e200"', "body 'thigh0': its mass has 1e+200"),

@@ -103,6 +103,9 @@ def no_number(model: mujoco.MjModel) -> str | None:
     for field in ("qpos0", "jnt_range", "actuator_gear", "actuator_gainprm", "actuator_biasprm"):
         if np.isnan(getattr(model, field)).any():
             return f"a number of its {field} is nan; write a number"
+    lengths = np.linalg.norm(model.jnt_axis, axis=1)
+    for joint in np.flatnonzero(~(lengths > 0.5)):  # MuJoCo's are unit vectors, of 1e308 none
+        return f"joint {model.joint(joint).name!r}: its axis has no direction; write a unit vector"
     if not (np.abs(model.opt.gravity) <= MAX_NUMBER).all():
         return f"<option gravity> is {model.opt.gravity}; it takes numbers up to {MAX_NUMBER:g}"
     return None
