@@ -8,6 +8,9 @@ LOWEST := .venv-lowest
 # Quick ones, which between them use every package that is required.
 LOWEST_TESTS := $(addprefix tests/test_,$(addsuffix .py,audit_report cli_quantities crosscheck \
   figures loading printed results robot simulation statics))
+# Inputs of the fuzzer, and more options of tests/fuzz.py.
+N ?= 2000
+FUZZ ?=
 MINOR := $(shell sed -n 's/^requires-python = ">=3\.\([0-9]*\)".*/\1/p' pyproject.toml)
 
 # What else is installed on the machine stays out of the way.
@@ -15,7 +18,7 @@ export PYTHONNOUSERSITE := 1
 unexport PYTHONPATH PYTHONHOME
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow test-lowest coverage benchmark lint types docs wheel clean
+.PHONY: help setup analyze test test-slow test-lowest fuzz coverage benchmark lint types docs wheel clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-11s  %s\n", $$1, $$2}' Makefile
@@ -33,6 +36,9 @@ test-slow: $(VENV)/.ready ## run the long proofs
 
 test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed
 	$(LOWEST)/bin/python -m pytest -m "not slow" -W ignore::DeprecationWarning $(LOWEST_TESTS)
+
+fuzz: $(VENV)/.ready ## spoil N files and commands; no traceback, hang or lost file may come of it
+	$(BIN)/python tests/fuzz.py $(N) $(FUZZ)
 
 coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave out
 	$(BIN)/python -m pytest --cov --cov-report=term-missing:skip-covered

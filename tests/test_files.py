@@ -93,6 +93,15 @@ def test_links_are_followed(tmp_path: Path) -> None:
     assert sorted(tmp_path.rglob("*")) == [link, real.parent, real]
 
 
+def test_a_hard_link_keeps_the_old_file(tmp_path: Path) -> None:
+    """As docs/output.md says: a file takes the place of the name that was given, in one step."""
+    given, other = tmp_path / "given", tmp_path / "other"
+    given.write_text("old")
+    other.hardlink_to(given)
+    write(given, "new")
+    assert (given.read_text(), other.read_text()) == ("new", "old")
+
+
 def test_links_in_a_circle_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a").symlink_to(tmp_path / "b")
     (tmp_path / "b").symlink_to(tmp_path / "a")

@@ -95,13 +95,14 @@ def digits_of(one: Parameters, two: Parameters, name: str, tolerances: Tolerance
     total = _of_place(one.joints[name], two.joints[name], tolerances)
     total += digits(_angle(one.joints[name].axis, two.joints[name].axis), tolerances.axis)
     total += digits_of_body(one.bodies[name], two.bodies[name], tolerances)
-    for child, joint in one.joints.items():
-        if joint.parent == name and two.joints[child].parent == name:
-            total += _of_place(joint, two.joints[child], tolerances)
-    for frame, (owner, position) in one.frames.items():
-        there, other = two.frames[frame]
-        if owner == there == name:
-            total += digits(float(np.linalg.norm(other - position)), tolerances.position)
+    for child in one.children(name):
+        if two.joints[child].parent == name:
+            total += _of_place(one.joints[child], two.joints[child], tolerances)
+    for frame in one.carried_by(name):
+        owner, other = two.frames[frame]
+        if owner == name:
+            apart = float(np.linalg.norm(other - one.frames[frame][1]))
+            total += digits(apart, tolerances.position)
     return total
 
 
@@ -166,9 +167,10 @@ def _places(first: Parameters, second: Parameters, name: str) -> Iterator[tuple[
     for child in first.children(name):
         if second.joints[child].parent == name:
             yield first.joints[child].position, second.joints[child].position
-    for frame, (owner, position) in first.frames.items():
-        if owner == name == second.frames[frame][0]:
-            yield position, second.frames[frame][1]
+    for frame in first.carried_by(name):
+        owner, position = second.frames[frame]
+        if owner == name:
+            yield first.frames[frame][1], position
 
 
 def offset_of_limits(one: Joint, two: Joint) -> float:
@@ -204,7 +206,7 @@ def in_axes(values: Parameters, name: str, turn: Array) -> Parameters:
     joints = dict(values.joints)
     joints[name] = replace(joint, rotation=joint.rotation @ turn.T, axis=turn @ joint.axis)
     changed = replace(values, joints=joints)
-    return _carried(changed, name, body, turn, np.zeros(3))
+    return _carried(changed, values.children(name), name, body, turn, np.zeros(3))
 
 
 def with_origin(values: Parameters, name: str, step: Array) -> Parameters:
@@ -214,13 +216,16 @@ def with_origin(values: Parameters, name: str, step: Array) -> Parameters:
     joint, body = values.joints[name], values.bodies[name]
     joints = dict(values.joints)
     joints[name] = replace(joint, position=joint.position + joint.rotation @ step)
-    return _carried(replace(values, joints=joints), name, body, np.eye(3), -step)
+    moved = replace(values, joints=joints)
+    return _carried(moved, values.children(name), name, body, np.eye(3), -step)
 
 
-def _carried(values: Parameters, name: str, body: Body, turn: Array, shift: Array) -> Parameters:
+def _carried(
+    values: Parameters, children: Iterable[str], name: str, body: Body, turn: Array, shift: Array
+) -> Parameters:
     """Describes what a body carries in a new frame of it: x' = turn x + shift."""
     joints = dict(values.joints)
-    for child in values.children(name):
+    for child in children:
         carried = joints[child]
         joints[child] = replace(
             carried, position=turn @ carried.position + shift, rotation=turn @ carried.rotation
@@ -238,4 +243,4 @@ def with_base(values: Parameters, pose: pin.SE3) -> Parameters:
     """Describes a robot from another frame of its base: x' = pose x."""
     body = values.bodies[values.base]
     turn, shift = np.array(pose.rotation), np.array(pose.translation)
-    return _carried(values, values.base, body, turn, shift)
+    return _carried(values, values.children(values.base), values.base, body, turn, shift)

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 
-from pupper_analysis.checks.behaviour import behaviour
+from pupper_analysis.checks.behaviour import Behaviour
 from pupper_analysis.checks.differences import Armature, Difference, Judge
-from pupper_analysis.checks.states import States
 from pupper_analysis.models.parameters import Parameters
-from pupper_analysis.robot.robot import Robot
 
 
 def armature_differences(
-    robot: Robot, values: Parameters, states: States, judge: Judge
+    values: Parameters, behaviour: Behaviour, judge: Judge
 ) -> list[Difference]:
     """Returns armatures unlike those of the other legs, which a URDF cannot state."""
     differences = []
     for name, usual in _unusual_armatures(values).items():
         joint = replace(values.joints[name], armature=usual)
-        alone = behaviour(robot, replace(values, joints={**values.joints, name: joint}), states)
+        alone = behaviour(replace(values, joints={**values.joints, name: joint}))
         value = values.joints[name].armature
         unit = "kg" if joint.slides else "kg m^2"
         message = (
@@ -59,9 +58,11 @@ def _unusual_armatures(values: Parameters) -> dict[str, float]:
     return unusual
 
 
-def armature_of(robot: Robot, values: Parameters, states: States, judge: Judge) -> Armature:
+def armature_of(
+    names: Iterable[str], values: Parameters, behaviour: Behaviour, judge: Judge
+) -> Armature:
     """Returns every joint's armature, and what leaving it out of the URDF's model does."""
     without_it = {name: replace(joint, armature=0.0) for name, joint in values.joints.items()}
-    bare = behaviour(robot, replace(values, joints=without_it), states)
-    armature = {name: values.joints[name].armature for name in robot.joint_names}
+    bare = behaviour(replace(values, joints=without_it))
+    armature = {name: values.joints[name].armature for name in names}
     return Armature(armature, judge.effects(judge.one, bare))

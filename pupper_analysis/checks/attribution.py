@@ -10,7 +10,7 @@ import numpy as np
 
 from pupper_analysis.checks.alignment import Alignment, aligned
 from pupper_analysis.checks.armature import armature_differences, armature_of
-from pupper_analysis.checks.behaviour import behaviour, mujoco_behaviour, still_acting
+from pupper_analysis.checks.behaviour import Behaviour, mujoco_behaviour, still_acting
 from pupper_analysis.checks.changes import changes_between, patched_with
 from pupper_analysis.checks.conventions import Conventions, convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, Explanation, Judge
@@ -18,9 +18,11 @@ from pupper_analysis.checks.passive.extra import Extra, as_it_is, without
 from pupper_analysis.checks.passive.find import extras
 from pupper_analysis.checks.passive.mimics import Mimics, split_mimics
 from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.checks.size import Entries, affordable, is_large
 from pupper_analysis.checks.states import random_states
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import trees
+from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.robot.robot import Robot
 
@@ -30,6 +32,8 @@ EXPLAINED = 1e-9
 Two engines of double precision agree to some 1e-13; with a mass matrix whose condition number is
 1e6, a hand's fingers on a humanoid, to 1e-10.
 """
+
+_STATES = 10  # at which each difference is weighed
 
 _GRAVITY = np.array([0.0, 0.0, -9.81])  # Pinocchio's and MuJoCo's default (m/s^2)
 
@@ -73,23 +77,25 @@ def explain(
     found = extras(reference)
     coupled, uncoupled = split_mimics(found, reference, mimics or {}, tolerances.limit)
     found = [extra for extra in found if extra not in coupled]
-    states = random_states(robot, 10, seed=0)
-    urdf = behaviour(robot, first, states)
-    mujoco_sees = partial(mujoco_behaviour, robot, reference, states, alignment.moved)
+    states = random_states(robot, affordable(robot, _STATES), seed=0)
+    entries = _entries(robot, first, reference) if is_large(robot) else None
+    behaviour = Behaviour(robot, states, entries)
+    urdf = behaviour(first)
+    mujoco_sees = partial(mujoco_behaviour, robot, reference, states, alignment.moved, entries)
     mjcf = mujoco_sees(without(reference.model, coupled))
     bare = without(reference.model, [*found, *coupled])
     stripped = mujoco_sees(bare)
     judge = Judge(urdf, mjcf)
     differences = []
     for convention, undone in convention_changes(conventions or Conventions(), first):
-        effects = judge.effects(urdf, behaviour(robot, undone, states))
+        effects = judge.effects(urdf, behaviour(undone))
         differences.append(replace(convention, effects=effects))
     for change in changes_between(first, second, tolerances):
         effects = {}
         if change.felt:
-            effects = judge.effects(urdf, behaviour(robot, change.apply(first, second), states))
+            effects = judge.effects(urdf, behaviour(change.apply(first, second)))
         differences.append(change.difference(effects))
-    differences += armature_differences(robot, first, states, judge)
+    differences += armature_differences(first, behaviour, judge)
     whole = as_it_is(reference.model)
     for extra in found:
         extra.switch(bare, whole)
@@ -97,7 +103,7 @@ def explain(
         extra.switch(bare, None)
         differences.append(_extra(extra, effects))
     differences += [_mimic(name, (mimics or {})[name]) for name in uncoupled]
-    patched = behaviour(robot, patched_with(first, second), states)
+    patched = behaviour(patched_with(first, second))
     left = {name: judge.relative(name, patched[name], stripped[name]) for name in patched}
     differences.sort(key=lambda difference: difference.rank)
     return Explanation(
@@ -106,9 +112,17 @@ def explain(
         left=left,
         complete=all(value <= EXPLAINED for value in left.values()),
         remains=tuple(still_acting(reference, bare, states)),
-        armature=armature_of(robot, first, states, judge),
-        damping=judge.effects(urdf, behaviour(robot, _undamped(first, undamped), states)),
+        armature=armature_of(robot.joint_names, first, behaviour, judge),
+        damping=judge.effects(urdf, behaviour(_undamped(first, undamped))),
     )
+
+
+def _entries(robot: Robot, urdf: Parameters, reference: Reference) -> Entries:
+    """Returns the elements that the mass matrix of either file can have."""
+    tree = MujocoTree(urdf).model
+    own = Reference(tree, tree, robot.joint_names, urdf.base)
+    models = [(each.model, each.convention().qvel_index) for each in (own, reference)]
+    return Entries(robot.nv, models)
 
 
 def _undamped(values: Parameters, names: Collection[str]) -> Parameters:

@@ -7,12 +7,15 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.checks.size import Entries
 from pupper_analysis.checks.states import States
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import joint_damping
+from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.coordinates import PinocchioConvention
@@ -27,15 +30,17 @@ def mujoco_behaviour(
     reference: Reference,
     states: States,
     moved: Mapping[str, Array],
+    entries: Entries | None,
     model: mujoco.MjModel,
 ) -> dict[str, Array]:
-    """Evaluates the same quantities as `behaviour` in MuJoCo, at all states.
+    """Evaluates the same quantities as `Behaviour` in MuJoCo, at all states.
 
     Args:
         robot: The robot.
         reference: Names the elements of the model.
         states: The states.
         moved: {joint: (3,) where its position is taken, from MuJoCo's anchor, in its body's axes}.
+        entries: The elements of the mass matrix that are compared; None is all.
         model: One with the elements of the reference.
     """
     names, data = reference.names, mujoco.MjData(model)
@@ -46,6 +51,8 @@ def mujoco_behaviour(
     coordinates = model.jnt_qposadr[joints]
     frames = {**robot.description.feet, **robot.description.frames}
     places = [foot_site(names, frame, robot.name) for _, frame in frames.values()]
+    carriers = [body for body, _ in places]
+    positions = np.array([position for _, position in places])
     public = convention.qvel_index
     weights = _weights(robot, reference)
     local = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
@@ -64,7 +71,7 @@ def mujoco_behaviour(
         anchors = data.xanchor[joints] + offsets_in_world(model, data, joints, local)
         slid = np.where(slides, data.qpos[coordinates] - model.qpos0[coordinates], 0.0)
         result = {
-            "mass matrix": full[np.ix_(public, public)],
+            "mass matrix": entries.of(full, public) if entries else full[np.ix_(public, public)],
             "gravity": gravity,
             "bias forces": data.qfrc_bias[public].copy(),
             "com": weights @ data.xipos / max(weights.sum(), 1e-300),
@@ -72,9 +79,8 @@ def mujoco_behaviour(
             "joint positions": anchors + slid[:, None] * data.xaxis[joints],
         }
         if places:
-            result["foot positions"] = np.array(
-                [data.xpos[b] + data.xmat[b].reshape(3, 3) @ local for b, local in places]
-            )
+            turned = np.einsum("nij,nj->ni", data.xmat[carriers].reshape(-1, 3, 3), positions)
+            result["foot positions"] = data.xpos[carriers] + turned
         for name, value in result.items():
             rows.setdefault(name, []).append(value)
     return {name: np.array(values) for name, values in rows.items()}
@@ -136,34 +142,86 @@ def still_acting(reference: Reference, model: mujoco.MjModel, states: States) ->
             yield f"MuJoCo's qfrc_{name} is up to {greatest:.2g} N or N m"
 
 
-def behaviour(robot: Robot, values: Parameters, states: States) -> dict[str, Array]:
-    """Evaluates the quantities that differences are judged by, at all states."""
-    model = parameters.to_pinocchio(values)
-    robot = replace(
-        robot,
-        pin_model=model,
-        pin_convention=PinocchioConvention.of(model, robot.joint_names),
-        foot_frames={},
+class Behaviour:
+    """Evaluates trees of parameters of one robot, all at the same states.
+
+    In Pinocchio; if the robot is large, in MuJoCo. What takes long to make, Pinocchio's data or
+    MuJoCo's model, serves all trees that differ in numbers alone.
+
+    Attributes:
+        states: The states.
+    """
+
+    def __init__(self, robot: Robot, states: States, entries: Entries | None = None) -> None:
+        """Keeps what the evaluations share.
+
+        Args:
+            robot: The robot.
+            states: The states.
+            entries: The elements of the mass matrix that are compared, of a large robot.
+        """
+        self.states = states
+        self._robot, self._entries = robot, entries
+        self._spare: dict[object, list[pin.Data]] = {}
+        self._tree: MujocoTree | None = None
+
+    def __call__(self, values: Parameters) -> dict[str, Array]:
+        """Evaluates the quantities that differences are judged by, at all states."""
+        return self._in_pinocchio(values) if self._entries is None else self._in_mujoco(values)
+
+    def _in_mujoco(self, values: Parameters) -> dict[str, Array]:
+        if self._tree is None or not self._tree.fits(values):
+            self._tree = MujocoTree(values)
+        else:
+            self._tree.take(values)
+        model = self._tree.model
+        frames = {name: (name, name) for name in values.frames}
+        description = replace(self._robot.description, feet={}, frames=frames)
+        robot = replace(self._robot, description=description, mj_model=model)
+        reference = Reference(model, model, robot.joint_names, values.base)
+        return mujoco_behaviour(robot, reference, self.states, {}, self._entries, model)
+
+    def _in_pinocchio(self, values: Parameters) -> dict[str, Array]:
+        model = parameters.to_pinocchio(values)
+        robot = replace(
+            self._robot,
+            pin_model=model,
+            pin_convention=PinocchioConvention.of(model, self._robot.joint_names),
+            foot_frames={},
+        )
+        robot.structure.share(self._spare.setdefault(_alike(values), []))
+        base_rows = robot.nv - robot.nu
+        damping = np.full(robot.nv, values.base_damping)
+        damping[base_rows:] = [values.joints[name].damping for name in robot.joint_names]
+        rows: dict[str, list[Array]] = {}
+        states = zip(self.states.qpos, self.states.qvel, self.states.torques, strict=True)
+        for qpos, qvel, torques in states:
+            config = Configuration(robot, qpos, qvel)
+            force = -damping * qvel
+            force[base_rows:] += torques
+            result = {
+                "mass matrix": config.mass_matrix(),
+                "gravity": config.gravity(),
+                "bias forces": config.bias_forces(),
+                "com": config.center_of_mass(),
+                "forward dynamics": config.forward_dynamics(force),
+                "joint positions": np.array([config.joint_position(n) for n in robot.joint_names]),
+            }
+            if values.frames:
+                positions = [config.frame_position(name) for name in values.frames]
+                result["foot positions"] = np.array(positions)
+            for name, value in result.items():
+                rows.setdefault(name, []).append(value)
+            del config  # its data serve the next
+        return {name: np.array(values) for name, values in rows.items()}
+
+
+def _alike(values: Parameters) -> object:
+    """Returns what is the same for trees whose models can share Pinocchio's data.
+
+    The data hold the joints' axes, and who is whose parent; all other numbers stay in the model.
+    """
+    return tuple(
+        (name, joint.parent, joint.slides, joint.axis.tobytes())
+        for name, joint in values.joints.items()
     )
-    base_rows = robot.nv - robot.nu
-    damping = np.full(robot.nv, values.base_damping)
-    damping[base_rows:] = [values.joints[name].damping for name in robot.joint_names]
-    rows: dict[str, list[Array]] = {}
-    for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
-        config = Configuration(robot, qpos, qvel)
-        force = -damping * qvel
-        force[base_rows:] += torques
-        result = {
-            "mass matrix": config.mass_matrix(),
-            "gravity": config.gravity(),
-            "bias forces": config.bias_forces(),
-            "com": config.center_of_mass(),
-            "forward dynamics": config.forward_dynamics(force),
-            "joint positions": np.array([config.joint_position(n) for n in robot.joint_names]),
-        }
-        if values.frames:
-            positions = [config.frame_position(name) for name in values.frames]
-            result["foot positions"] = np.array(positions)
-        for name, value in result.items():
-            rows.setdefault(name, []).append(value)
-    return {name: np.array(values) for name, values in rows.items()}

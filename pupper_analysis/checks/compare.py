@@ -202,7 +202,7 @@ def _engines(check: CrossCheck, explanation: Explanation) -> tuple[str, ...]:
         f"{quantity.name}: {relative:.1e} ({whose})"
         for quantity in check.quantities
         for whose, relative in quantity.edges.items()
-        if whose.startswith(("engines", "yourdfpy"))
+        if whose.startswith(("engines", "readers", "yourdfpy"))
         and relative > ENGINES_AGREE
         # With forces of MuJoCo's that a tree of joints has not, the two got different models.
         and not (explanation.remains and "MJCF" in whose)

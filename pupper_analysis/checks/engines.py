@@ -31,9 +31,12 @@ from pupper_analysis.checks.passive.extra import as_it_is, without
 from pupper_analysis.checks.passive.find import extras
 from pupper_analysis.checks.passive.mimics import Mimics, split_mimics, urdf_mimics
 from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.checks.size import affordable, is_large, size_notes, some_of
 from pupper_analysis.checks.states import States, check_states, random_states
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
+from pupper_analysis.models.mujoco_tree import MujocoTree
+from pupper_analysis.models.parameters import from_pinocchio
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.coordinates import PinocchioConvention
@@ -56,6 +59,9 @@ MJCF_AS_IT_IS = "MJCF as it is"
 
 URDF_YOURDFPY = "URDF in yourdfpy"
 
+URDF_READ = "URDF, read by Pinocchio, in MuJoCo"
+"""Takes the place of both evaluations in Pinocchio if the robot is large: see `size`."""
+
 EXTRAS = "extras (MJCF)"
 """The side of springs, tendons, fluid and others that a URDF has no words for."""
 
@@ -65,6 +71,9 @@ EDGES = {
     (URDF_PINOCCHIO, URDF_MUJOCO): "engines (URDF)",
     (MJCF_PINOCCHIO, MJCF_MUJOCO): "engines (MJCF)",
     (URDF_PINOCCHIO, URDF_YOURDFPY): "yourdfpy (URDF)",
+    (URDF_READ, MJCF_MUJOCO): "models (reader)",
+    (URDF_READ, URDF_MUJOCO): "readers (URDF)",
+    (URDF_READ, URDF_YOURDFPY): "yourdfpy (URDF)",
     (MJCF_MUJOCO, MJCF_AS_IT_IS): EXTRAS,
 }
 """What a deviation between two evaluations is a deviation of."""
@@ -163,6 +172,7 @@ def cross_check(
     check_states(configurations, seed)
     if not tolerance > 0:
         raise ConfigurationError("tolerance", f"{tolerance} is not positive")
+    configurations, asked = affordable(robot, configurations), configurations
     states = random_states(robot, configurations, seed)
     reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
     found = extras(reference)
@@ -176,7 +186,8 @@ def cross_check(
         without(robot.mj_model, coupled),
         moved or {},
     )
-    checks = tuple(_compare(name, evaluations, tolerance) for name in evaluations[URDF_PINOCCHIO])
+    first = URDF_READ if is_large(robot) else URDF_PINOCCHIO
+    checks = tuple(_compare(name, evaluations, first, tolerance) for name in evaluations[first])
     return CrossCheck(
         passed=all(check.passed for check in checks),
         tolerance=tolerance,
@@ -184,7 +195,7 @@ def cross_check(
         seed=seed,
         quantities=checks,
         worst=max(checks, key=lambda check: check.relative).name,
-        notes=(*left_out, *_NOTES),
+        notes=(*left_out, *size_notes(robot, asked, _pairs(robot)), *_NOTES),
     )
 
 
@@ -216,23 +227,27 @@ def _evaluations(
         )
     except ModelError as error:
         left_out.append(f"left out: {URDF_MUJOCO}: {error.problem}")
-    in_pinocchio = pinocchio_from_mujoco(robot.mj_model)
-    # Whatever frames both files have are compared as the feet are.
-    pairs = {**description.feet, **description.frames}
+    pairs = some_of(robot, _pairs(robot))
     urdf_frames = {name: pair[0] for name, pair in pairs.items()}
     mjcf_frames = {name: pair[1] for name, pair in pairs.items()}
     robot = replace(robot, feet=tuple(pairs), foot_frames=urdf_frames)
-    mjcf_robot = replace(
-        robot,
-        pin_model=in_pinocchio,
-        pin_convention=PinocchioConvention.of(in_pinocchio, robot.joint_names),
-        base=robot.mj_base,
-        foot_frames=mjcf_frames,
-    )
     base = robot.mj_base
-    evaluations = {
-        URDF_PINOCCHIO: pinocchio_evaluation(robot, states, {}),
-        MJCF_PINOCCHIO: pinocchio_evaluation(mjcf_robot, states, moved),
+    if is_large(robot):
+        evaluations = {URDF_READ: _rebuilt_evaluation(robot, states)}
+    else:
+        in_pinocchio = pinocchio_from_mujoco(robot.mj_model)
+        mjcf_robot = replace(
+            robot,
+            pin_model=in_pinocchio,
+            pin_convention=PinocchioConvention.of(in_pinocchio, robot.joint_names),
+            base=base,
+            foot_frames=mjcf_frames,
+        )
+        evaluations = {
+            URDF_PINOCCHIO: pinocchio_evaluation(robot, states, {}),
+            MJCF_PINOCCHIO: pinocchio_evaluation(mjcf_robot, states, moved),
+        }
+    evaluations |= {
         MJCF_MUJOCO: mujoco_evaluation(robot, square, base, mjcf_frames, states, moved),
         MJCF_AS_IT_IS: mujoco_evaluation(robot, whole, base, mjcf_frames, states, moved),
     }
@@ -248,10 +263,25 @@ def _evaluations(
     return evaluations, left_out
 
 
-def _compare(name: str, evaluations: Mapping[str, Evaluation], tolerance: float) -> QuantityCheck:
-    """Compares one quantity along every edge."""
+def _pairs(robot: Robot) -> dict[str, tuple[str, str]]:
+    """Returns the frames that both files have, which are compared as the feet are."""
+    return {**robot.description.feet, **robot.description.frames}
+
+
+def _rebuilt_evaluation(robot: Robot, states: States) -> Evaluation:
+    """Evaluates the URDF as Pinocchio reads it, in a MuJoCo model made of its numbers."""
+    values = from_pinocchio(robot.pin_model, robot.base, robot.joint_names, robot.foot_frames)
+    model = MujocoTree(values).model
+    frames = {name: name for name in values.frames}
+    return mujoco_evaluation(robot, model, values.base, frames, states, {})
+
+
+def _compare(
+    name: str, evaluations: Mapping[str, Evaluation], first: str, tolerance: float
+) -> QuantityCheck:
+    """Compares one quantity along every edge; the first evaluation gives scale and labels."""
     edges: dict[str, float] = {}
-    least = _least_scale(name, evaluations[URDF_PINOCCHIO])
+    least = _least_scale(name, evaluations[first])
     worst: tuple[float, float, float, tuple[str, str], str] | None = None
     for pair, whose in EDGES.items():
         if any(name not in evaluations.get(evaluation, {}) for evaluation in pair):
@@ -265,7 +295,7 @@ def _compare(name: str, evaluations: Mapping[str, Evaluation], tolerance: float)
     relative, deviation, scale, between, where = worst
     return QuantityCheck(
         name=name,
-        unit=evaluations[URDF_PINOCCHIO][name].unit,
+        unit=evaluations[first][name].unit,
         scale=scale,
         deviation=deviation,
         relative=relative,
@@ -286,12 +316,12 @@ def _least_scale(name: str, evaluation: Evaluation) -> float:
 
 def _deviation(one: Quantity, two: Quantity, least: float) -> tuple[float, float, float, str]:
     """Returns the worst relative and absolute deviation, the scale, and the place."""
-    same = one.values == two.values  # infinite limits, too
     with np.errstate(invalid="ignore"):
-        difference = np.where(same, 0.0, np.abs(one.values - two.values))
-    difference = np.nan_to_num(difference, nan=np.inf, posinf=np.inf)
+        difference = np.abs(one.values - two.values)
+    difference[one.values == two.values] = 0.0  # infinite limits, too
+    difference[~np.isfinite(difference)] = np.inf
     greatest = np.maximum(np.abs(one.values), np.abs(two.values))
-    greatest = np.where(np.isfinite(greatest), greatest, 0.0)
+    greatest[~np.isfinite(greatest)] = 0.0
     if one.per_row:
         scale = greatest.max(axis=-1, keepdims=True) + np.zeros_like(difference)
     else:

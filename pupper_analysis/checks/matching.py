@@ -6,6 +6,7 @@ import copy
 import tomllib
 from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import mujoco
@@ -25,7 +26,9 @@ from pupper_analysis.checks.matching_pairs import pair_up
 from pupper_analysis.checks.matching_structure import common_frames
 from pupper_analysis.checks.matching_subtrees import removable, take_off
 from pupper_analysis.checks.matching_urdf import (
+    FixedLinks,
     fix_joints,
+    fixed_links,
     links_of,
     moving_joints,
     strip_roots,
@@ -40,6 +43,7 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.xml import parse_text
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 
@@ -79,6 +83,11 @@ class Match:
     conventions: Conventions
     parts: tuple[str, ...]
     undamped: tuple[str, ...]
+
+    @cached_property
+    def fixed_links(self) -> FixedLinks:
+        """The URDF's links with their masses, and which are fixed to which."""
+        return fixed_links(parse_text(self.robot.description.urdf))
 
 
 def read_mapping(path: Path) -> dict[str, str]:
@@ -142,7 +151,8 @@ def match(
     pairs, guessed = found.pairs, found.guessed
     notes += found.notes
     only_urdf = (*others, *(name for name in mine if name not in pairs))
-    only_mjcf = (*balls, *(name for name in theirs if name not in pairs.values()))
+    partners = set(pairs.values())
+    only_mjcf = (*balls, *(name for name in theirs if name not in partners))
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
     ways = removable(root, spec, only_urdf, only_mjcf)

@@ -39,7 +39,8 @@ def pair_up(
     pairs = {old: new for old, new in wanted.items() if old in mine and new in theirs}
     told = len(pairs)
     taken = set(pairs.values())
-    pairs |= {name: name for name in mine if name in theirs and name not in {*pairs, *taken}}
+    known, used = set(theirs), {*pairs, *taken}
+    pairs |= {name: name for name in mine if name in known and name not in used}
     guessed = without_affixes(mine, theirs, pairs)
     pairs |= guessed
     guess = guess_by_structure(root, spec, *files, pairs)
@@ -57,7 +58,8 @@ def pair_up(
             f"{', '.join(theirs[:6])} …; name the pairs with a mapping",
         )
     if (2 * len(pairs) < fewer and len(pairs) > told) or not pairs:
-        free = [name for name in theirs if name not in pairs.values()]
+        partners = set(pairs.values())
+        free = [name for name in theirs if name not in partners]
         hints = [f"--map {name}=..." for name in mine if name not in {*pairs, *choices}]
         raise ModelError(
             files[0],

@@ -69,8 +69,7 @@ def guess(
 
 def guess_of_trees(one: Parameters, two: Parameters, pairs: Mapping[str, str]) -> Guess:
     """Matches the joints of two trees, likewise; ``pairs`` are those that have a partner."""
-    free = len([name for name in one.joints if name not in pairs])
-    rest = len([name for name in two.joints if name not in pairs.values()])
+    free, rest = len(set(one.joints) - set(pairs)), len(set(two.joints) - set(pairs.values()))
     if not free or not rest:
         return Guess({}, {})
     best, distance = _in_place(one, two, pairs)
@@ -104,8 +103,7 @@ def _in_place(one: Parameters, two: Parameters, pairs: Mapping[str, str]) -> tup
 
     The distance is relative to the robot's size, and the greatest of all pairs.
     """
-    free_one = [name for name in one.joints if name not in pairs]
-    free_two = [name for name in two.joints if name not in pairs.values()]
+    free_one, free_two = set(one.joints) - set(pairs), set(two.joints) - set(pairs.values())
     place_one, place_two = at_zero(one), at_zero(two)
     size = max(float(np.linalg.norm(place[0])) for place in place_one.values())
     partner = {one.base: two.base, **pairs}

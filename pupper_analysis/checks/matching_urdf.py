@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -137,3 +138,31 @@ def urdf_tree(
         raise ModelError(source, f"not a valid URDF: {' '.join(str(error).split())}") from error
     names = list(model.names)[2:]
     return parameters.from_pinocchio(model, base, names, {name: name for name in frames})
+
+
+@dataclass(frozen=True, eq=False)
+class FixedLinks:
+    """What of a URDF's links moves as one.
+
+    Attributes:
+        masses: {link: kg}, of those with a mass.
+        children: {link: the links that are fixed to it}, in the file's order.
+    """
+
+    masses: dict[str, float]
+    children: dict[str, list[str]]
+
+
+def fixed_links(root: etree._Element) -> FixedLinks:
+    """Returns which links are fixed to which, and what they weigh."""
+    masses = {
+        str(link.get("name")): float(link.find("inertial/mass").get("value"))
+        for link in root.findall("link")
+        if link.find("inertial/mass") is not None
+    }
+    children: dict[str, list[str]] = {}
+    for joint in root.findall("joint"):
+        if joint.get("type") == "fixed":
+            parent = str(joint.find("parent").get("link"))
+            children.setdefault(parent, []).append(str(joint.find("child").get("link")))
+    return FixedLinks(masses, children)

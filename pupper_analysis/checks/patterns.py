@@ -6,9 +6,10 @@ Each is tried out: the slip is undone, and what is gone of the differences is wh
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations, islice
 
 import mujoco
 import numpy as np
@@ -20,6 +21,7 @@ from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import trees
 from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.xml import MAX_NUMBER
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -63,13 +65,17 @@ class _Case:
     keys: Sequence[Key]
     tolerances: Tolerances
 
-    def left(self, second: Parameters) -> set[Key]:
-        """Returns the differences to another tree in place of the MJCF's."""
+    def left(self, second: Parameters, only: Collection[str] | None = None) -> set[Key]:
+        """Returns the differences to another tree in place of the MJCF's.
+
+        Args:
+            second: The other tree.
+            only: The joints that are compared, with what they carry; by default all and the base.
+        """
+        first = self.first if only is None else self.first.part(only)
         try:
-            both = aligned(second, self.first, self.tolerances).values
-            found = {
-                (c.kind, c.element) for c in changes_between(self.first, both, self.tolerances)
-            }
+            both = aligned(second, first, self.tolerances).values
+            found = {(c.kind, c.element) for c in changes_between(first, both, self.tolerances)}
         except (ValueError, KeyError):  # not the same joints any more
             return set(self.keys)
         return found
@@ -187,28 +193,27 @@ def _set_degree(spec: mujoco.MjSpec, degree: bool) -> None:
 def _exchanged(case: _Case) -> Found:
     """Finds limbs whose names are exchanged."""
     tops = case.first.children(case.first.base)
-    limbs = {top: [top, *_below(case.first, top)] for top in tops}
+    limbs = {top: [top, *case.first.below(top)] for top in tops}
     concerned = {
         case.first.frames[element][0] if kind == "frame" else element for kind, element in case.keys
     }
     shaken = [top for top, names in limbs.items() if concerned & set(names)]
     pairs: list[tuple[str, str]] = []
     second, gone = case.raw, set[Key]()
-    for number, one in enumerate(shaken):
-        for two in shaken[number + 1 :]:
-            if any({one, two} & set(pair) for pair in pairs):
-                continue
-            if len(limbs[one]) != len(limbs[two]):
-                continue
-            swapped = _renamed(second, dict(zip(limbs[one], limbs[two], strict=True)))
-            left = case.left(swapped)
-            own = {*limbs[one], *limbs[two]}
-            own |= {frame for frame, (owner, _) in case.first.frames.items() if owner in own}
-            before = {key for key in case.keys if key[1] in own}
-            after = {key for key in left if key[1] in own}
-            if len(before) > 1 and len(after) <= 0.2 * len(before):
-                pairs.append((one, two))
-                second, gone = swapped, gone | (before - after)
+    tries = ((a, b) for a, b in combinations(shaken, 2) if len(limbs[a]) == len(limbs[b]))
+    for one, two in islice(tries, _EXCHANGES):
+        if any({one, two} & set(pair) for pair in pairs):
+            continue
+        own = {*limbs[one], *limbs[two]}
+        exchange = dict(zip(limbs[one], limbs[two], strict=True))
+        both = replace(second.part(own), frames=second.frames)
+        left = case.left(_renamed(both, exchange), [*limbs[one], *limbs[two]])
+        own |= {frame for name in tuple(own) for frame in case.first.carried_by(name)}
+        before = {key for key in case.keys if key[1] in own}
+        after = {key for key in left if key[1] in own}
+        if len(before) > 1 and len(after) <= 0.2 * len(before):
+            pairs.append((one, two))
+            second, gone = _renamed(second, exchange), gone | (before - after)
     if pairs:
         names = ", ".join(f"{one} and {two}" for one, two in pairs)
         yield (
@@ -219,11 +224,8 @@ def _exchanged(case: _Case) -> Found:
         )
 
 
-def _below(values: Parameters, name: str) -> list[str]:
-    found = []
-    for child in values.children(name):
-        found += [child, *_below(values, child)]
-    return found
+_EXCHANGES = 300
+"""Pairs of limbs that are tried: all of 24 limbs and more than any robot of limbs has."""
 
 
 def _renamed(values: Parameters, names: Mapping[str, str]) -> Parameters:
@@ -269,7 +271,7 @@ def _units(case: _Case) -> Found:
     lengths = _factor(places)
     hinges = [(one, raw.joints[name]) for name, one in first.joints.items() if not one.slides]
     bounds = [tuple(np.array([j.lower, j.upper]) for j in pair) for pair in hinges]
-    limits = _factor((a, b) for a, b in bounds if np.isfinite(a).all() and np.isfinite(b).all())
+    limits = _factor((a, b) for a, b in bounds if np.abs([a, b]).max() <= MAX_NUMBER)
     for what, factor, units, kinds in (
         ("limits", limits, _ANGLE, ("lower limit", "upper limit")),
         ("masses", masses, _MASS, ("mass",)),

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import mujoco
-from lxml import etree
+import numpy as np
 
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.matching import Match
+from pupper_analysis.checks.matching_urdf import FixedLinks
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.xml import parse_text
 
 URDF_CHILD = {
     "mass": "inertial/mass",
@@ -60,25 +60,18 @@ def urdf_members(matched: Match, mover: str) -> list[tuple[str, float]]:
 
     The link that the joint moves comes first, though it may have none.
     """
-    return links_moving_with(parse_text(matched.robot.description.urdf), matched.urdf_link[mover])
+    return links_moving_with(matched.fixed_links, matched.urdf_link[mover])
 
 
-def links_moving_with(root: etree._Element, top: str) -> list[tuple[str, float]]:
+def links_moving_with(fixed_links: FixedLinks, top: str) -> list[tuple[str, float]]:
     """Returns (link, kg) of a URDF's link, and of those with mass on fixed joints below it."""
-    masses = {
-        str(link.get("name")): float(link.find("inertial/mass").get("value"))
-        for link in root.findall("link")
-        if link.find("inertial/mass") is not None
-    }
+    masses, fixed = fixed_links.masses, fixed_links.children
     members, waiting = [(top, masses.get(top, 0.0))], [top]
-    while waiting:
-        here = waiting.pop(0)
-        for joint in root.findall("joint"):
-            if joint.get("type") == "fixed" and joint.find("parent").get("link") == here:
-                link = str(joint.find("child").get("link"))
-                waiting.append(link)
-                if masses.get(link):
-                    members.append((link, masses[link]))
+    for here in waiting:
+        for link in fixed.get(here, ()):
+            waiting.append(link)
+            if masses.get(link):
+                members.append((link, masses[link]))
     return members
 
 
@@ -93,12 +86,8 @@ def mjcf_members(matched: Match, mover: str) -> list[tuple[str, float]]:
 def bodies_moving_with(model: mujoco.MjModel, body: str) -> list[tuple[str, float]]:
     """Returns (body, kg) of an MJCF's body, and of those with mass that are welded to it."""
     top = model.body(body).id
-    group = [
-        each
-        for each in range(1, model.nbody)
-        if model.body_weldid[each] == model.body_weldid[top]
-        and (model.body_mass[each] > 0 or each == top)
-    ]
+    welded = np.flatnonzero(model.body_weldid == model.body_weldid[top]).tolist()
+    group = [each for each in welded if each and (model.body_mass[each] > 0 or each == top)]
     group.sort(key=lambda each: each != top)
     return [(str(model.body(each).name), float(model.body_mass[each])) for each in group]
 

@@ -46,19 +46,27 @@ def check_states(count: int, seed: int) -> None:
         raise ConfigurationError("seed", f"{seed!r} is not a whole number from 0")
 
 
+_FAR = 1e3
+"""rad or m. Files state limits like 1e16 for none; such an angle has no digit after the point."""
+
+_STRONG = 1e6
+"""N m or N. Likewise."""
+
+
 def random_states(robot: Robot, count: int, seed: int) -> States:
     """Draws states: joints inside their limits, the base anywhere, with velocities and torques."""
     rng = np.random.default_rng(seed)
     lower = np.where(np.isfinite(robot.lower_limits), robot.lower_limits, -np.pi)
     upper = np.where(np.isfinite(robot.upper_limits), robot.upper_limits, np.pi)
     # A file may have them the wrong way round; that is for the comparison to find.
-    ends = np.minimum(lower, upper), np.maximum(lower, upper)
-    qpos = rng.uniform(*ends, (count, robot.nu))
+    ends = np.clip([np.minimum(lower, upper), np.maximum(lower, upper)], -_FAR, _FAR)
+    qpos = rng.uniform(ends[0], ends[1], (count, robot.nu))
     if robot.floating:
         quaternion = rng.normal(size=(count, 4))
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
         qpos = np.concatenate([rng.uniform(-1, 1, (count, 3)), quaternion, qpos], axis=1)
     efforts = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 1.0)
+    efforts = np.clip(efforts, -_STRONG, _STRONG)
     return States(
         qpos=qpos,
         qvel=rng.normal(size=(count, robot.nv)),

@@ -180,12 +180,8 @@ def effort_limit(model: mujoco.MjModel, joint: int) -> float:
     limit = np.inf
     if model.jnt_actfrclimited[joint]:
         limit = float(np.abs(model.jnt_actfrcrange[joint]).max())
-    drives = [
-        actuator
-        for actuator in range(model.nu)
-        if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
-        and model.actuator_trnid[actuator, 0] == joint
-    ]
+    at_joints = model.actuator_trntype[: model.nu] == mujoco.mjtTrn.mjTRN_JOINT.value
+    drives = np.flatnonzero(at_joints & (model.actuator_trnid[: model.nu, 0] == joint)).tolist()
     if not drives:
         return limit
     return min(limit, sum(_actuator_limit(model, actuator) for actuator in drives))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.places import one_line
+from pupper_analysis.models.xml import MAX_NUMBER
 
 Array = NDArray[np.float64]
 
@@ -64,9 +65,50 @@ def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
     """
     try:
         with quiet():
-            return spec.compile()
+            model = spec.compile()
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, f"MuJoCo cannot compile it: {one_line(error)}") from error
+    problem = no_number(model)
+    if problem:
+        raise ModelError(source, problem)
+    return model
+
+
+_RECKONED = {
+    "body": ("pos", "quat", "ipos", "iquat", "mass", "inertia"),
+    "jnt": ("pos", "axis", "stiffness"),
+    "dof": ("armature", "damping", "frictionloss"),
+    "geom": ("pos", "quat", "size", "friction"),
+    "site": ("pos", "quat"),
+}
+_NAMED = {"jnt": "joint", "dof": "joint"}
+
+
+def no_number(model: mujoco.MjModel) -> str | None:
+    """Says which number of a model is none, or too large to reckon with; MuJoCo takes them."""
+    for kind, fields in _RECKONED.items():
+        for field in fields:
+            values = np.asarray(getattr(model, f"{kind}_{field}"))
+            values = values.reshape(len(values), -1) if len(values) else np.zeros((0, 1))
+            bad = ~(np.abs(values) <= MAX_NUMBER)
+            if bad.any():
+                row, column = np.argwhere(bad)[0]
+                at = int(model.dof_jntid[row]) if kind == "dof" else int(row)
+                what = _NAMED.get(kind, kind)
+                name = getattr(model, what)(at).name or f"#{at}"
+                return (
+                    f"{what} {name!r}: its {field} has {values[row, column]:g}; it takes a number "
+                    f"up to {MAX_NUMBER:g}"
+                )
+    for field in ("qpos0", "jnt_range", "actuator_gear", "actuator_gainprm", "actuator_biasprm"):
+        if np.isnan(getattr(model, field)).any():
+            return f"a number of its {field} is nan; write a number"
+    lengths = np.linalg.norm(model.jnt_axis, axis=1)
+    for joint in np.flatnonzero(~(lengths > 0.5)):  # MuJoCo's are unit vectors, of 1e308 none
+        return f"joint {model.joint(joint).name!r}: its axis has no direction; write a unit vector"
+    if not (np.abs(model.opt.gravity) <= MAX_NUMBER).all():
+        return f"<option gravity> is {model.opt.gravity}; it takes numbers up to {MAX_NUMBER:g}"
+    return None
 
 
 @contextmanager
@@ -103,16 +145,24 @@ def to_xml(spec: mujoco.MjSpec) -> str:
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
+def _own(node: ElementTree.Element) -> Iterator[ElementTree.Element]:
+    """Yields the elements of a body, those in its frames too, in the file's order."""
+    for child in node:
+        yield child
+        if child.tag == "frame":
+            yield from _own(child)
+
+
 def _restore_tree(node: ElementTree.Element, body: mujoco.MjsBody) -> None:
     for tag, elements in (
         ("geom", body.geoms),
         ("site", body.sites),
         ("joint", body.joints),
         ("body", body.bodies),
+        ("frame", [frame for frame in body.frames if not _is_nothing(frame)]),
     ):
-        children = node.findall(tag)
-        if tag == "joint":
-            children = [child for child in node if child.tag in ("joint", "freejoint")]
+        tags = ("joint", "freejoint") if tag == "joint" else (tag,)
+        children = [child for child in _own(node) if child.tag in tags]
         for child, element in zip(children, elements, strict=True):
             _restore(child, element)
             if tag == "body":
@@ -120,6 +170,12 @@ def _restore_tree(node: ElementTree.Element, body: mujoco.MjsBody) -> None:
                 if inertial is not None:
                     _restore_inertial(inertial, element)
                 _restore_tree(child, element)
+
+
+def _is_nothing(frame: mujoco.MjsFrame) -> bool:
+    """Says whether a frame is where its parent is: MuJoCo does not write it."""
+    turned = frame.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT
+    return not (turned or np.any(frame.pos) or np.any(frame.quat[1:]))
 
 
 def _restore_inertial(node: ElementTree.Element, body: mujoco.MjsBody) -> None:

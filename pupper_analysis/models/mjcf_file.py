@@ -15,7 +15,7 @@ from lxml import etree
 from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.missing import leave_out_missing
-from pupper_analysis.models.mjcf import quiet, spec_of
+from pupper_analysis.models.mjcf import no_number, quiet, spec_of
 from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating, walk
 from pupper_analysis.models.places import Place, one_line, refusal_at, source_name
 from pupper_analysis.models.xml import parse
@@ -175,6 +175,9 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
             model = _spec(tree, index)[0].compile()
     except _MUJOCO_ERRORS as error:
         refusal = _mujoco_refusal(tree, index, "MuJoCo cannot compile it", error)
+    problem = model and no_number(model)
+    if problem:
+        model, refusal = None, (problem, Place(path))
     return MjcfFile(
         path,
         spec,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,6 +110,7 @@ class Tree:
         if depth > MAX_DEPTH:
             raise refusal_at(path, element, f"elements are nested deeper than {MAX_DEPTH}")
         _refuse_large(path, element)
+        _refuse_formats(path, element)
         if element.tag == "model" and element.get("file", "").endswith(".xml"):
             self._attach(element, path)
         pending = [(child, path, within) for child in reversed(element)]
@@ -172,6 +174,9 @@ class Tree:
         return number
 
 
+_HEXADECIMAL: Final = re.compile("0[xX][0-9a-fA-F]+")
+
+
 def _refuse_large(path: Path, element: etree._Element) -> None:
     for tag, attributes, limit in _LARGEST:
         if tag in ("*", element.tag):
@@ -183,8 +188,29 @@ def _refuse_large(path: Path, element: etree._Element) -> None:
                 )
 
 
+_FORMAT: Final = re.compile(r"%[-+ #0-9.*'$hlLqjzt]*[nsS]")
+"""What printf writes to memory for, or takes for the address of a text."""
+
+_FREE_TEXT: Final = ("data", "file", "meshdir", "texturedir", "assetdir")
+
+
+def _refuse_formats(path: Path, element: etree._Element) -> None:
+    """Refuses words that MuJoCo's reader takes for a format of its own messages, and dies of."""
+    for attribute, value in element.attrib.items():
+        if attribute not in _FREE_TEXT and _FORMAT.search(str(value)):
+            raise refusal_at(
+                path,
+                element,
+                f"<{element.tag} {attribute}={short(str(value))}>: MuJoCo takes the % for a format "
+                "of its messages; take it out",
+            )
+
+
 def _product(text: str) -> int:
-    numbers = [abs(float(word)) for word in text.split() if NUMBER.fullmatch(word)]
+    # MuJoCo reads 0x10, too.
+    words = text.split()
+    numbers = [abs(float(word)) for word in words if NUMBER.fullmatch(word)]
+    numbers += [float(int(word, 16)) for word in words if _HEXADECIMAL.fullmatch(word)]
     product = math.prod(max(number, 1.0) for number in numbers)
     return int(min(product, 1e18))
 

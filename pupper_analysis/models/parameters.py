@@ -7,8 +7,9 @@ one set to those of another.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -92,7 +93,48 @@ class Parameters:
 
     def children(self, body: str) -> list[str]:
         """Returns the joints whose parent is a body."""
-        return [name for name, joint in self.joints.items() if joint.parent == body]
+        return self._children.get(body, [])
+
+    @cached_property
+    def _children(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for name, joint in self.joints.items():
+            found.setdefault(joint.parent, []).append(name)
+        return found
+
+    def carried_by(self, body: str) -> list[str]:
+        """Returns the frames that a body carries."""
+        return self._carried.get(body, [])
+
+    @cached_property
+    def _carried(self) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for name, (owner, _) in self.frames.items():
+            found.setdefault(owner, []).append(name)
+        return found
+
+    def parents_first(self) -> list[str]:
+        """Returns the joints branch by branch: Pinocchio wants each subtree in one piece."""
+        return self.below(self.base)
+
+    def below(self, body: str) -> list[str]:
+        """Returns all joints that a body carries, branch by branch, parents first."""
+        order: list[str] = []
+        waiting = self.children(body)[::-1]
+        while waiting:
+            order.append(waiting.pop())
+            waiting += self.children(order[-1])[::-1]
+        return order
+
+    def part(self, names: Collection[str]) -> Parameters:
+        """Returns some joints alone, the bodies that they move, and the frames on those."""
+        frames = [frame for name in names for frame in self.carried_by(name)]
+        return replace(
+            self,
+            bodies={name: self.bodies[name] for name in names},
+            joints={name: self.joints[name] for name in names},
+            frames={frame: self.frames[frame] for frame in frames},
+        )
 
 
 def from_pinocchio(
@@ -152,6 +194,21 @@ def from_pinocchio(
     )
 
 
+def joint_placements(model: pin.Model, q: Array) -> list[pin.SE3]:
+    """Returns where each joint of a model is, the universe first, at Pinocchio's q (model.nq,).
+
+    Without the data of the model, which grow with the cube of its size.
+    """
+    placements = [pin.SE3.Identity()]
+    for index in range(1, model.njoints):
+        kind = model.joints[index]
+        data = kind.createData()
+        kind.calc(data, q)
+        above = placements[model.parents[index]]
+        placements.append(above * model.jointPlacements[index] * data.M)
+    return placements
+
+
 def _body(inertia: pin.Inertia) -> Body:
     return Body(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia))
 
@@ -165,7 +222,7 @@ def to_pinocchio(parameters: Parameters) -> pin.Model:
         flyer = pin.JointModelFreeFlyer()
         index[parameters.base] = model.addJoint(0, flyer, pin.SE3.Identity(), "__free__")
     _append(model, index[parameters.base], parameters.bodies[parameters.base])
-    order = _parents_first(parameters)
+    order = parameters.parents_first()
     for name in order:
         joint = parameters.joints[name]
         motion = (
@@ -199,16 +256,6 @@ def to_pinocchio(parameters: Parameters) -> pin.Model:
         frame = pin.Frame(name, index[body], 0, placement, pin.FrameType.BODY)
         model.addFrame(frame, False)
     return model
-
-
-def _parents_first(parameters: Parameters) -> list[str]:
-    """Returns the joints branch by branch: Pinocchio wants each subtree in one piece."""
-    order: list[str] = []
-    waiting = parameters.children(parameters.base)
-    while waiting:
-        order.append(waiting.pop(0))
-        waiting = parameters.children(order[-1]) + waiting
-    return order
 
 
 def _append(model: pin.Model, joint: int, body: Body) -> None:

@@ -11,7 +11,7 @@ from typing import Final
 from lxml import etree
 
 from pupper_analysis.models.places import line_of, refusal_at, short
-from pupper_analysis.models.xml import MAX_DEPTH, NUMBER
+from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER
 
 MAX_LINKS: Final = 2000
 """Most links of a URDF."""
@@ -166,6 +166,13 @@ def _check_numbers(
             raise refusal_at(path, part, f"{where} is xacro; expand the file with xacro first")
         if not NUMBER.fullmatch(number) or not math.isfinite(float(number)):
             raise refusal_at(path, part, f"{where}: {short(number)} is not a finite number")
+        # A limit may be as large as can be: exporters write that for none.
+        if part.tag != "limit" and abs(float(number)) > MAX_NUMBER:
+            raise refusal_at(
+                path,
+                part,
+                f"{where}: {short(number)} is beyond {MAX_NUMBER:g}, too large to reckon",
+            )
 
 
 def check_joint(

@@ -23,6 +23,9 @@ MAX_ELEMENTS: Final = 30_000
 NUMBER: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """A number as a model file writes it; what XML Schema calls a decimal or a double."""
 
+MAX_NUMBER: Final = 1e50
+"""Largest mass, length or moment: products of six such are numbers still."""
+
 
 def parse(path: Path) -> tuple[str, etree._Element]:
     """Returns a file's text, and its root element without comments and default namespace."""

@@ -158,7 +158,8 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
         "configurations",
         style="bold",
     )
-    sides = [side for side in EDGES.values() if any(side in q.edges for q in check.quantities)]
+    every = dict.fromkeys(EDGES.values())
+    sides = [side for side in every if any(side in q.edges for q in check.quantities)]
     extras = any(quantity.edges.get(EXTRAS) for quantity in check.quantities)
     if not extras:
         sides.remove(EXTRAS)  # a column of zeros: the MJCF has none

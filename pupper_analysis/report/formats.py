@@ -112,7 +112,9 @@ def github(annotations: Iterable[Annotation]) -> str:
 
 
 def _data(text: str) -> str:
-    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+    # Ends of lines have words of their own there; what else would act on a log is shown.
+    told = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+    return visible(told)
 
 
 def _property(text: str) -> str:

@@ -18,6 +18,7 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
 from pupper_analysis.models.conversion import gravity, joint_armature
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.parameters import joint_placements
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
@@ -148,13 +149,14 @@ def _hash(
 ) -> str:
     """Returns a hash of what a stand depends on."""
     parts = [repr((joint_names, sorted(foot_frames.items()), sorted(foot_radius.items()))).encode()]
-    data = model.createData()
+    frames = [
+        model.frames[model.getFrameId(frame, pin.FrameType.BODY)] for frame in foot_frames.values()
+    ]
     for angle in (0.0, 0.3):  # rad: where the joints are, and how they turn
-        pin.framesForwardKinematics(
-            model, data, pin.integrate(model, pin.neutral(model), np.full(model.nv, angle))
-        )
-        frames = [model.getFrameId(frame, pin.FrameType.BODY) for frame in foot_frames.values()]
-        for placement in (*data.oMi, *(data.oMf[frame] for frame in frames)):
+        q = pin.integrate(model, pin.neutral(model), np.full(model.nv, angle))
+        joints = joint_placements(model, q)
+        feet = [joints[frame.parentJoint] * frame.placement for frame in frames]
+        for placement in (*joints, *feet):
             # To a nanometre: processors differ in the last digit. 0.0: -0.0 is the same number.
             parts.append((np.round(placement.homogeneous, 9) + 0.0).tobytes())
     parts += [inertia.toDynamicParameters().tobytes() for inertia in model.inertias]
@@ -260,6 +262,12 @@ def _pinocchio_model(
                 source,
                 f"joint {model.names[joint.id]!r} is planar or floating; revolute, continuous and "
                 "prismatic joints, and a free base, can be analysed",
+            )
+        if not 0.5 < np.linalg.norm(joint.createData().S) < 2:
+            raise ModelError(
+                source,
+                f"joint {model.names[joint.id]!r}: its axis has no direction; write a unit vector, "
+                '<axis xyz="0 0 1"/> say',
             )
     joints = set(list(model.names)[2 if floating else 1 :])
     for missing, where, there in (

@@ -86,6 +86,15 @@ class Structure:
             data = self.model.createData()
         return Workspace(data, self._spare)
 
+    def share(self, spare: list[pin.Data]) -> None:
+        """Takes workspaces from a pool that others take theirs from, too.
+
+        Args:
+            spare: Data of models with the same joints, axes and frames, which may have other
+                numbers.
+        """
+        self._spare = spare
+
     def columns(self, jacobian: Array, turn: Array | None) -> Array:
         """Returns J_pin T: Pinocchio's Jacobians (..., nv) in public coordinates.
 

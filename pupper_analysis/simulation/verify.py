@@ -199,6 +199,7 @@ class _Watch:
         }
 
 
+@np.errstate(invalid="ignore", over="ignore")  # of what has diverged: it is judged to have
 def _measured(
     robot: Robot,
     stand: Stand,

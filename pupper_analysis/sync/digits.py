@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
@@ -74,7 +75,7 @@ class Digits:
         """
         scale = max(floor, float(np.abs(new).max(initial=0.0)))
         kept = [
-            word if word is not None and abs(float(word) - value) <= SAME * scale else None
+            word if word is not None and abs(_read(word) - value) <= SAME * scale else None
             for word, value in zip([*old, *[None] * len(new)], new, strict=False)
         ]
         if len(old) >= len(new) and all(word is not None for word in kept):
@@ -83,6 +84,11 @@ class Digits:
             word if word is not None else self.word(float(value), scale)
             for word, value in zip(kept, new, strict=True)
         )
+
+
+def _read(word: str) -> float:
+    """Returns a number as it is written; not a number if it is no decimal, as MuJoCo's 0x10."""
+    return float(word) if NUMBER.fullmatch(word) else math.nan
 
 
 def _shortest(value: float, scale: float) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.checks.backends.quantities import (
@@ -14,6 +13,7 @@ from pupper_analysis.checks.backends.quantities import (
     state_quantities,
 )
 from pupper_analysis.checks.states import States
+from pupper_analysis.models.parameters import joint_placements
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
@@ -30,11 +30,10 @@ def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array
     """
     model, convention = robot.pin_model, robot.pin_convention
     rest = Configuration(robot, robot.neutral())
-    data = model.createData()
-    pin.forwardKinematics(model, data, convention.q(rest.qpos))
+    placements = joint_placements(model, convention.q(rest.qpos))
     ids = [int(model.getJointId(name)) for name in robot.joint_names]
     base = 1 if robot.floating else 0
-    bodies = [data.oMi[joint].act(model.inertias[joint]) for joint in (base, *ids)]
+    bodies = [placements[joint].act(model.inertias[joint]) for joint in (base, *ids)]
     v = convention.v_index
     evaluation = model_quantities(
         robot,
@@ -42,7 +41,7 @@ def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array
         coms=[np.array(body.lever) for body in bodies],
         inertias=[np.array(body.inertia) for body in bodies],
         anchors=[
-            rest.joint_position(name) + data.oMi[joint].rotation @ moved.get(name, np.zeros(3))
+            rest.joint_position(name) + placements[joint].rotation @ moved.get(name, np.zeros(3))
             for name, joint in zip(robot.joint_names, ids, strict=True)
         ],
         axes=[rest.joint_axis(name) for name in robot.joint_names],
@@ -56,7 +55,7 @@ def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array
     base_rows = robot.nv - robot.nu
     damping = np.concatenate([model.damping[:base_rows], model.damping[v]])
     rows: dict[str, list[Array]] = {}
-    del rest, data  # those of hundreds of joints take a second to make: one set serves all states
+    del rest  # Pinocchio's data of hundreds of joints take a second to make: its serve all states
     for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
         config = Configuration(robot, qpos, qvel)
         force = -damping * qvel

@@ -5,10 +5,12 @@ from __future__ import annotations
 import io
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
+from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks.backends.quantities import Evaluation, state_quantities
 from pupper_analysis.checks.states import States
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
 
@@ -23,8 +25,8 @@ def yourdfpy_evaluation(robot: Robot, states: States) -> Evaluation:
     rows = []
     for qpos in states.qpos:
         urdf.update_cfg(qpos[robot.nq - robot.nu :][order])
-        config = Configuration(robot, qpos)
-        origin, rotation = config.frame_position(robot.base), config.base_rotation()
+        base = _base(robot, qpos)
+        origin, rotation = base.translation, base.rotation
         rows.append(
             np.array(
                 [
@@ -34,3 +36,12 @@ def yourdfpy_evaluation(robot: Robot, states: States) -> Evaluation:
             )
         )
     return state_quantities(robot, {"foot positions": rows})
+
+
+def _base(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
+    """Returns where the base's frame is in the world, which takes no kinematics."""
+    model = robot.pin_model
+    frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
+    if not robot.floating:
+        return frame.placement
+    return pin.SE3(rotation_from_quaternion(qpos[3:7]), qpos[:3]) * frame.placement

@@ -178,7 +178,7 @@ class _Comparison:
         for name in reversed(come):
             two = with_fixed(two, name)
         two = renamed(two, {new: old for old, new in self.pairs.items()})
-        two = replace(two, joints={name: two.joints[name] for name in _parents_first(two)})
+        two = replace(two, joints={name: two.joints[name] for name in two.parents_first()})
         if one.floating != two.floating:
             before, after = ("free" if tree.floating else "fixed" for tree in (one, two))
             message = f"base {one.base}: {before} {VERSIONS.one}, {after} {VERSIONS.two}"
@@ -267,14 +267,6 @@ def _undefined(trial: Trial) -> Iterator[str]:
     """Says what was not compared."""
     for name in trial.undefined:
         yield f"{name}: not compared, for links without mass make it undefined in the old file"
-
-
-def _parents_first(values: Parameters) -> list[str]:
-    order, waiting = [], values.children(values.base)
-    while waiting:
-        order.append(waiting.pop(0))
-        waiting = values.children(order[-1]) + waiting
-    return order
 
 
 def _mass(values: Parameters) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pupper_analysis.checks.matching_urdf import fixed_links
 from pupper_analysis.checks.places import (
     MJCF_ATTRIBUTES,
     MJCF_SECTION,
@@ -36,7 +37,7 @@ def _in_urdf(version: Version, file: UrdfFile, kind: str, element: str) -> Place
     root, child = version.root, URDF_CHILD.get(kind)
     assert root is not None
     if kind in _BODY and element in version.carriers:
-        members = links_moving_with(root, version.carriers[element])
+        members = links_moving_with(fixed_links(root), version.carriers[element])
         return file.place("link", max(members, key=lambda member: member[1])[0], child)
     if element == version.tree.base:
         return file.place("link", element, child)

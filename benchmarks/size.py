@@ -1,0 +1,175 @@
+"""Measures how time and memory of crosscheck and audit grow with the number of links.
+
+Each in a process of its own, start-up included. Draws docs/size.png with ``--figure``::
+
+    python benchmarks/size.py --figure docs/size.png
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+CHAIN, LEGS, HEAVIER, BODIES = (
+    "chain",
+    "legs of four joints",
+    "legs, 20 masses differ",
+    "free bodies",
+)
+
+SIZES = {
+    CHAIN: (12, 60, 120, 190, 245),  # deeper ones are refused
+    LEGS: (12, 60, 120, 192, 300, 600, 1200, 1996),
+    HEAVIER: (60, 192, 300, 600, 1200, 1996),
+    BODIES: (10, 100, 500, 1500),
+}
+
+_MEASURE = """
+import json, resource, sys, time
+start = time.perf_counter()
+import pupper_analysis as pa
+if len(sys.argv) == 3:
+    result = pa.compare_models(*map(str, sys.argv[1:]))
+    said = dict(found=len(result.differences), complete=result.complete)
+else:
+    said = dict(found=len(pa.audit_model(sys.argv[1]).findings), complete=True)
+taken = time.perf_counter() - start
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+print(json.dumps(dict(seconds=taken, gigabytes=peak, **said)))
+"""
+
+
+def pair(legs: int, joints: int, heavier: int = 0) -> tuple[str, str]:
+    """Returns a URDF and an MJCF of a base with legs of some joints each.
+
+    Args:
+        legs: The number of legs.
+        joints: Of each leg.
+        heavier: So many links weigh a tenth more in the MJCF.
+    """
+    tensor = 'ixx="2e-4" iyy="3e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"'
+    urdf = ['<robot name="r"><link name="base"><inertial><mass value="2"/>']
+    urdf += ['<inertia ixx=".02" iyy=".03" izz=".04" ixy="0" ixz="0" iyz="0"/></inertial></link>']
+    mjcf = ['<mujoco><compiler angle="radian"/><worldbody><body name="base"><freejoint/>']
+    mjcf += ['<inertial pos="0 0 0" mass="2" diaginertia=".02 .03 .04"/>']
+    for leg in range(legs):
+        parent = "base"
+        for joint in range(joints):
+            name, axis = f"{leg}_{joint}", ("1 0 0", "0 1 0")[joint % 2]
+            place = f"{0 if joint else 0.1 * leg:.6g} 0 -0.05"
+            mass = 0.11 if leg * joints + joint < heavier else 0.1
+            urdf += [
+                f'<link name="{name}"><inertial><origin xyz="0 0 -.02"/><mass value="0.1"/>'
+                f'<inertia {tensor}/></inertial></link><joint name="j{name}" type="revolute">'
+                f'<parent link="{parent}"/><child link="{name}"/><origin xyz="{place}"/>'
+                f'<axis xyz="{axis}"/><limit lower="-1" upper="1" effort="3" velocity="9"/></joint>'
+            ]
+            mjcf += [
+                f'<body name="{name}" pos="{place}"><joint name="j{name}" axis="{axis}" '
+                f'range="-1 1" actuatorfrcrange="-3 3"/><inertial pos="0 0 -.02" mass="{mass}" '
+                'diaginertia="2e-4 3e-4 1e-4"/>'
+            ]
+            parent = name
+        mjcf += ["</body>" * joints]
+    return "".join([*urdf, "</robot>"]), "".join([*mjcf, "</body></worldbody></mujoco>"])
+
+
+def bodies(count: int) -> str:
+    """Returns an MJCF of free bodies in a row."""
+    each = '<body name="b{0}" pos="{0} 0 1"><freejoint/><geom size=".1"/></body>'
+    rows = "".join(each.format(number) for number in range(count))
+    return f"<mujoco><worldbody>{rows}</worldbody></mujoco>"
+
+
+MADE: dict[str, Callable[[int], tuple[str, ...]]] = {
+    CHAIN: lambda count: pair(1, count),
+    LEGS: lambda count: pair(count // 4, 4),
+    HEAVIER: lambda count: pair(count // 4, 4, heavier=20),
+    BODIES: lambda count: (bodies(count),),
+}
+
+
+def measured(texts: tuple[str, ...]) -> dict[str, float]:
+    """Compares two files, or audits one, in a process of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder) / f"robot.{end}" for end in ("urdf", "xml")[-len(texts) :]]
+        for path, text in zip(paths, texts, strict=True):
+            path.write_text(text)
+        command = [sys.executable, "-c", _MEASURE, *map(str, paths)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    result: dict[str, float] = json.loads(done.stdout)
+    return result
+
+
+def rows(most: int) -> Iterator[dict[str, Any]]:
+    """Yields what each size took, as it is measured."""
+    for kind, sizes in SIZES.items():
+        for size in sizes:
+            if size <= most:
+                row = {"kind": kind, "links": size, **measured(MADE[kind](size))}
+                print(
+                    f"{kind:24} {size:5}  {row['seconds']:6.2f} s  {row['gigabytes']:.2f} GB  "
+                    f"{row['found']} found, complete: {row['complete']}",
+                    flush=True,
+                )
+                yield row
+
+
+def draw(table: list[dict[str, Any]], path: Path) -> None:
+    """Draws time and memory over the number of links."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    for axis, what, unit, goal in zip(
+        axes, ("seconds", "gigabytes"), ("time (s)", "peak memory (GB)"), (20, 2), strict=True
+    ):
+        for kind in SIZES:
+            of_kind = [row for row in table if row["kind"] == kind]
+            command = "audit" if kind == BODIES else "crosscheck"
+            axis.loglog(
+                [row["links"] for row in of_kind],
+                [row[what] for row in of_kind],
+                "o-",
+                label=f"{command}: {kind}",
+            )
+        axis.axhline(goal, color="0.5", linestyle=":")
+        axis.text(
+            10,
+            goal * 0.93,
+            f"goal for 2000 links: {goal} {unit[unit.index('(') + 1 : -1]}",
+            va="top",
+            color="0.4",
+        )
+        axis.axvline(194, color="0.8", zorder=0)
+        axis.set(xlabel="links that move", ylabel=unit)
+        axis.grid(True, which="both", alpha=0.2)
+    axes[1].text(210, 0.1, "MuJoCo alone", color="0.4")
+    axes[1].text(178, 0.1, "both engines", color="0.4", ha="right")
+    axes[0].set_ylim(1, 30)
+    axes[1].set_ylim(0.08, 3)
+    axes[0].legend(loc="center left", fontsize=8)
+    figure.savefig(path, dpi=130)
+
+
+def main() -> None:
+    """Measures, prints and draws."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--most", type=int, default=2000, help="links of the largest robot")
+    parser.add_argument("--figure", type=Path, help="draw to this file")
+    arguments = parser.parse_args()
+    table = list(rows(arguments.most))
+    if arguments.figure:
+        draw(table, arguments.figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,113 @@
+"""How much of a large robot is compared, and by which engine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MOST_IN_PINOCCHIO: Final = 200
+"""Degrees of freedom of the largest robot that is evaluated in Pinocchio.
+
+Pinocchio's data hold four tensors of second derivatives, nv x nv x nv each, that nothing here asks
+for: 32 nv^3 bytes, 0.26 GB at 200 and 256 GB at 2000, and as long as it takes to write them.
+"""
+
+_STATES: Final = 80e6
+"""Bytes of the mass matrices of all states (nv x nv each), one evaluation's; there are five.
+
+A robot of 306 degrees of freedom is compared at 106 states, one of 1000 at 10.
+"""
+
+_LEAST: Final = 2
+"""States at which a robot of any size is compared: one may happen to be singular."""
+
+_FRAMES: Final = 100
+"""Frames whose Jacobians (3 x nv each) are compared in a large robot."""
+
+
+def is_large(robot: Robot) -> bool:
+    """Says whether a robot is too large for Pinocchio's data."""
+    return robot.nv > MOST_IN_PINOCCHIO
+
+
+def affordable(robot: Robot, count: int) -> int:
+    """Returns at how many of so many states a robot is compared: all, unless it is large."""
+    if not is_large(robot):
+        return count
+    return min(count, max(_LEAST, int(_STATES / (8 * robot.nv**2))))
+
+
+def some_of(robot: Robot, frames: Mapping[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:
+    """Returns the frames that are compared in detail: all, unless the robot is large."""
+    if not is_large(robot) or len(frames) <= _FRAMES:
+        return dict(frames)
+    chosen = np.linspace(0, len(frames) - 1, _FRAMES).astype(int)
+    names = list(frames)
+    return {names[place]: frames[names[place]] for place in chosen}
+
+
+def size_notes(robot: Robot, count: int, frames: Mapping[str, tuple[str, str]]) -> Iterator[str]:
+    """Yields what is left out of the comparison of a large robot.
+
+    Args:
+        robot: The robot.
+        count: The number of states that was asked for.
+        frames: All that could be compared.
+    """
+    if not is_large(robot):
+        return
+    yield (
+        f"left out: Pinocchio's dynamics: its data of {robot.nv} degrees of freedom would take "
+        f"{32e-9 * robot.nv**3:.1f} GB (from {MOST_IN_PINOCCHIO} degrees of freedom on MuJoCo "
+        "computes both; Pinocchio reads the URDF)"
+    )
+    if affordable(robot, count) < count:
+        yield f"compared at {affordable(robot, count)} of {count} states, as it is large"
+    if len(some_of(robot, frames)) < len(frames):
+        yield (
+            f"Jacobians and yourdfpy: {len(some_of(robot, frames))} of {len(frames)} frames, as "
+            "the robot is large"
+        )
+
+
+class Entries:
+    """The elements of a large robot's mass matrices that can be other than zero.
+
+    Those of a joint with itself and with the joints that carry it, in any of some trees.
+    """
+
+    def __init__(self, nv: int, models: Iterable[tuple[mujoco.MjModel, IntArray]]) -> None:
+        """Finds the elements that any of some models has.
+
+        Args:
+            nv: Degrees of freedom.
+            models: Models, and where the public degrees of freedom are in each.
+        """
+        found = [_elements(nv, model, public) for model, public in models]
+        self._rows, self._columns = np.divmod(np.unique(np.concatenate(found)), nv)
+
+    def of(self, matrix: Array, public: IntArray) -> Array:
+        """Returns the elements (n,) of a matrix in which public rows and columns are named."""
+        elements: Array = matrix[public[self._rows], public[self._columns]]
+        return elements
+
+
+def _elements(nv: int, model: mujoco.MjModel, public: IntArray) -> IntArray:
+    """Returns row * nv + column of the elements in a model's mass matrix, in public numbers."""
+    number = np.full(model.nv, -1)
+    number[public] = np.arange(nv)
+    rows = number[np.repeat(np.arange(model.nv), model.M_rownnz)]
+    columns = number[model.M_colind]
+    kept = (rows >= 0) & (columns >= 0)
+    rows, columns = rows[kept], columns[kept]
+    flat: IntArray = np.concatenate([rows * nv + columns, columns * nv + rows])
+    return flat

@@ -1,0 +1,724 @@
+"""A fuzzer: spoilt files, odd names and odd arguments for every command, in one process.
+
+Whatever a command is given, it ends by itself within `SECONDS` with one of the documented statuses,
+without a traceback; it shows no character that acts on a terminal, and begins no line that a CI
+service obeys; it leaves every file whole; and it calls no MJCF sound, agreeing or holding that
+MuJoCo refuses. ::
+
+    python tests/fuzz.py 20000            # as many inputs (make fuzz N=20000)
+    python tests/fuzz.py --seconds 60     # for a minute, as CI does
+    python tests/fuzz.py --again FILE     # one failure, as it was kept
+
+Failures are kept in build/fuzz; those that were mended are in tests/fuzz_seeds, which run as tests.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import contextlib
+import functools
+import io
+import json
+import os
+import re
+import secrets
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import unicodedata
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from xml.sax.saxutils import quoteattr
+
+import hypothesis
+from hypothesis import strategies as st
+
+ROOT = Path(__file__).resolve().parent.parent
+KEPT = ROOT / "build" / "fuzz"
+
+SECONDS = 20
+"""Of computing, after which a command hangs; of waiting five times as many: others compute, too."""
+
+STATUSES = (0, 1, 2)
+"""Verified, not verified, bad input; 3, a bug, is what is looked for."""
+
+BEFORE = b'{"written": "before"}\n'
+"""What stands in every output file before the command runs."""
+
+OUTPUTS = ("out.json", "out.csv", "out.npz", "out.png")
+
+
+class Hang(BaseException):
+    """A command has not ended in time."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One input.
+
+    Attributes:
+        arguments: Of the command line.
+        files: {name: content} in the folder where it runs.
+    """
+
+    arguments: tuple[str, ...]
+    files: Mapping[str, bytes]
+
+    def to_json(self) -> str:
+        """Returns it as text: files as they are where they are UTF-8, else in base 64."""
+        files = {}
+        for name, content in self.files.items():
+            try:
+                files[name] = {"text": content.decode()}
+            except UnicodeDecodeError:
+                files[name] = {"base64": base64.b64encode(content).decode()}
+        return json.dumps({"arguments": self.arguments, "files": files}, indent=1)
+
+    @staticmethod
+    def from_json(text: str) -> Case:
+        """Reads what `to_json` has written."""
+        said = json.loads(text)
+        files = {
+            name: content["text"].encode()
+            if "text" in content
+            else base64.b64decode(content["base64"])
+            for name, content in said["files"].items()
+        }
+        return Case(tuple(said["arguments"]), files)
+
+
+# ------------------------------------------------------------------------------------- checks
+
+
+def problems(case: Case, folder: Path) -> Iterator[str]:
+    """Runs a command in an empty folder; yields what it should not have done."""
+    for name, content in case.files.items():
+        (folder / name).write_bytes(content)
+    before = dict(case.files)
+    for name in OUTPUTS:
+        (folder / name).write_bytes(BEFORE)
+        before[name] = BEFORE
+    status, said, taken = _run(case.arguments, folder)
+    command = case.arguments[0] if case.arguments else ""
+    if status is None:
+        yield f"no end within {SECONDS} s"
+        return
+    if status not in STATUSES:
+        yield f"exit status {status}: {said[-500:]}"
+    if taken > SECONDS:
+        yield f"it took {taken:.0f} s"
+    if "Traceback (most recent call last)" in said:
+        yield f"a traceback: {said[-500:]}"
+    yield from _shown(said, github="github" in case.arguments)
+    yield from _written(folder, before, may_write=command == "sync")
+    if status == 0 and command in ("audit", "crosscheck", "stand"):
+        refusal = _refused(folder, case.arguments)
+        if refusal and "--help" not in case.arguments and "-h" not in case.arguments:
+            yield f"accepted, and MuJoCo refuses it: {refusal}"
+
+
+def _run(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, float]:
+    """Runs a command; returns its exit status, None if it hangs, and all that it printed."""
+    from pupper_analysis import cli
+
+    def hang(_number: int, _frame: FrameType | None) -> None:
+        raise Hang
+
+    out = io.StringIO()
+    status: int | None = None
+    timers = {
+        signal.SIGPROF: (signal.ITIMER_PROF, SECONDS + 1),
+        signal.SIGALRM: (signal.ITIMER_REAL, 5 * SECONDS + 5),
+    }
+    before = {number: signal.signal(number, hang) for number in timers}
+    start = time.process_time()
+    for timer, seconds in timers.values():
+        signal.setitimer(timer, seconds)
+    try:
+        with (
+            contextlib.chdir(folder),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(out),
+            warnings.catch_warnings(),
+        ):
+            warnings.simplefilter("error", RuntimeWarning)  # NumPy's, of what is no number
+            cli.run(cli.group, list(arguments))
+    except SystemExit as leaving:
+        status = leaving.code if isinstance(leaving.code, int) else 0
+    except Hang:
+        pass
+    except BaseException as error:
+        status, _ = -1, out.write(f"\n{type(error).__name__} went through: {error}")
+    finally:
+        for number, (timer, _) in timers.items():
+            signal.setitimer(timer, 0)
+            signal.signal(number, before[number])
+    return status, out.getvalue(), time.process_time() - start
+
+
+def _shown(said: str, *, github: bool) -> Iterator[str]:
+    for letter in sorted(set(said) - {"\n"}):
+        if unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Zl", "Zp"):
+            yield f"{letter!a} is shown as it is: {_around(said, letter)!a}"
+    obeyed = re.search(r"(?m)^\s*(::|##\[).*$", said)
+    if obeyed and not github:
+        yield f"a line that CI obeys: {obeyed[0]!a}"
+    if github:
+        for line in said.splitlines():
+            if re.match(r"\s*(::|##\[)", line) and not re.match(r"::(error|warning|notice) ", line):
+                yield f"a line that CI obeys: {line!a}"
+
+
+def _around(said: str, letter: str) -> str:
+    place = said.index(letter)
+    return said[max(0, place - 40) : place + 40]
+
+
+def _written(folder: Path, before: Mapping[str, bytes], *, may_write: bool) -> Iterator[str]:
+    for name, content in before.items():
+        path = folder / name
+        if not path.is_file():
+            yield f"{name} is gone"
+            continue
+        now = path.read_bytes()
+        if now == content:
+            continue
+        if name in OUTPUTS:
+            ends = {"out.json": (b"}\n", b"]\n", b"}", b"]"), "out.csv": (b"\n",)}
+            begins = {"out.npz": b"PK", "out.png": b"\x89PNG"}
+            whole = now.endswith(ends.get(name, b"")) and now.startswith(begins.get(name, b""))
+            if name == "out.json" and whole:
+                try:
+                    json.loads(now, parse_constant=_no_constant)
+                except ValueError as error:
+                    yield f"out.json is no JSON: {error}"
+            elif not whole:
+                yield f"{name} is not whole: {now[:40]!r} … {now[-40:]!r}"
+        elif not may_write:
+            yield f"{name} was written to"
+    for path in folder.rglob("*"):
+        if path.name not in before and path.suffix == ".tmp":
+            yield f"{path.name} was left"
+
+
+def _no_constant(word: str) -> None:
+    raise ValueError(f"{word} is in it")
+
+
+def _refused(folder: Path, arguments: tuple[str, ...]) -> str | None:
+    """Says what MuJoCo has against an MJCF that a command was given, by MuJoCo's own reader."""
+    import mujoco
+
+    for name in arguments:
+        if name in ("robot.xml", "--mjcf=robot.xml") and (folder / "robot.xml").is_file():
+            mujoco.set_mju_user_warning(lambda _: None)
+            try:
+                mujoco.MjModel.from_xml_path(str(folder / "robot.xml"))
+            except (ValueError, RuntimeError) as error:
+                return " ".join(str(error).split())
+    return None
+
+
+# ------------------------------------------------------------------------------------- files
+
+ABSURD = (
+    *("1e308", "-1e308", "1e-320", "nan", "inf", "-inf", "-1", "0", "", " ", "1e400", "0x10"),
+    *("1,5", "1_000", "\u0661", "1 2", "1 2 3 4 5 6 7", "a", "true", "-0", "1e5", "1e-9"),
+    *("999999999999999999999", "../../etc", "%s%n", "\u00e9"),
+)
+
+NAMES = (
+    *(
+        "",
+        " ",
+        "a b",
+        "a/b",
+        "../x",
+        "a:b",
+        "\n",
+        "a\n::error::owned",
+        "\n##[error]owned",
+        "\u009b",
+    ),
+    *(
+        "\u202ename",
+        "\u2028",
+        "<script>alert(1)</script>",
+        "::error::owned",
+        "[red]name[/red]",
+        "[/]",
+    ),
+    *("%s", "{0}", "--help", "\ufeff", "\u0000"[:0], "x" * 3000, "world", "base", "universe"),
+    *(
+        "root_joint",
+        "__free__",
+        "__root__",
+        "NaN",
+        "null",
+        "'",
+        '"',
+        "&",
+        "]]>",
+        "-->",
+        "\U0001f980",
+    ),
+)
+
+_REFERENCES = (
+    *(
+        "joint",
+        "joint1",
+        "joint2",
+        "site",
+        "body",
+        "body1",
+        "body2",
+        "geom",
+        "geom1",
+        "geom2",
+        "link",
+    ),
+    *(
+        "mesh",
+        "material",
+        "class",
+        "childclass",
+        "tendon",
+        "actuator",
+        "objname",
+        "actuator",
+        "file",
+    ),
+    *("reftype", "refname", "name", "key", "texture", "hfield", "target", "refsite", "cranksite"),
+)
+
+_RICH = """
+<default><default class="leg"><geom rgba="1 0 0 1"/></default></default>
+<asset><material name="grey" rgba=".5 .5 .5 1"/></asset>
+<contact><exclude body1="base" body2="shank0"/><pair geom1="ball0" geom2="ball1"/></contact>
+<equality><connect body1="shank0" body2="shank1" anchor="0 0 0" active="false"/>
+<joint joint1="hip0" joint2="hip1" active="false"/></equality>
+<tendon><fixed name="coupled"><joint joint="hip2" coef="0"/><joint joint="hip3" coef="0"/></fixed>
+<spatial name="string"><site site="foot0"/><site site="foot1"/></spatial></tendon>
+<actuator><motor name="drive" joint="knee0"/>
+<position name="servo" joint="knee1" kp="9"/></actuator>
+<sensor><gyro site="foot0"/><jointpos joint="knee0"/><framepos objtype="body" objname="base"/>
+<tendonpos tendon="string"/><actuatorfrc actuator="drive"/></sensor>
+<custom><numeric name="n" data="1 2"/><tuple name="t"><element objtype="body" objname="base"/>
+</tuple></custom>
+"""
+
+_ATTRIBUTE = re.compile(rb'([\w:]+)=(["\'])(.*?)\2', re.DOTALL)
+_ELEMENT = re.compile(rb"<(\w+)[^<>]*/>")
+
+
+def _attribute(chosen: re.Match[bytes], value: str) -> bytes:
+    return chosen[1] + b"=" + quoteattr(value, {"\n": "&#10;"}).encode("utf-8", "surrogatepass")
+
+
+def _spoil_value(draw: st.DrawFn, text: bytes) -> bytes:
+    """Puts something absurd, or a slip, in place of one value, or of one number of several."""
+    found = list(_ATTRIBUTE.finditer(text))
+    if not found:
+        return text
+    chosen = draw(st.sampled_from(found))
+    value = chosen[3].decode("utf-8", "replace")
+    words = value.split(" ")
+    at = draw(st.integers(0, len(words) - 1))
+    try:
+        number = float(words[at])
+        slips = [-number, 10 * number, number / 1000, 57.29578 * number, 1.01 * number, number + 1]
+        words[at] = draw(st.sampled_from([*map(repr, slips), *ABSURD]))
+        value = " ".join(words)
+    except ValueError:
+        value = draw(st.sampled_from(ABSURD))
+    return text[: chosen.start()] + _attribute(chosen, value) + text[chosen.end() :]
+
+
+def _dangle(draw: st.DrawFn, text: bytes) -> bytes:
+    """Lets one reference, or name, be another."""
+    found = [at for at in _ATTRIBUTE.finditer(text) if at[1].decode() in _REFERENCES]
+    if not found:
+        return text
+    chosen = draw(st.sampled_from(found))
+    other = draw(st.sampled_from(found))[3].decode("utf-8", "replace")
+    value = draw(st.sampled_from(["nowhere", other, *NAMES]))
+    return text[: chosen.start()] + _attribute(chosen, value) + text[chosen.end() :]
+
+
+def _flip(draw: st.DrawFn, text: bytes) -> bytes:
+    spoilt = bytearray(text)
+    for _ in range(draw(st.integers(1, 6))):
+        if spoilt:
+            spoilt[draw(st.integers(0, len(spoilt) - 1))] ^= 1 << draw(st.integers(0, 7))
+    return bytes(spoilt)
+
+
+def _cut(draw: st.DrawFn, text: bytes) -> bytes:
+    return text[: draw(st.integers(0, len(text)))]
+
+
+def _element(draw: st.DrawFn, text: bytes) -> bytes:
+    """Drops an element, doubles it, moves it, or changes its tag."""
+    found = list(_ELEMENT.finditer(text))
+    if not found:
+        return text
+    chosen, other = draw(st.sampled_from(found)), draw(st.sampled_from(found))
+    rest = text[: chosen.start()] + text[chosen.end() :]
+    moved = rest[: other.start()] + chosen[0] + rest[other.start() :]
+    renamed = chosen[0].replace(chosen[1], other[1], 1)
+    tag = text[: chosen.start()] + renamed + text[chosen.end() :]
+    return draw(st.sampled_from([rest, rest + chosen[0], moved, tag, text.replace(chosen[0], b"")]))
+
+
+def _drop(draw: st.DrawFn, text: bytes) -> bytes:
+    found = list(_ATTRIBUTE.finditer(text))
+    chosen = draw(st.sampled_from(found)) if found else None
+    return text[: chosen.start()] + text[chosen.end() :] if chosen else text
+
+
+def _wrap(draw: st.DrawFn, text: bytes) -> bytes:
+    """Puts an element into others that an MJCF may have around it."""
+    found = list(_ELEMENT.finditer(text))
+    if not found:
+        return text
+    chosen = draw(st.sampled_from(found))
+    around = draw(st.sampled_from(["frame", "replicate", "body", "link", "worldbody", "default"]))
+    more = draw(st.sampled_from(["", ' name="w"', ' count="2"', ' pos="1 0 0"', ' count="99999"']))
+    wrapped = f"<{around}{more}>".encode() + chosen[0] + f"</{around}>".encode()
+    return text[: chosen.start()] + wrapped + text[chosen.end() :]
+
+
+def _encode(draw: st.DrawFn, text: bytes) -> bytes:
+    said = draw(st.sampled_from(["utf-8", "latin-1", "utf-16", "ascii", "nonsense", "utf-7"]))
+    real = draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1", "utf-32"]))
+    letters = f'<?xml version="1.0" encoding="{said}"?>\n<!-- \u00e9 -->\n' + text.decode(
+        "utf-8", "replace"
+    )
+    return letters.encode(real, "replace")
+
+
+SPOIL: tuple[Callable[[st.DrawFn, bytes], bytes], ...] = (
+    *(_spoil_value,) * 9,
+    *(_dangle,) * 5,
+    *(_element, _drop, _wrap) * 2,
+    *(_flip, _cut, _encode),
+)
+
+
+@functools.cache
+def _base_files() -> list[tuple[bytes, bytes]]:
+    from robots import arm, mjcf_text, quadruped, urdf_text
+
+    pairs = []
+    for parts in (quadruped(), arm()):
+        pairs.append((urdf_text(parts), mjcf_text(parts)))
+    urdf, mjcf = pairs[0]
+    for leg in range(4):
+        site = f'<site name="foot{leg}"'
+        mjcf = mjcf.replace(site, f'<geom name="ball{leg}" size=".02" pos="0 0 -.2"/>{site}')
+    pairs += [(urdf, mjcf.replace("</worldbody>", f"</worldbody>{_RICH}"))] * 2
+    return [(one.encode(), two.encode()) for one, two in pairs]
+
+
+@functools.cache
+def _legged() -> tuple[bytes, bytes]:
+    """Returns a pair that stands."""
+    skeleton = ROOT / "urdf" / "pupper_skeleton.urdf", ROOT / "mjcf" / "pupper_skeleton.xml"
+    return skeleton[0].read_bytes(), skeleton[1].read_bytes()
+
+
+@st.composite
+def spoilt_files(draw: st.DrawFn, pair: tuple[bytes, bytes] | None = None) -> dict[str, bytes]:
+    """Draws a URDF and an MJCF of one robot, one of which is spoilt, or both."""
+    urdf, mjcf = draw(st.sampled_from([*_base_files(), _legged()] if pair is None else [pair]))
+    which = draw(st.sampled_from(["urdf", "mjcf", "mjcf", "both"]))
+    for _ in range(draw(st.sampled_from([1, 1, 2, 3]))):
+        spoil = draw(st.sampled_from(SPOIL))
+        if which == "urdf" or (which == "both" and draw(st.booleans())):
+            urdf = spoil(draw, urdf)
+        else:
+            mjcf = spoil(draw, mjcf)
+    return {"robot.urdf": urdf, "robot.xml": mjcf}
+
+
+# ------------------------------------------------------------------------------------- commands
+
+_NUMBERS = (
+    *ABSURD,
+    "0.1",
+    "0.2",
+    "5deg",
+    "10cm",
+    "90deg",
+    "1e6",
+    "-0.3",
+    "3.2",
+    "cm",
+    "5 deg",
+    "50",
+)
+_PAIRS = (
+    "0,0",
+    "0.01,0.02",
+    "1e308,0",
+    "nan,0",
+    ",",
+    "1,2,3",
+    "inf,inf",
+    "1cm,2cm",
+    "a,b",
+    "centre",
+)
+_FEET = ("FL=2cm", "FL=1e9", "FL=nan", "FL", "=1", "XX=1cm", "FL=1cm,2cm", "FL=0,0,0", "FL=1,2,3")
+
+STANCE = {
+    "--base": ("v3", "skeleton", "x", ""),
+    "--leg-scale": ("1.1", "0", "-1", "1e-6", "1e9", "nan", "inf"),
+    "--torso-mass-scale": ("1.1", "0", "-1", "1e9", "nan"),
+    "--foot": ("FL", "x", ""),
+    "--map": ("a=b", "=", "a", ""),
+    "--keyframe": ("home", "x", ""),
+    "--height": _NUMBERS,
+    "--roll": _NUMBERS,
+    "--pitch": _NUMBERS,
+    "--yaw": _NUMBERS,
+    "--offset": _PAIRS,
+    "--com": (*_PAIRS, "inside"),
+    "--com-margin": _NUMBERS,
+    "--joint-margin": _NUMBERS,
+    "--ground-clearance": _NUMBERS,
+    "--self-clearance": _NUMBERS,
+    "--move": _FEET,
+    "--swing": _FEET,
+    "--step": _FEET,
+    "--slope": _NUMBERS,
+    "--uphill": _NUMBERS,
+    "--kp": (*_NUMBERS, "*=5", "x=5", "*_3=1e9", "*=nan", "="),
+    "--kd": (*_NUMBERS, "*=0.1"),
+    "--integrator": ("euler", "implicitfast", "rk4", "x"),
+    "--json": ("out.json", "-", "", "no/such/x.json", "/dev/null/x", ".", "x" * 300, "a\0b"[:1]),
+}
+
+COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
+    "stand": {**STANCE, "--minimum-stiffness": (), "--figure": ("out.png", ".", "")},
+    "workspace": {**STANCE, "--figure": ("out.png", ".")},
+    "payload": {**STANCE, "--at": ("0,0,0", "1e308,0,0", "nan,0,0", "1", "0.1,0,5cm")},
+    "best": {**STANCE, "--at": ("0,0,0", "a")},
+    "path": {
+        **STANCE,
+        "--seconds": ("1", "0", "-1", "nan", "1e9", "1e-9", "inf", "x"),
+        "--fastest": (),
+        "--csv": ("out.csv", "-", "."),
+        "--npz": ("out.npz", ".", "-"),
+    },
+    "push": {**STANCE, "--directions": ("1", "0", "-1", "1e3", "x"), "--resolution": _NUMBERS},
+    "analyze": {
+        "--list": (),
+        "--base": ("v3", "x"),
+        "--leg-scale": ("nan", "-1", "1e9"),
+        "--height": ("nan", "1e9", "-1"),
+        "--json": ("out.json", "."),
+        "--no-figures": (),
+    },
+    "view": {"--headless": (), "--fixed": ()},
+    "drop": {"--seconds": ("0", "-1", "nan", "x", "1e-9"), "--headless": (), "--kp": ("nan", "-1")},
+}
+
+_MODELS = {
+    "--format": ("github", "junit", "text", "x", "sarif"),
+    "--json": ("out.json", "-", ".", "robot.xml/x"),
+    "--tolerance": ("mass=1", "mass=nan", "mass=-1", "x=1", "mass", "=", "mass=1e308"),
+    "--map": ("hip0=hip1", "x=y", "=", "hip0=hip0", "hip0=knee0"),
+    "--map-file": ("robot.xml", "none.toml", "."),
+    "--foot": ("foot0", "x", ""),
+    "--package": ("x=.", "x", "=", "x=none"),
+    "--strict": (),
+    "--all": (),
+    "--coarse": (),
+    "--take": ("urdf", "mjcf", "mjcf:*", "urdf:x", "1", "", "0", "urdf:1"),
+    "--dry-run": (),
+    "--backup": (),
+    "--force": (),
+}
+_COMMON = ("--json", "--tolerance", "--map", "--map-file", "--foot", "--package")
+OF_MODELS = {
+    "audit": ("--format", "--json", "--package"),
+    "crosscheck": (*_COMMON, "--format", "--strict", "--all"),
+    "sync": (*_COMMON, "--take", "--dry-run", "--backup", "--force", "--coarse"),
+}
+
+
+@st.composite
+def on_files(draw: st.DrawFn) -> Case:
+    """Draws a command on spoilt files."""
+    models = ["audit"] * 20 + ["crosscheck"] * 18 + ["sync"] * 10
+    command = draw(st.sampled_from([*models, *["stand"] * 6, "payload"]))
+    files = draw(spoilt_files(None if command in OF_MODELS else _legged()))
+    more: list[str] = []
+    if command in OF_MODELS:
+        most = draw(st.sampled_from([0, 0, 0, 1, 2]))
+        options = draw(st.lists(st.sampled_from(OF_MODELS[command]), max_size=most, unique=True))
+        more = [word for option in options for word in _said(draw, option, _MODELS[option])]
+        if command == "sync" and "--take" not in more:
+            more += ["--take", draw(st.sampled_from(["urdf", "mjcf"]))]
+    if command == "audit":
+        paths = [draw(st.sampled_from(["robot.urdf", "robot.xml"]))]
+    elif command in OF_MODELS:
+        paths = ["robot.urdf", "robot.xml"]
+    else:
+        paths = ["--urdf", "robot.urdf", "--mjcf", "robot.xml"]
+    return Case((command, *paths, *more), files)
+
+
+def _said(draw: st.DrawFn, option: str, values: tuple[str, ...]) -> list[str]:
+    return [option, draw(st.sampled_from(values))] if values else [option]
+
+
+@st.composite
+def on_variants(draw: st.DrawFn) -> Case:
+    """Draws a command with odd arguments."""
+    # A push is simulated for half a minute if nothing is wrong with its arguments.
+    commands = ["stand"] * 5 + ["payload"] * 3 + ["workspace", "best", "path", "push", "analyze"]
+    command = draw(st.sampled_from([*commands, "view", "drop"]))
+    known = COMMANDS[command]
+    chosen = draw(st.lists(st.sampled_from(sorted(known)), min_size=1, max_size=3, unique=True))
+    words = [word for option in chosen for word in _said(draw, option, known[option])]
+    names = [
+        "v3",
+        "v3",
+        "v3",
+        "original",
+        "v3-heavy",
+        "nobody",
+        "",
+        "\u202e",
+        "\n::error::x",
+        "../v3",
+    ]
+    if command == "best":
+        words.insert(0, draw(st.sampled_from(["utilisation", "margin", "payload", "x"])))
+        words += ["--height", "nan"] if draw(st.booleans()) else []
+    if command in ("push", "workspace", "best", "path", "analyze"):  # long, if all is well
+        words += ["--pitch", draw(st.sampled_from(["nan", "1e9", "x", "1e308"]))]
+    if command not in ("view", "drop"):
+        words.insert(0 if command != "best" else 1, draw(st.sampled_from(names)))
+    else:
+        words += ["--headless"]
+    stray = draw(st.sampled_from(["", "", "", "--nonsense", "stray", "--help", "--debug"]))
+    return Case((command, *words, *([stray] if stray else [])), {})
+
+
+def cases() -> st.SearchStrategy[Case]:
+    """Draws inputs: one in five is of arguments alone."""
+    return st.one_of(on_files(), on_files(), on_files(), on_files(), on_variants())
+
+
+# ------------------------------------------------------------------------------------- runs
+
+
+def found_in(case: Case) -> list[str]:
+    """Runs a case in a folder of its own; returns what is wrong."""
+    with tempfile.TemporaryDirectory() as folder:
+        return list(problems(case, Path(folder)))
+
+
+def chunk(seed: int, count: int, seconds: float) -> int:
+    """Runs some inputs in this process; keeps those that fail. Returns how many ran."""
+    end = time.monotonic() + seconds
+    ran = 0
+    now = KEPT / f"running-{os.getpid()}.json"
+
+    @hypothesis.seed(seed)
+    @hypothesis.settings(
+        max_examples=count,
+        database=None,
+        deadline=None,
+        derandomize=False,
+        phases=[hypothesis.Phase.generate],
+        suppress_health_check=list(hypothesis.HealthCheck),
+    )
+    @hypothesis.given(cases())
+    def attempt(case: Case) -> None:
+        nonlocal ran
+        if time.monotonic() > end:
+            return
+        ran += 1
+        now.write_text(case.to_json())
+        found = found_in(case)
+        if found:
+            keep(case, found)
+
+    attempt()
+    now.unlink(missing_ok=True)
+    return ran
+
+
+def keep(case: Case, found: list[str]) -> None:
+    """Keeps an input that fails, and says why."""
+    path = KEPT / f"{secrets.token_hex(4)}.json"
+    path.write_text(json.dumps({**json.loads(case.to_json()), "found": found}, indent=1))
+    print(f"{path.name}: {' '.join(case.arguments)[:120]!a}")
+    for problem in found:
+        print(f"    {problem[:400]}", flush=True)
+
+
+def run(count: int, seconds: float, seed: int, size: int = 250) -> int:
+    """Runs inputs in processes of some hundred each; returns how many failed.
+
+    A process that dies, or hangs in an engine, is a failure of the input that it was at.
+    """
+    KEPT.mkdir(parents=True, exist_ok=True)
+    kept = set(KEPT.glob("[!r]*.json"))
+    end, ran = time.monotonic() + seconds, 0
+    while ran < count and time.monotonic() < end:
+        left = end - time.monotonic()
+        words = [str(seed), str(min(size, count - ran)), str(left)]
+        process = subprocess.Popen([sys.executable, __file__, "--chunk", *words])
+        running = KEPT / f"running-{process.pid}.json"
+        at, since = "", time.monotonic()
+        while process.poll() is None:
+            time.sleep(0.2)
+            here = running.read_text() if running.is_file() else ""
+            if here != at:
+                at, since = here, time.monotonic()
+            elif time.monotonic() - since > 6 * SECONDS:  # start-up counts, too
+                process.kill()
+        if running.is_file():
+            text = running.read_text()
+            running.unlink()
+            keep(Case.from_json(text), [f"the process ended with {process.returncode}"])
+        ran, seed = ran + min(size, count - ran), seed + 1
+        print(f"{ran} inputs, {len(set(KEPT.glob('[!r]*.json')) - kept)} failed", flush=True)
+    return len(set(KEPT.glob("[!r]*.json")) - kept)
+
+
+def main() -> None:
+    """Runs the fuzzer."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("count", nargs="?", type=int, default=2000)
+    parser.add_argument("--seconds", type=float, default=1e9, help="stop after so long")
+    parser.add_argument("--seed", type=int, default=int(time.time()))
+    parser.add_argument("--chunk", nargs=3, metavar=("SEED", "COUNT", "SECONDS"))
+    parser.add_argument("--again", type=Path, help="run a kept input once more")
+    arguments = parser.parse_args()
+    if arguments.again:
+        found = found_in(Case.from_json(arguments.again.read_text()))
+        print("\n".join(found) or "nothing is wrong")
+        sys.exit(bool(found))
+    if arguments.chunk:
+        seed, count, seconds = arguments.chunk
+        chunk(int(seed), int(count), float(seconds))
+        return
+    print(f"seed {arguments.seed}")
+    sys.exit(bool(run(arguments.count, arguments.seconds, arguments.seed)))
+
+
+if __name__ == "__main__":
+    main()
