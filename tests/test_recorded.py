@@ -9,7 +9,7 @@ import numpy as np
 import orjson
 import pytest
 from conftest import NAMES
-from recorded import FILE, JOBS, computed, products, setting
+from recorded import COARSE, FILE, JOBS, computed, products, setting
 
 JOBS_AND_MARKS = [pytest.param(n, marks=pytest.mark.slow if JOBS[n].slow else ()) for n in JOBS]
 
@@ -18,6 +18,10 @@ JOBS_AND_MARKS = [pytest.param(n, marks=pytest.mark.slow if JOBS[n].slow else ()
 def recorded() -> dict[str, Any]:
     content: dict[str, Any] = orjson.loads(FILE.read_bytes())
     return content
+
+
+def coarse(where: str) -> list[float]:
+    return [0.0, *(limit for field, limit in COARSE.items() if where.endswith(field))]
 
 
 def changes(found: dict[str, Any], expected: dict[str, Any], tolerance: float) -> list[str]:
@@ -31,7 +35,7 @@ def changes(found: dict[str, Any], expected: dict[str, Any], tolerance: float) -
         scale = max(1.0, float(np.abs(other).max()))
         if one.shape != other.shape:
             told.append(f"{where} had {other.shape} numbers, and has {one.shape}")
-        elif not np.abs(one - other).max() <= tolerance * scale:
+        elif not np.abs(one - other).max() <= max(tolerance, *coarse(where)) * scale:
             told.append(f"{where} was {old}, and is {found[where]}")
     return told
 
