@@ -32,6 +32,8 @@ _PEAK_SLACK = 1e-7
 _ROUNDING = 1e-16
 """Residual that one more solution, for it alone, would not make less, relative to the weight."""
 
+_UP = np.array([0.0, 0.0, 1.0])
+
 _INDEPENDENT = 1e-8
 """Reciprocal condition from which on rows or columns count as independent. Four feet in a square
 have 1e-2; below it singular values decide, slowly."""
@@ -261,12 +263,17 @@ class _Metric:
 
     def __init__(self, normals: Array, grip: Array) -> None:
         self._normals, self._weights = normals, (_TANGENTIAL / np.sqrt(grip))[:, None]
+        self._level = bool((normals == _UP).all())
 
     def __matmul__(self, forces: Array) -> Array:
         return self._times(self._weights, forces)
 
     def _times(self, weights: Array, forces: Array) -> Array:
         columns = forces.reshape(len(self._normals), 3, -1)
+        if self._level:  # the matrix is diagonal
+            scaled = columns.copy()
+            scaled[:, :2] *= weights[:, :, None]
+            return scaled.reshape(forces.shape)
         normals = self._normals[:, :, None]
         along = normals * (normals * columns).sum(axis=1, keepdims=True)
         product: Array = along + weights[:, :, None] * (columns - along)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from numbers import Real
@@ -85,6 +86,27 @@ def contacts_of(
             twice, or a robot with a fixed base is given contacts.
     """
     feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
+    if friction is None and normals is None and depths is None:
+        return _usual(robot, feet)
+    return _contacts(robot, feet, friction, normals, depths)
+
+
+@functools.lru_cache(maxsize=8)
+def _usual(robot: Robot, feet: tuple[str, ...]) -> Contacts:
+    """Returns the contacts of feet on level ground, which depend on the robot alone."""
+    made = _contacts(robot, feet, None, None, None)
+    for array in (made.normals, made.friction, made.offsets):
+        array.flags.writeable = False
+    return made
+
+
+def _contacts(
+    robot: Robot,
+    feet: tuple[str, ...],
+    friction: float | Mapping[str, float] | None,
+    normals: Mapping[str, ArrayLike] | None,
+    depths: Mapping[str, float] | None,
+) -> Contacts:
     for foot in feet:
         robot.check_foot(foot)
     if len(set(feet)) != len(feet):

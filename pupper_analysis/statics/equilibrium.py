@@ -320,6 +320,7 @@ def _result(
                 points,
                 normals,
                 friction,
+                sliding,
                 tiny,
             )
             for foot in robot.feet_with(forces)
