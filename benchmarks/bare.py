@@ -20,11 +20,11 @@ from peers import stand_peers
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation.gain_sweep import KD_GRID, KP_GRID
-from pupper_analysis.simulation.rollout import place_on_ground
+from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground
 from pupper_analysis.stance.clearance import Shapes
 
 SIMULATED = 12.0  # s: until a robot that is let go rests
-SWEPT = 4.0  # s: a cell of a gain sweep
+SWEPT, AMPLITUDE, FREQUENCY = 4.0, 2.0, 1.2  # s, N, Hz: a cell of a gain sweep, as by default
 SAME = 1e-12  # of two computations of one number: rounding
 
 
@@ -276,12 +276,14 @@ def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
     starts = np.array([place_on_ground(robot, drive, stand, torques) for drive in drives])
     steps = round(SWEPT / models[0].opt.timestep)
     command = drives[0].command(robot, stand.joint_positions(robot))
-    control = np.tile(command, (len(models), steps, 1))
+    control, force = forced_commands(robot, models[0], command, 1, steps)  # with the same force
+    pace = 2 * np.pi * FREQUENCY * models[0].opt.timestep
+    force[0, :, 2] = AMPLITUDE * np.sin(pace * np.arange(steps))
     datas = [mujoco.MjData(models[0]) for _ in range(os.cpu_count() or 1)]
 
     def bare() -> None:
         with mujoco.rollout.Rollout(nthread=len(datas)) as pool:
-            pool.rollout(models, datas, starts, control)
+            pool.rollout(models, datas, starts, control, control_spec=FORCED)
 
     def accuracy() -> Accuracy:
         one, other = (pa.sweep_gains(robot, stand).height_deviation for _ in range(2))

@@ -2,36 +2,39 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import statistics
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 from bare import wave
-from measure import median_seconds
+from measure import take_turns
 
 import pupper_analysis as pa
 
 COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
-def growth(variant: str, most: int, repeats: int) -> dict[str, list[tuple[int, float]]]:
+def growth(variant: str, most: int, seconds: float) -> dict[str, list[tuple[int, float]]]:
     """Returns {what: (how many, time (s))}.
 
     Args:
         variant: The robot.
         most: The greatest number of anything.
-        repeats: Calls per number, of which the median counts.
+        seconds: For how long a number is measured at least (s); the median counts.
     """
     robot = pa.load_variant(variant)
     stand = pa.solve_stand(robot)
     states = np.tile(stand.qpos, (most, 1))
-    tasks = wave(robot, 1000)
+    tasks, new = wave(robot, 1000), itertools.count()  # a variant is derived but once
     jobs: dict[str, tuple[int, Callable[[int], object]]] = {
-        "load_variant, each of its own size": (
+        "load_variant, each a new one": (
             50,
             lambda count: [
-                pa.load_variant(pa.VariantSpec("v3", leg_scale=1 + 1e-3 * n)) for n in range(count)
+                pa.load_variant(pa.VariantSpec("v3", leg_scale=1 + 1e-5 * next(new)))
+                for _ in range(count)
             ],
         ),
         "cross_check, by configurations": (
@@ -44,7 +47,7 @@ def growth(variant: str, most: int, repeats: int) -> dict[str, list[tuple[int, f
             lambda count: pa.gravity_compensations(robot, states[:count]),
         ),
         "sweep_gains, by cells of 2 s": (
-            50,
+            20,
             lambda count: pa.sweep_gains(
                 robot, stand, kp=np.linspace(5, 50, count), kd=[0.5], duration=2.0
             ),
@@ -52,7 +55,7 @@ def growth(variant: str, most: int, repeats: int) -> dict[str, list[tuple[int, f
     }
     return {
         name: [
-            (count, median_seconds(lambda run=run, count=count: run(count), repeats))
+            (count, statistics.median(take_turns([lambda: run(count)], 2, seconds)[0]))  # noqa: B023
             for count in COUNTS
             if count <= min(limit, most)
         ]

@@ -17,6 +17,10 @@ PACKAGES = (
 )
 
 
+PATIENCE = 10.0
+"""s: no line of a table takes longer than that, and one more turn."""
+
+
 @dataclass(frozen=True)
 class Accuracy:
     """How exact an answer is.
@@ -129,12 +133,18 @@ def measured(job: Job, repeats: int, seconds: float) -> Row:
 def take_turns(
     jobs: list[Callable[[], object]], repeats: int, seconds: float = 1.0
 ) -> list[list[float]]:
-    """Returns the times of each of some jobs (s), run by turns so often and so long or longer."""
+    """Returns the times of each of some jobs (s), run by turns.
+
+    They are run so often, and so long, or more; but no longer than ``PATIENCE``.
+    """
     times: list[list[float]] = [[] for _ in jobs]
     for job in jobs:
         job()  # what is loaded or made on first use is not measured
-    end = time.perf_counter() + seconds
-    while len(times[0]) < repeats or time.perf_counter() < end:
+    begin = time.perf_counter()
+    while not times[0] or (
+        (len(times[0]) < repeats or time.perf_counter() < begin + seconds)
+        and time.perf_counter() < begin + PATIENCE
+    ):
         for job, taken in zip(jobs, times, strict=True):
             start = time.perf_counter()
             job()

@@ -17,6 +17,7 @@ import bare
 import click
 import growth
 import orjson
+import stages
 import whole
 from measure import Row, measured, setting
 from rich.console import Console
@@ -60,12 +61,21 @@ def tables(found: dict[str, Any], rows: list[Row]) -> dict[str, list[tuple[str, 
             ("command", "median"),
             *((name, clock(took)) for name, took in found["start-up"].items()),
         ]
+    if "stages" in found:
+        made["Where the time of a call goes"] = [
+            ("job", "part", "median"),
+            *(
+                (job, part, clock(took))
+                for job, parts in found["stages"].items()
+                for part, took in parts.items()
+            ),
+        ]
     if "default run" in found:
-        stages = found["default run"]
+        parts = found["default run"]
         made[f"The default run by stage, {len(pa.VARIANTS)} variants"] = [
             ("stage", "time", "share"),
-            *((n, clock(t), f"{t / sum(stages.values()):.0%}") for n, t in stages.items()),
-            ("together", clock(sum(stages.values())), ""),
+            *((n, clock(t), f"{t / sum(parts.values()):.0%}") for n, t in parts.items()),
+            ("together", clock(sum(parts.values())), ""),
         ]
     if "growth" in found:
         made["How time grows"] = [
@@ -168,10 +178,11 @@ def main(
             rows.append(measured(job, 1 if quick else repeats, 0.0 if quick else 1.0))
     found["jobs"] = [asdict(row) for row in rows]
     if not quick:
+        found["stages"] = stages.stages(variant, 100 * repeats)
         click.echo("start-up, default run, growth ...", err=True)
         found["start-up"] = whole.start_up(3)
         found["default run"] = whole.default_run(pa.VARIANTS)
-        found["growth"] = growth.growth(variant, max(growth.COUNTS), 3)
+        found["growth"] = growth.growth(variant, max(growth.COUNTS), 0.5)
     made = tables(found, rows)
     for title, lines in made.items():
         show(title, lines)
