@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import NAMES, load
+from legged import BIPED_FEET, biped
 
 import pupper_analysis as pa
 
@@ -86,6 +88,24 @@ def test_what_depends_on_its_start_has_its_own(change: dict[str, Any]) -> None:
         expected = pa.solve_stand(robot, task)
         np.testing.assert_array_equal(one.qpos, expected.qpos)
         assert one.iterations == expected.iterations
+
+
+LINE = '<geom type="capsule" size="0.01" fromto="-0.06 0 -0.05 0.12 0 -0.05"/>'
+
+
+@pytest.mark.parametrize("foot", [BIPED_FEET["box"], LINE], ids=["box", "line"])
+def test_flat_feet_fix_a_leg_of_six_joints_and_a_line_does_not(foot: str, tmp_path: Path) -> None:
+    """Where a leg may still turn, its stand depends on the start: the single call's."""
+    urdf, mjcf = biped(tmp_path, foot)
+    robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
+    height = 0.95 * robot.stand_height
+    tasks = [pa.StandTask(height=height, pitch=pitch) for pitch in (0.0, 0.02, 0.04)]
+    stands = pa.solve_stands(robot, tasks)
+    for task, one in zip(tasks, stands, strict=True):
+        single = pa.solve_stand(robot, task)
+        np.testing.assert_allclose(one.qpos, single.qpos, atol=1e-9)
+        if foot is LINE:
+            assert one.iterations == single.iterations
 
 
 def test_what_is_out_of_reach_stops_the_sequence_and_is_named() -> None:

@@ -24,6 +24,9 @@ from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
 
+_FIXED = {1: 3, 2: 5}
+"""Coordinates of a foot that one or two contact points fix; more of them fix all 6."""
+
 _NEAR = 0.5
 """rad: joints that are further from those of the stand before may be bent another way than a search
 from home would bend them. A sample of a path never goes so far."""
@@ -157,6 +160,7 @@ def _determined(robot: Robot, goal: Goal) -> bool:
         return False
     if task.com == "inside" and not goal.by_base:
         return False
-    # Of a foot 3 coordinates are given, of a sole 6; of the base its turn, height and place.
-    given = sum(min(6, 3 * len(points)) for points in robot.soles.values()) + 6
-    return given >= robot.nv
+    # Given are the base's turn, height and place, and of each foot what its points fix: a line may
+    # still turn about itself.
+    fixed = sum(_FIXED.get(len(points), 6) for points in robot.soles.values())
+    return 6 + fixed >= robot.nv
