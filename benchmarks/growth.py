@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import statistics
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -64,9 +63,10 @@ def growth(variant: str, most: int, seconds: float) -> dict[str, list[tuple[int,
 
 
 def exponent(points: Sequence[tuple[int, float]]) -> float:
-    """Returns p of time ~ count^p, between the two greatest counts."""
-    (one, first), (two, second) = points[-2:]
-    return math.log(second / first) / math.log(two / one)
+    """Returns the p of time ~ count^p that fits the greatest counts best, a tenth to the most."""
+    last = [(count, took) for count, took in points if count >= points[-1][0] / 10]
+    counts, times = np.log(np.array(last)).T
+    return float(np.polyfit(counts, times, 1)[0])
 
 
 def draw(found: dict[str, list[tuple[int, float]]], path: Path) -> None:

@@ -38,6 +38,8 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
         "mjcf": tiny_files.mjcf,
         "config": pa.Configuration(robot, stand.qpos),
         "qacc": np.zeros(robot.nv),
+        "tasks": [pa.StandTask()],
+        "qpos": [stand.qpos],
         "stances": [pa.StandTask(), pa.StandTask(pitch=0.01)],
         "seconds": 0.5,
         "mass": 0.1,

@@ -1,4 +1,4 @@
-"""Many stands of one robot, each begun where the one before it ended."""
+"""A sequence of stands of one robot, each begun where those before it lead."""
 
 from __future__ import annotations
 
