@@ -18,10 +18,10 @@ export PYTHONNOUSERSITE := 1
 unexport PYTHONPATH PYTHONHOME
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow test-lowest fuzz coverage benchmark lint types docs wheel clean
+.PHONY: help setup analyze test test-slow test-lowest fuzz coverage benchmark benchmark-quick lint types docs wheel clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-11s  %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s  %s\n", $$1, $$2}' Makefile
 
 setup: $(VENV)/.ready ## only set up the virtual environment
 
@@ -43,8 +43,12 @@ fuzz: $(VENV)/.ready ## spoil N files and commands; no traceback, hang or lost f
 coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave out
 	$(BIN)/python -m pytest --cov --cov-report=term-missing:skip-covered
 
-benchmark: $(VENV)/.ready ## measure how long each part takes
-	$(BIN)/python benchmarks/run.py
+benchmark: $(VENV)/.ready-benchmark ## measure against the bare engines and peers
+	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --page docs/benchmarks.md \
+	  --figure docs/growth.png $(BENCHMARK)
+
+benchmark-quick: $(VENV)/.ready-benchmark ## only check that benchmarks and peers agree
+	$(BIN)/python benchmarks/run.py --quick
 
 lint: $(VENV)/.ready-dev ## check style and format
 	$(BIN)/ruff check
@@ -68,6 +72,10 @@ $(VENV)/.ready: pyproject.toml $(VENV)/.created
 
 $(VENV)/.ready-dev: $(VENV)/.ready
 	$(BIN)/python -m pip install --quiet --group dev
+	@touch $@
+
+$(VENV)/.ready-benchmark: $(VENV)/.ready
+	$(BIN)/python -m pip install --quiet --group benchmark
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

@@ -6,41 +6,26 @@ beforehand, no argument checked, no result put into the public convention.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import mujoco
+import mujoco.rollout
 import numpy as np
 import pinocchio as pin
 import placo
+from measure import Accuracy, Job, Rival
+from peers import stand_peers
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import servos
-from pupper_analysis.simulation.rollout import place_on_ground
+from pupper_analysis.simulation.gain_sweep import KD_GRID, KP_GRID
+from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground
 from pupper_analysis.stance.clearance import Shapes
 
 SIMULATED = 12.0  # s: until a robot that is let go rests
-
-
-@dataclass(frozen=True)
-class Job:
-    """A job, ours and the engine's.
-
-    Attributes:
-        name: What is done.
-        engine: By what it is compared.
-        goal: How much longer ours may take.
-        ours: Does it.
-        bare: Does it with the engine alone.
-        accuracy: Says how exact ours is.
-    """
-
-    name: str
-    engine: str
-    goal: float
-    ours: Callable[[], object]
-    bare: Callable[[], object]
-    accuracy: Callable[[], str]
+SWEPT, AMPLITUDE, FREQUENCY = 4.0, 2.0, 1.2  # s, N, Hz: a cell of a gain sweep, as by default
+SAME = 1e-12  # of two computations of one number: rounding
 
 
 def jobs(variant: str) -> list[Job]:
@@ -49,9 +34,12 @@ def jobs(variant: str) -> list[Job]:
     stand = pa.solve_stand(robot)
     return [
         _stand(robot),
+        _stands(robot),
         _quantities(robot, stand),
         *(_statics(robot, stand, kind) for kind in ("minimum tangential", "minimum torque")),
+        _statics_of_many(robot),
         _steady_state(robot, stand),
+        _gain_sweep(robot, stand),
         _loading(variant),
     ]
 
@@ -86,11 +74,44 @@ def _stand(robot: pa.Robot) -> Job:
 
     return Job(
         "solve_stand",
-        "PlaCo's loop, as many steps",
-        1.5,
         lambda: pa.solve_stand(robot),
-        bare,
-        lambda: f"feet {stand.foot_error:.0e} m",
+        lambda: Accuracy(pa.solve_stand(robot).foot_error, 1e-9, "m, the feet"),
+        Rival("PlaCo's loop, as many steps", bare),
+        1.5,
+        stand_peers(robot, stand),
+    )
+
+
+def wave(robot: pa.Robot, count: int) -> list[pa.StandTask]:
+    """Returns the tasks of a smooth sequence: up and down, with all turns in play."""
+    return [
+        pa.StandTask(
+            height=robot.stand_height * (0.97 + 0.02 * np.cos(phase)),
+            roll=0.05 * np.sin(2 * phase),
+            pitch=0.03 * np.sin(phase),
+            yaw=0.06 * np.sin(phase),
+        )
+        for phase in np.linspace(0, 2 * np.pi, count)
+    ]
+
+
+def _stands(robot: pa.Robot) -> Job:
+    tasks = wave(robot, 1000)
+
+    def singly() -> list[pa.Stand]:
+        return [pa.solve_stand(robot, task) for task in tasks]
+
+    def accuracy() -> Accuracy:
+        pairs = zip(pa.solve_stands(robot, tasks), singly(), strict=True)
+        away = max(float(np.abs(one.qpos - other.qpos).max()) for one, other in pairs)
+        return Accuracy(away, SAME, "m, rad off the single calls'")
+
+    return Job(
+        "solve_stands, 1,000 in a sequence",
+        lambda: pa.solve_stands(robot, tasks),
+        accuracy,
+        Rival("1,000 single calls", singly),
+        0.7,
     )
 
 
@@ -113,7 +134,7 @@ def _quantities(robot: pa.Robot, stand: pa.Stand) -> Job:
         inertia = pin.crba(model, data, q)
         return np.array(feet), com, inertia, pin.computeGeneralizedGravity(model, data, q)
 
-    def accuracy() -> str:
+    def accuracy() -> Accuracy:
         turn = robot.pin_convention.velocity_map(stand.qpos)
         feet, com, upper, gravity = bare()
         inertia = np.triu(upper) + np.triu(upper, 1).T
@@ -122,9 +143,50 @@ def _quantities(robot: pa.Robot, stand: pa.Stand) -> Job:
             np.abs(one - other).max() / np.abs(other).max()
             for one, other in zip(ours(), expected, strict=True)
         ]
-        return f"{max(away):.0e} of Pinocchio's"
+        return Accuracy(float(max(away)), SAME, "off Pinocchio's, relative")
 
-    return Job("J, com, M, g of a Configuration", "Pinocchio", 2.0, ours, bare, accuracy)
+    mujocos = _mujocos(robot, stand)
+
+    def agreement() -> Accuracy:
+        pairs = zip(mujocos(), ours(), strict=True)
+        away = [np.abs(one - other).max() / np.abs(other).max() for one, other in pairs]
+        return Accuracy(float(max(away)), np.inf, "off ours, relative")
+
+    return Job(
+        "J, com, M, g of a Configuration",
+        ours,
+        accuracy,
+        Rival("Pinocchio", bare),
+        2.0,
+        (Rival("MuJoCo's Python calls", mujocos, agreement),),
+    )
+
+
+def _mujocos(robot: pa.Robot, stand: pa.Stand) -> Callable[[], tuple[np.ndarray, ...]]:
+    """Returns what computes the same by MuJoCo's functions."""
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    convention = robot.mj_convention
+    convention.set_state(data, stand.qpos)
+    q, order = data.qpos.copy(), convention.qvel_index
+    base = model.body(robot.mj_base).id
+    places = list(robot.foot_places.values())
+
+    def run() -> tuple[np.ndarray, ...]:
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        feet = np.zeros((len(places), 3, model.nv))
+        for jacobian, (body, place) in zip(feet, places, strict=True):
+            point = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+            mujoco.mj_jac(model, data, jacobian, None, point, body)
+        mujoco.mj_crb(model, data)
+        inertia, gravity = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
+        mujoco.mj_fullM(model, data, inertia)
+        mujoco.mj_rne(model, data, 0, gravity)
+        com = data.subtree_com[base].copy()
+        return feet[:, :, order], com, inertia[np.ix_(order, order)], gravity[order]
+
+    return run
 
 
 def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
@@ -153,20 +215,34 @@ def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
     def ours() -> pa.GravityCompensation:
         return pa.gravity_compensation(config, distribution=kind)
 
-    def accuracy() -> str:
+    def accuracy() -> Accuracy:
         found = ours()
         left = max(found.residual_force, found.residual_torque)
         placos = bare()[robot.pin_convention.v_index]
         away = np.abs(found.joint_torques - placos).max()
-        return f"balance {left:.0e} N, N m; PlaCo's torques {away:.0e} N m off"
+        return Accuracy(left, 1e-9, f"N, N m out of balance (PlaCo's torques {away:.0e} N m off)")
+
+    rival = Rival("PlaCo's dynamics", bare)
+    return Job(f"gravity_compensation, {kind}", ours, accuracy, rival, 2.0)
+
+
+def _statics_of_many(robot: pa.Robot) -> Job:
+    states = np.array([one.qpos for one in pa.solve_stands(robot, wave(robot, 1000))])
+
+    def singly() -> list[pa.GravityCompensation]:
+        return [pa.gravity_compensation(pa.Configuration(robot, state)) for state in states]
+
+    def accuracy() -> Accuracy:
+        many = pa.gravity_compensations(robot, states).joint_torques
+        away = np.abs(many - [one.joint_torques for one in singly()]).max()
+        return Accuracy(float(away), SAME, "N m off the single calls'")
 
     return Job(
-        f"gravity_compensation, {kind}",
-        "PlaCo's dynamics",
-        2.0,
-        ours,
-        bare,
+        "gravity_compensations, 1,000 states",
+        lambda: pa.gravity_compensations(robot, states),
         accuracy,
+        Rival("1,000 single calls", singly),
+        0.7,
     )
 
 
@@ -186,11 +262,41 @@ def _steady_state(robot: pa.Robot, stand: pa.Stand) -> Job:
 
     return Job(
         "steady_state",
-        f"MuJoCo, {SIMULATED:g} s",
-        1 / 20,
         lambda: pa.steady_state(robot, stand),
-        bare,
-        lambda: f"left over {pa.steady_state(robot, stand).residual:.0e} N, N m, m",
+        lambda: Accuracy(pa.steady_state(robot, stand).residual, 1e-9, "N, N m, m left over"),
+        Rival(f"MuJoCo, {SIMULATED:g} s", bare),
+        1 / 20,
+    )
+
+
+def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
+    drives = [servos(robot, kp, kd, "implicitfast") for kp in KP_GRID for kd in KD_GRID]
+    models = [drive.model for drive in drives]
+    torques = pa.stand_statics(robot, stand).joint_torques
+    starts = np.array([place_on_ground(robot, drive, stand, torques) for drive in drives])
+    steps = round(SWEPT / models[0].opt.timestep)
+    command = drives[0].command(robot, stand.joint_positions(robot))
+    control, force = forced_commands(robot, models[0], command, 1, steps)  # with the same force
+    pace = 2 * np.pi * FREQUENCY * models[0].opt.timestep
+    force[0, :, 2] = AMPLITUDE * np.sin(pace * np.arange(steps))
+    datas = [mujoco.MjData(models[0]) for _ in range(os.cpu_count() or 1)]
+
+    def bare() -> None:
+        with mujoco.rollout.Rollout(nthread=len(datas)) as pool:
+            pool.rollout(models, datas, starts, control, control_spec=FORCED)
+
+    def accuracy() -> Accuracy:
+        one, other = (pa.sweep_gains(robot, stand).height_deviation for _ in range(2))
+        away = np.abs(np.nan_to_num(one, posinf=1.0) - np.nan_to_num(other, posinf=1.0)).max()
+        return Accuracy(float(away), 0.0, "m between two runs")
+
+    return Job(
+        f"sweep_gains, {len(models)} cells of {SWEPT:g} s",
+        lambda: pa.sweep_gains(robot, stand),
+        accuracy,
+        Rival("mujoco.rollout", bare),
+        1 / 0.95,
+        quick=False,
     )
 
 
@@ -201,11 +307,15 @@ def _loading(variant: str) -> Job:
         pin.buildModelFromXML(description.urdf, pin.JointModelFreeFlyer())
         return mujoco.MjSpec.from_file(str(description.mjcf_source)).compile()
 
+    def accuracy() -> Accuracy:
+        robot = pa.load_variant(description.name)
+        away = abs(robot.total_mass / float(robot.mj_model.body_mass.sum()) - 1)
+        return Accuracy(away, 1e-9, "of its mass between the two models")
+
     return Job(
         "load_variant, derived, not the first time",
-        "parsing and compiling",
-        1.5,
         lambda: pa.load_variant(description.name),
-        bare,
-        lambda: "-",
+        accuracy,
+        Rival("parsing and compiling", bare),
+        1.5,
     )

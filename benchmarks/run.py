@@ -1,128 +1,204 @@
-"""Measures the package: `python benchmarks/run.py` prints a table of medians.
+"""Measures the package against the bare engines and its peers, in one interleaved run.
 
-Nothing here is asserted: times belong to a machine, and tests must not depend on one.
+`make benchmark` prints the tables, writes them into `docs/benchmarks.md`, and all of it with
+versions and machine into `build/benchmarks.json`; `--compare OLD.json` tells what has changed.
+`--quick` is for a machine whose times mean nothing: it fails if an answer is not exact.
 """
 
 from __future__ import annotations
 
-import platform
-import statistics
-import subprocess
+import os
 import sys
-import time
-from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
 
 import bare
 import click
-import mujoco
-import numpy as np
+import growth
+import orjson
+import stages
+import whole
+from measure import Row, measured, setting
 from rich.console import Console
 from rich.table import Table
 
 import pupper_analysis as pa
-from pupper_analysis.robot.servos import servos
-from pupper_analysis.simulation.rollout import place_on_ground
+
+TABLE = ("job", "ours", "bare engine", "ratio", "goal", "peers", "accuracy reached")
+BEGIN, END = "<!-- measured by make benchmark -->", "<!-- end of what was measured -->"
 
 
-def median_seconds(job: Callable[[], object], repeats: int) -> float:
-    job()  # what is loaded on first use is not measured
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        job()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+def clock(seconds: float) -> str:
+    """A time with three digits, in the unit that suits it."""
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-6:.3g} µs"
 
 
-def import_seconds(statement: str, repeats: int) -> float:
-    command = [sys.executable, "-c", statement]
-    return median_seconds(lambda: subprocess.run(command, check=True), repeats)
+def cells(row: Row) -> tuple[str, ...]:
+    """A row of the table."""
+    peers = [f"{who} {clock(took)} ({how})" for who, (took, how) in row.peers.items()]
+    return (
+        row.name,
+        clock(row.ours),
+        "-" if row.bare is None else f"{row.bare[0]} {clock(row.bare[1])}",
+        "-" if row.ratio is None else f"{row.ratio:.2f}",
+        "-" if row.goal is None else f"{row.goal:.2f}",
+        ", ".join(peers) or "-",
+        row.accuracy,
+    )
 
 
-def steps_per_second(robot: pa.Robot, stand: pa.Stand, batch: int, steps: int) -> float:
-    drive = servos(robot)
-    ctrl = drive.command(robot, stand.joint_positions(robot))
-    torques = pa.gravity_compensation(pa.Configuration(robot, stand.qpos)).joint_torques
-    start = place_on_ground(robot, drive, stand, torques)
-    datas = [mujoco.MjData(drive.model) for _ in range(2)]
-    control = np.tile(ctrl, (1, steps, 1))
-    with mujoco.rollout.Rollout(nthread=2) as pool:
-        seconds = median_seconds(
-            lambda: pool.rollout([drive.model] * batch, datas, np.tile(start, (batch, 1)), control),
-            3,
-        )
-    return batch * steps / seconds
+def tables(found: dict[str, Any], rows: list[Row]) -> dict[str, list[tuple[str, ...]]]:
+    """All tables, {title: rows of text, the first of which is the header}."""
+    made: dict[str, list[tuple[str, ...]]] = {
+        f"{found['variant']}: medians of calls by turns": [TABLE, *map(cells, rows)]
+    }
+    if "start-up" in found:
+        made["Start-up"] = [
+            ("command", "median"),
+            *((name, clock(took)) for name, took in found["start-up"].items()),
+        ]
+    if "stages" in found:
+        made["Where the time of a call goes"] = [
+            ("job", "part", "median"),
+            *(
+                (job, part, clock(took))
+                for job, parts in found["stages"].items()
+                for part, took in parts.items()
+            ),
+        ]
+    if "default run" in found:
+        parts = found["default run"]
+        made[f"The default run by stage, {len(pa.VARIANTS)} variants"] = [
+            ("stage", "time", "share"),
+            *((n, clock(t), f"{t / sum(parts.values()):.0%}") for n, t in parts.items()),
+            ("together", clock(sum(parts.values())), ""),
+        ]
+    if "growth" in found:
+        made["How time grows"] = [
+            ("what", "least", "most", "exponent at the end"),
+            *(
+                (
+                    name,
+                    *(f"{count}: {clock(took)}" for count, took in (points[0], points[-1])),
+                    f"{growth.exponent(points):.2f}",
+                )
+                for name, points in found["growth"].items()
+            ),
+        ]
+    return made
+
+
+def changes(found: dict[str, Any], old: dict[str, Any]) -> list[tuple[str, ...]]:
+    """What has changed since another run: also in times of the bare engine, as that was then."""
+    before = {row["name"]: row for row in old["jobs"]}
+    told: list[tuple[str, ...]] = [
+        ("job", "before", "now", "change", "ratio before", "ratio now"),
+    ]
+    for row in found["jobs"]:
+        was = before.get(row["name"])
+        if was is None:
+            told.append((row["name"], "-", clock(row["ours"]), "new", "-", "-"))
+            continue
+        ratios = [
+            f"{one['ours'] / one['bare'][1]:.2f}" if one["bare"] else "-" for one in (was, row)
+        ]
+        change = f"{row['ours'] / was['ours'] - 1:+.0%}"
+        told.append((row["name"], clock(was["ours"]), clock(row["ours"]), change, *ratios))
+    now, then = found["setting"], old["setting"]
+    for key in sorted(now["versions"].keys() | then["versions"].keys()):
+        one, other = then["versions"].get(key, "-"), now["versions"].get(key, "-")
+        if one != other:
+            told.append((f"version of {key}", one, other, "", "", ""))
+    for key in ("processor", "cores"):
+        if now[key] != then[key]:
+            told.append((key, str(then[key]), str(now[key]), "", "", ""))
+    return told
+
+
+def show(title: str, rows: list[tuple[str, ...]]) -> None:
+    table = Table(*rows[0], title=title, title_justify="left")
+    for row in rows[1:]:
+        table.add_row(*row)
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+def page(found: dict[str, Any], made: dict[str, list[tuple[str, ...]]]) -> str:
+    """The tables in Markdown, with the setting."""
+    where = found["setting"]
+    versions = ", ".join(f"{name} {number}" for name, number in where["versions"].items())
+    lines = [
+        f"Measured {where['time']} on {where['processor']} ({where['cores']} cores, load "
+        f"{where['load'][0]:.1f} at the start), with {versions}.",
+    ]
+    for title, (header, *rows) in made.items():
+        lines += ["", f"### {title}", "", f"| {' | '.join(header)} |", "|---" * len(header) + "|"]
+        lines += [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join(lines)
+
+
+def write_page(path: Path, text: str) -> None:
+    """Puts what was measured into its place in a page."""
+    before, begin, rest = path.read_text().partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise click.ClickException(f"{path} has no {BEGIN} ... {END}")
+    path.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}")
 
 
 @click.command()
 @click.option("--variant", default="v3", show_default=True, help="The robot to measure with.")
-@click.option("--repeats", default=10, show_default=True, help="Runs per line.")
-def main(variant: str, repeats: int) -> None:
-    """Measure how long each part of the package takes."""
-    robot = pa.load_variant(variant)
-    stand = pa.solve_stand(robot)
-    config = pa.Configuration(robot, stand.qpos)
-    apart = pa.StandTask(self_clearance=0.001)
-    squat = [pa.StandTask(), pa.StandTask(height=0.9 * robot.stand_height)]
-    jobs: list[tuple[str, Callable[[], object]]] = [
-        ("load_variant (base model)", lambda: pa.load_variant(pa.VariantSpec(base="v3"))),
-        ("load_variant (derived)", lambda: pa.load_variant("v3-long-leg")),
-        ("Configuration", lambda: pa.Configuration(robot, stand.qpos)),
-        ("foot_jacobians", config.foot_jacobians),
-        ("mass_matrix", config.mass_matrix),
-        ("gravity_compensation", lambda: pa.gravity_compensation(config)),
-        ("solve_stand", lambda: pa.solve_stand(robot)),
-        ("solve_stand (links apart)", lambda: pa.solve_stand(robot, apart)),
-        ("sunk_stand", lambda: pa.sunk_stand(robot)),
-        ("steady_state", lambda: pa.steady_state(robot, stand)),
-        ("stance_path (2 s, 101 samples)", lambda: pa.stance_path(robot, squat, 2.0)),
-        ("base_workspace", lambda: pa.base_workspace(robot)),
-        ("verify_stand (5 s simulated)", lambda: pa.verify_stand(robot, stand)),
-        ("sweep_gains (16 cells of 4 s)", lambda: pa.sweep_gains(robot, stand)),
-        ("cross_check (20 configurations)", lambda: pa.cross_check(robot)),
-    ]
-    table = Table("what", "median", title=f"{variant}, {platform.machine()}, {platform.system()}")
-    table.columns[1].justify = "right"
-    for statement in ("import pupper_analysis", "import pupper_analysis as pa; pa.Configuration"):
-        table.add_row(f"python -c '{statement}'", f"{1e3 * import_seconds(statement, 5):.0f} ms")
-    for name, job in jobs:
-        table.add_row(name, f"{1e3 * median_seconds(job, repeats):.3f} ms")
-    speed = steps_per_second(robot, stand, 16, 1000)
-    table.add_row("mujoco.rollout, 2 threads", f"{speed / 1e3:.0f} k steps/s")
-    Console().print(table)
-    Console().print(engines(variant, repeats))
-
-
-def engines(variant: str, repeats: int) -> Table:
-    """Compares with the bare engines; ours and theirs take turns, so that both meet the same."""
-    columns = ("what", "ours", "bare engine", "ratio", "goal", "engine", "accuracy")
-    table = Table(*columns, title=f"{variant} against the bare engines, medians")
-    for job in bare.jobs(variant):
-        ours, theirs = take_turns((job.ours, job.bare), repeats)
-        table.add_row(
-            job.name,
-            f"{1e3 * ours:.3f} ms",
-            f"{1e3 * theirs:.3f} ms",
-            f"{ours / theirs:.2f}",
-            f"{job.goal:.2f}",
-            job.engine,
-            job.accuracy(),
-        )
-    return table
-
-
-def take_turns(both: tuple[Callable[[], object], ...], repeats: int) -> list[float]:
-    """Returns the median time of each of some jobs, run by turns for a second or longer (s)."""
-    times: list[list[float]] = [[] for _ in both]
-    for job in both:
-        job()
-    end = time.perf_counter() + 1.0
-    while len(times[0]) < repeats or time.perf_counter() < end:
-        for job, taken in zip(both, times, strict=True):
-            start = time.perf_counter()
-            job()
-            taken.append(time.perf_counter() - start)
-    return [statistics.median(taken) for taken in times]
+@click.option("--repeats", default=15, show_default=True, help="Least number of calls per line.")
+@click.option(
+    "--quick", is_flag=True, help="A few calls of all that is quick: only accuracy counts."
+)
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results.")
+@click.option("--compare", type=click.Path(path_type=Path, exists=True), help="An older JSON.")
+@click.option("--page", "page_path", type=click.Path(path_type=Path, exists=True))
+@click.option("--figure", type=click.Path(path_type=Path), help="Draw how time grows.")
+def main(
+    variant: str,
+    repeats: int,
+    quick: bool,
+    json_path: Path | None,
+    compare: Path | None,
+    page_path: Path | None,
+    figure: Path | None,
+) -> None:
+    """Measure the package against the bare engines and its peers."""
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    found: dict[str, Any] = {"variant": variant, "quick": quick, "setting": setting()}
+    rows: list[Row] = []
+    for job in (*bare.jobs(variant), *whole.jobs(variant)):
+        if not quick or job.quick:
+            click.echo(f"{job.name} ...", err=True)
+            rows.append(measured(job, 1 if quick else repeats, 0.0 if quick else 1.0))
+    found["jobs"] = [asdict(row) for row in rows]
+    if not quick:
+        found["stages"] = stages.stages(variant, 100 * repeats)
+        click.echo("start-up, default run, growth ...", err=True)
+        found["start-up"] = whole.start_up(3)
+        found["default run"] = whole.default_run(pa.VARIANTS)
+        found["growth"] = growth.growth(variant, max(growth.COUNTS), 0.5)
+    made = tables(found, rows)
+    for title, lines in made.items():
+        show(title, lines)
+    if compare is not None:
+        show(f"since {compare}", changes(found, orjson.loads(compare.read_bytes())))
+    if json_path is not None:
+        json_path.parent.mkdir(parents=True, exist_ok=True)
+        json_path.write_bytes(orjson.dumps(found, option=orjson.OPT_INDENT_2))
+    if page_path is not None:
+        write_page(page_path, page(found, made))
+    if figure is not None and "growth" in found:
+        growth.draw(found["growth"], figure)
+    wrong = [row for row in rows if not row.exact]
+    for row in wrong:
+        click.echo(f"error: {row.name} is not exact: {row.accuracy}", err=True)
+    sys.exit(bool(wrong))
 
 
 if __name__ == "__main__":

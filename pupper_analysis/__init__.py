@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from pupper_analysis.stance.sag.band import SteadyStateBand, steady_state_band
     from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
     from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+    from pupper_analysis.stance.stands import solve_stands
     from pupper_analysis.stance.sunk import sunk_stand
     from pupper_analysis.stance.task import StandTask
     from pupper_analysis.stance.workspace import (
@@ -80,6 +81,7 @@ if TYPE_CHECKING:
         gravity_compensation,
     )
     from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
+    from pupper_analysis.statics.states import GravityCompensations, gravity_compensations
     from pupper_analysis.sync.models import Sync, sync_models
 
 __version__ = "0.1.0"
@@ -159,11 +161,14 @@ _HOME = {
     "Ground": "robot.ground",
     "StandTask": "stance.task",
     "solve_stand": "stance.stand",
+    "solve_stands": "stance.stands",
     "GravityCompensation": "statics.equilibrium",
     "ForceDistribution": "statics.equilibrium",
     "gravity_compensation": "statics.equilibrium",
     "RepositoryCheck": "guard.check",
     "check_repository": "guard.check",
+    "GravityCompensations": "statics.states",
+    "gravity_compensations": "statics.states",
     "Sync": "sync.models",
     "sync_models": "sync.models",
     "VARIANTS": "pupper.variants",
@@ -187,6 +192,7 @@ __all__ = [
     "ForceDistribution",
     "GainSweep",
     "GravityCompensation",
+    "GravityCompensations",
     "Ground",
     "Infeasibility",
     "Interval",
@@ -231,6 +237,7 @@ __all__ = [
     "diff_models",
     "fastest_path",
     "gravity_compensation",
+    "gravity_compensations",
     "inverse_dynamics",
     "load_robot",
     "load_variant",
@@ -240,6 +247,7 @@ __all__ = [
     "push_recovery",
     "reachable_heights",
     "solve_stand",
+    "solve_stands",
     "stance_path",
     "stand_statics",
     "steady_state",

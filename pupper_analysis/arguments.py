@@ -84,13 +84,19 @@ def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
     Raises:
         ConfigurationError: On the call, naming the argument.
     """
-    signature = inspect.signature(function)
+    positional = tuple(
+        name
+        for name, parameter in inspect.signature(function).parameters.items()
+        if parameter.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
+    )
 
     @wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
-        given = signature.bind(*args, **kwargs).arguments  # a TypeError is Python's own
         hints = _hints(function)
-        for name, value in given.items():
+        # What does not fit the signature is left to the call, whose TypeError is Python's own.
+        for name, value in zip(positional, args, strict=False):
+            check_type(name, value, hints.get(name, Any))
+        for name, value in kwargs.items():
             check_type(name, value, hints.get(name, Any))
         return function(*args, **kwargs)
 
@@ -104,9 +110,17 @@ def check_fields(instance: Any) -> None:
         ConfigurationError: If not, naming the field.
     """
     kind: Any = type(instance)
+    for name, hint, fits in _fields(kind):
+        value = getattr(instance, name)
+        if not fits(value):
+            check_type(name, value, hint)
+
+
+@cache
+def _fields(kind: Any) -> tuple[tuple[str, Any, Callable[[Any], bool]], ...]:
+    """Returns name and type of a dataclass's fields, and what tells whether a value is of it."""
     hints = _hints(kind)
-    for field in fields(instance):
-        check_type(field.name, getattr(instance, field.name), hints[field.name])
+    return tuple((one.name, hints[one.name], _test(hints[one.name])) for one in fields(kind))
 
 
 def check_type(name: str, value: object, hint: Any) -> None:
@@ -115,7 +129,7 @@ def check_type(name: str, value: object, hint: Any) -> None:
     Raises:
         ConfigurationError: If not.
     """
-    if _is(value, hint):
+    if _test(hint)(value):
         return
     wanted = _words(hint)
     made_by = [_MADE_BY[kind] for kind in _MADE_BY if kind in wanted.split()]
@@ -134,41 +148,65 @@ _NUMBERS: dict[Any, tuple[Any, str]] = {
 }
 
 
+_TRUTHS = (bool, np.bool_)
+
+
 def _options(hint: Any) -> tuple[Any, ...]:
     """Returns the types of a union; of no union, itself."""
     union = typing.get_origin(hint) in (typing.Union, types.UnionType)
     return typing.get_args(hint) if union else (hint,)
 
 
-def _is(value: object, hint: Any) -> bool:
-    """Whether a value is of a type; True where the type is none that can be told."""
+@cache
+def _test(hint: Any) -> Callable[[Any], bool]:
+    """Returns what tells whether a value is of a type; yes where the type is none that can be told.
+
+    It is made once per type: arguments are checked more often than types are written.
+    """
     options = _options(hint)
     if len(options) > 1:
         if any(inspect.isclass(option) and issubclass(option, Enum) for option in options):
-            return True  # by name as well: who looks it up knows the names
-        return any(_is(value, option) for option in options)
+            return _anything  # by name as well: who looks it up knows the names
+        tests = tuple(_test(option) for option in options)
+        return lambda value: any(test(value) for test in tests)
     if hint in _NUMBERS:
-        return isinstance(value, _NUMBERS[hint][0]) and not isinstance(value, bool | np.bool_)
+        kind = _NUMBERS[hint][0]
+        return lambda value: (
+            type(value) is hint or (isinstance(value, kind) and not isinstance(value, _TRUTHS))
+        )
     if hint is bool:
-        return isinstance(value, bool | np.bool_)
+        return lambda value: isinstance(value, _TRUTHS)
     if hint in (None, types.NoneType):
-        return value is None
+        return lambda value: value is None
     if hint is Path:
-        return isinstance(value, PathLike)
+        return lambda value: isinstance(value, PathLike)
     if inspect.isclass(hint) and typing.get_origin(hint) is None:
-        return isinstance(value, hint)
+        return lambda value: isinstance(value, hint)
     kind, inner = typing.get_origin(hint), typing.get_args(hint)
     if kind is Mapping:
-        return isinstance(value, Mapping) and all(_is(key, inner[0]) for key in value)
+        key = _test(inner[0])
+        return lambda value: isinstance(value, Mapping) and all(map(key, value))
     if kind in (Sequence, Iterable):
+        return _listed(_test(inner[0]), of_known_length=kind is Sequence)
+    return _anything
+
+
+def _anything(_: Any) -> bool:
+    return True
+
+
+def _listed(element: Callable[[Any], bool], *, of_known_length: bool) -> Callable[[Any], bool]:
+    """Returns what tells whether a value is a sequence, or anything to go through, of elements."""
+
+    def test(value: Any) -> bool:
         listed = isinstance(value, Sequence) and not isinstance(value, str | bytes)
-        if kind is Sequence and not listed and not (isinstance(value, np.ndarray) and value.ndim):
+        array = isinstance(value, np.ndarray) and value.ndim
+        if of_known_length and not listed and not array:
             return False
         # What can be looked at but once is looked at by whom it is given to.
-        return isinstance(value, Iterable) and (
-            not listed or all(_is(element, inner[0]) for element in typing.cast(Any, value))
-        )
-    return True
+        return isinstance(value, Iterable) and (not listed or all(map(element, value)))
+
+    return test
 
 
 def _words(hint: Any) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from pupper_analysis.errors import ModelError
@@ -11,8 +13,11 @@ _ROUNDING = 1e-6
 """Of a body's largest moment of inertia: so much less than nothing is rounding, also a file's."""
 
 
+@functools.lru_cache(maxsize=8)
 def check_bodies(robot: Robot) -> None:
     """Checks that what moves with each joint has no negative mass or moment of inertia.
+
+    A robot that has passed is not looked at again: it does not change.
 
     Raises:
         ModelError: If one has; it names the joint.

@@ -44,7 +44,8 @@ class Configuration:
             ConfigurationError: If a vector has a wrong length, a value is not finite, or the
                 quaternion is zero.
         """
-        check_type("robot", robot, Robot)
+        if type(robot) is not Robot:
+            check_type("robot", robot, Robot)
         self.robot = robot
         self.qpos = _vector("qpos", qpos, robot.nq)
         self.qvel = np.zeros(robot.nv) if qvel is None else _vector("qvel", qvel, robot.nv)
@@ -118,7 +119,7 @@ class Configuration:
         model, data, frame = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
         local = [pin.getFrameJacobian(model, data, numbers[foot], frame) for foot in feet]
         wanted = np.array(local).reshape(-1, 6, size)[:, :rows]
-        return self._structure.columns(wanted, self._turn)
+        return self._structure.columns(wanted, self._turn, with_base=True)
 
     def joint_position(self, name: str) -> Array:
         """Returns where a joint is (3,), in the world (m).

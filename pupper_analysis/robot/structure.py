@@ -21,6 +21,10 @@ _MOST_SPARE = 32
 """Workspaces that are kept for later (some 10 kB each); those that are in use are not counted."""
 
 
+_TRANSLATION = np.eye(6, 3)
+"""What the base's translation in the world does to what it carries: it moves as much."""
+
+
 class Workspace:
     """A Pinocchio ``Data`` that belongs to its holder alone; another may have it afterwards.
 
@@ -95,16 +99,19 @@ class Structure:
         """
         self._spare = spare
 
-    def columns(self, jacobian: Array, turn: Array | None) -> Array:
-        """Returns J_pin T: Pinocchio's Jacobians (..., nv) in public coordinates.
+    def columns(self, jacobian: Array, turn: Array | None, *, with_base: bool = False) -> Array:
+        """Returns J_pin T: Pinocchio's Jacobians (..., 3 or 6, nv) in public coordinates.
 
         Args:
-            jacobian: The Jacobians.
-            turn: (3, 3) the base's rotation; None for a fixed base.
+            jacobian: The Jacobians, in world axes: of a point's velocity, and of rotation.
+            turn: (3, 3) the base's rotation R; None for a fixed base.
+            with_base: They are of points that move with the base, as feet do. J_pin has R itself in
+                the first columns then, and R R^T = 1.
         """
         public: Array = jacobian.take(self._columns, axis=-1)
         if turn is not None:
-            public[..., :3] = public[..., :3] @ turn.T
+            moved = _TRANSLATION[: public.shape[-2]] if with_base else public[..., :3] @ turn.T
+            public[..., :3] = moved
         return public
 
     def dual(self, forces: Array, turn: Array | None) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -58,11 +59,13 @@ class Shapes:
         robot: The robot.
         wrapper: PlaCo's robot.
         tasks: Whatever a solver made for this robot once, and uses again.
+        limits: The joint limits that PlaCo's robot was given last.
     """
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.tasks: dict[object, Any] = {}
+        self.limits: tuple[Array, Array] | None = None
         self.wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _primitives(robot))
         self._objects = list(self.wrapper.collision_model.geometryObjects)
         self._links = [self.wrapper.model.frames[o.parentFrame].name for o in self._objects]
@@ -70,6 +73,7 @@ class Shapes:
         self._data = self.wrapper.model.createData()
         self._placed = pin.GeometryData(self.wrapper.collision_model)
         self._looked_at = [*self._not_feet()]
+        self._forms = [_form(shape) for _, shape, _ in self._looked_at]
 
     def pair(self) -> None:
         """Makes PlaCo look at the distances between links, but not between neighbours.
@@ -143,9 +147,39 @@ class Shapes:
             depths: {foot: how deep it is in the ground (m)}.
         """
         heights = np.full(len(self._objects), np.inf)
+        if all(self._forms) and not any(height > 0 for height in ground.heights.values()):
+            for index, height in self._above_plane(qpos, ground.normal(), depths):
+                heights[index] = height
+            return heights
         for index, near, depth in self._above(qpos, ground, places, depths):
             heights[index] = near.min_distance + depth
         return heights
+
+    def _above_plane(
+        self, qpos: Array, normal: Array, depths: Mapping[str, float]
+    ) -> Iterator[tuple[int, float]]:
+        """Yields number and height above a plane through the origin of what is no foot (m).
+
+        A shape reaches below its centre by its support function, which of a sum of convex sets is
+        the sum of theirs.
+        """
+        self._place(qpos)
+        at, (a, b, c) = self._placed.oMg, normal.tolist()
+        for (index, _, sunk), form in zip(self._looked_at, self._forms, strict=True):
+            assert form is not None
+            place, (half_x, half_y, half_z, disc, ball) = at[index], form
+            x, y, z = place.translation.tolist()
+            along_x, along_y, along_z = (normal @ place.rotation).tolist()
+            box = half_x * abs(along_x) + half_y * abs(along_y) + half_z * abs(along_z)
+            reach = box + disc * math.hypot(along_x, along_y) + ball
+            depth = 0.0 if sunk is None else depths.get(sunk, 0.0)
+            yield index, a * x + b * y + c * z - reach + depth
+
+    def _place(self, qpos: Array) -> None:
+        """Moves the shapes to a configuration."""
+        q, model = self.robot.pin_convention.q(qpos), self.wrapper.model
+        shapes = self.wrapper.collision_model
+        pin.updateGeometryPlacements(model, self._data, shapes, self._placed, q)
 
     def height_rates(
         self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
@@ -174,9 +208,7 @@ class Shapes:
         depths: Mapping[str, float],
     ) -> Iterator[tuple[int, coal.DistanceResult, float]]:
         """Yields each shape's number, what of the ground is nearest, and how deep it may be."""
-        shapes, placed = self.wrapper.collision_model, self._placed
-        q = self.robot.pin_convention.q(qpos)
-        pin.updateGeometryPlacements(self.wrapper.model, self._data, shapes, placed, q)
+        self._place(qpos)
         obstacles: list[tuple[coal.CollisionGeometry, coal.Transform3s]] = [
             (coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
         ]
@@ -185,7 +217,7 @@ class Shapes:
                 centre, half = ground.step(foot, places[foot], STEP_HALF_WIDTH)
                 box = coal.Box(2 * half)
                 obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
-        at = placed.oMg
+        at = self._placed.oMg
         for index, shape, sunk in self._looked_at:
             place = at[index]
             where = coal.Transform3s(place.rotation, place.translation)
@@ -228,6 +260,22 @@ class Shapes:
                 if _nearest(shape.geometry, at, ball, there).min_distance < 0:
                     sunk = foot
             yield index, shape.geometry, sunk
+
+
+def _form(shape: coal.CollisionGeometry) -> tuple[float, ...] | None:
+    """Returns a shape as the sum of a box (half x, y, z), a disc across z, and a ball (radii, m).
+
+    None for a shape of another form.
+    """
+    if isinstance(shape, coal.Box):
+        return (*shape.halfSide.tolist(), 0.0, 0.0)
+    if isinstance(shape, coal.Sphere):
+        return 0.0, 0.0, 0.0, 0.0, shape.radius
+    if isinstance(shape, coal.Cylinder):
+        return 0.0, 0.0, shape.halfLength, shape.radius, 0.0
+    if isinstance(shape, coal.Capsule):
+        return 0.0, 0.0, shape.halfLength, 0.0, shape.radius
+    return None
 
 
 def _nearest(

@@ -48,30 +48,44 @@ class Goal:
     upper: Array
 
 
-def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
+def goal_of(
+    robot: Robot, task: StandTask, depths: Mapping[str, float], like: Goal | None = None
+) -> Goal:
     """Works out what a task means for a robot.
 
     Args:
         robot: The robot.
         task: How to stand.
         depths: {foot that carries: how deep it sinks into the ground (m)}; 0 where not given.
+        like: Another goal of the robot, as it is, with these depths: if its feet are to be in the
+            same places, they are not worked out again; nor are equal limits.
 
     Raises:
         ConfigurationError: If the robot's base is fixed, or it has no feet; or if the margins leave
             nothing.
         UnknownNameError: If the task, or depths, name a foot that the robot does not have.
     """
-    stance_feet = _stance_feet(robot, task, depths)
     if task.ik_seed is not None and len(task.ik_seed) != robot.nu:
         raise ConfigurationError("ik_seed", f"it must have {robot.nu} values")
-    normal = task.ground.normal()
-    targets = footholds(robot, task)
-    contacts = np.array([targets[foot] - robot.foot_radius[foot] * normal for foot in stance_feet])
-    targets = sunk_into(
-        robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
-    )
+    if like is not None and _same_feet(like.task, task):
+        stance_feet, contacts = like.stance_feet, like.contacts
+        targets = {foot: place.copy() for foot, place in like.targets.items()}
+    else:
+        stance_feet = _stance_feet(robot, task, depths)
+        normal = task.ground.normal()
+        targets = footholds(robot, task)
+        contacts = np.array(
+            [targets[foot] - robot.foot_radius[foot] * normal for foot in stance_feet]
+        )
+        targets = sunk_into(
+            robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
+        )
     centre = contacts.mean(axis=0)
-    lower, upper = robot.lower_limits + task.joint_margin, robot.upper_limits - task.joint_margin
+    if like is not None and like.task.joint_margin == task.joint_margin:
+        lower, upper = like.lower, like.upper
+    else:
+        lower = robot.lower_limits + task.joint_margin
+        upper = robot.upper_limits - task.joint_margin
     if (lower > upper).any():
         name = robot.joint_names[int(np.argmax(lower - upper))]
         raise ConfigurationError(
@@ -110,6 +124,16 @@ def goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> Goal:
         by_base=by_base,
         lower=lower,
         upper=upper,
+    )
+
+
+def _same_feet(one: StandTask, other: StandTask) -> bool:
+    """Whether two tasks have the feet in the same places, and the same ones carry."""
+    return (one.ground, one.feet, one.foot_offsets, one.swing) == (
+        other.ground,
+        other.feet,
+        other.foot_offsets,
+        other.swing,
     )
 
 

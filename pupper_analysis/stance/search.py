@@ -83,9 +83,9 @@ def follow(shapes: Shapes, goal: Goal, near: Stand) -> Stand | None:
         near: A stand of a goal that is almost the same.
     """
     joints = near.joint_positions(shapes.robot)
-    there = _At(shapes, goal)
-    if there.add(Solver(shapes, goal).run(joints)):
-        return there.result()
+    found = begin_at(shapes, goal, joints)
+    if found is not None:
+        return found
     if goal.task.com != "inside" or goal.by_base:
         return None
     com = Configuration(shapes.robot, near.qpos).center_of_mass()[:2]
@@ -94,6 +94,12 @@ def follow(shapes: Shapes, goal: Goal, near: Stand) -> Stand | None:
         return None
     stand = _exactly(shapes, goal, point)
     return stand if stand.solved else None
+
+
+def begin_at(shapes: Shapes, goal: Goal, joints: Array) -> Stand | None:
+    """Looks for a stand from joint positions (nu,) alone, the com or the base in its place."""
+    there = _At(shapes, goal)
+    return there.result() if there.add(Solver(shapes, goal).run(joints)) else None
 
 
 class _At:
@@ -147,7 +153,7 @@ class _At:
     def result(self) -> Stand:
         """Returns the solved stand; or that with the least in the way; or what misses least."""
         if self.reached:
-            return max(self.reached, key=lambda stand: (stand.solved, _room(stand)))
+            return max(self.reached, key=lambda stand: (stand.solved, stand.room))
         return self._measure(self._nearest())
 
     def _measure(self, point: Point) -> Stand:
@@ -212,7 +218,7 @@ def _search_inside(
             if solves(random.uniform(low, high), place):
                 return found[-1]
     reached = [stand for stand in found if stand.foot_error < TASK_TOLERANCE]
-    for stand in sorted(reached, key=_room, reverse=True)[:_CLEARED]:
+    for stand in sorted(reached, key=lambda stand: stand.room, reverse=True)[:_CLEARED]:
         clear = nearest(shapes, goal, stand.qpos, clear=True)
         cleared = _exactly(shapes, goal, Point(clear.qpos, clear.foot_error, 0))
         if cleared.solved:
@@ -247,17 +253,6 @@ def pushed_inside(place: Array, goal: Goal) -> Array:
         return place
     line = shapely.shortest_line(inner, point)  # from the polygon to the point
     return np.array(line.coords[0])
-
-
-def _room(stand: Stand) -> float:
-    """How much nearer than allowed anything is, negative (m)."""
-    ground, links = stand.ground_clearance, stand.self_clearance
-    room = -stand.com_short
-    if ground is not None:
-        room = min(room, ground.distance - stand.task.ground_clearance)
-    if links is not None:
-        room = min(room, links.distance - (stand.task.self_clearance or 0.0))
-    return room
 
 
 def starts(robot: Robot, goal: Goal) -> Iterator[Array]:

@@ -41,6 +41,8 @@ TOUCHING = 1e-6
 
 
 _STEP_TOLERANCE = 1e-13
+"""Largest step (rad, m) that is not taken any more. The last one is not taken to find that out: a
+step is followed by one that is smaller by the same factor at least, where steps converge at all."""
 
 
 _MAX_ITERATIONS = 200
@@ -140,6 +142,16 @@ class Stand(Result):
         return max(0.0, self.task.com_margin - self.com_margin)
 
     @property
+    def room(self) -> float:
+        """How much nearer than allowed anything is, negative (m)."""
+        least = -self.com_short
+        if self.ground_clearance is not None:
+            least = min(least, self.ground_clearance.distance - self.task.ground_clearance)
+        if self.self_clearance is not None:
+            least = min(least, self.self_clearance.distance - (self.task.self_clearance or 0.0))
+        return least
+
+    @property
     def solved(self) -> bool:
         """Whether the feet are where they shall be, and nothing is in the way."""
         return self.foot_error < TASK_TOLERANCE and not self.blocked
@@ -181,7 +193,7 @@ class Tasks:
 
     def __init__(self, shapes: Shapes, goal: Goal, *, inside: bool, apart: bool) -> None:
         robot, wrapper = shapes.robot, shapes.wrapper
-        self._joints, self._wrapper, self._goal = robot.joint_names, wrapper, goal
+        self._shapes, self._goal = shapes, goal
         solver = self.solver = placo.KinematicsSolver(wrapper)
         solver.enable_joint_limits(True)
         wrapper.set_velocity_limits(1.0)
@@ -226,9 +238,12 @@ class Tasks:
 
     def aim(self, goal: Goal) -> None:
         """Takes the goal's numbers, and its joint limits, which are the wrapper's."""
-        for name, low, high in zip(self._joints, goal.lower, goal.upper, strict=True):
-            if math.isfinite(low) and math.isfinite(high):
-                self._wrapper.set_joint_limits(name, low, high)
+        limits, given = (goal.lower, goal.upper), self._shapes.limits
+        if given is None or any(a is not b for a, b in zip(limits, given, strict=True)):
+            joints, self._shapes.limits = self._shapes.robot.joint_names, limits
+            for name, low, high in zip(joints, *limits, strict=True):
+                if math.isfinite(low) and math.isfinite(high):
+                    self._shapes.wrapper.set_joint_limits(name, low, high)
         if goal is self._goal:
             return
         self._goal = goal
@@ -291,7 +306,7 @@ class Solver:
         self._begin(joints, self.goal.place if place is None else place)
         # A trust region: where a step makes things worse it is undone, and the next one is shorter.
         radius, iterations, slow = _TRUST_RADIUS, 0, 0
-        q, error = np.array(wrapper.state.q), math.inf
+        q, error, last = np.array(wrapper.state.q), math.inf, 0.0
         while iterations < _MAX_ITERATIONS and radius > _STEP_TOLERANCE and slow < _SLOW:
             iterations += 1
             left = _MAX_ITERATIONS - iterations
@@ -309,7 +324,7 @@ class Solver:
             wrapper.update_kinematics()
             new_error = tasks.error()
             if new_error > error and new_error > TASK_TOLERANCE**2:
-                radius /= 4
+                radius, last = radius / 4, 0.0
                 wrapper.state.q = q
                 wrapper.update_kinematics()
                 continue
@@ -318,8 +333,11 @@ class Solver:
             hopeless = new_error > TASK_TOLERANCE**2 and nearer * left < math.sqrt(new_error) / 2
             slow = slow + 1 if hopeless else 0
             error, q = new_error, np.array(wrapper.state.q)
-            if settled or np.abs(step).max() < _STEP_TOLERANCE:
+            moved = float(np.abs(step).max())
+            following = moved * min(1.0, moved / last) if last else moved
+            if settled or following < _STEP_TOLERANCE:
                 break
+            last = moved
         miss = max(foot.error_norm() for _, foot in tasks.feet)
         return Point(convention.qpos(np.array(wrapper.state.q)), float(miss), iterations)
 

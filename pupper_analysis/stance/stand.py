@@ -9,7 +9,7 @@ from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Shapes, shapes_of
-from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.relaxation import unreachable
 from pupper_analysis.stance.search import nearest, search
 from pupper_analysis.stance.solver import TASK_TOLERANCE, Stand
@@ -58,7 +58,15 @@ def solve_stand(
             demands of which one would have to give.
     """
     check_bodies(robot)
-    goal = goal_of(robot, task or StandTask(), depths or {})
+    return stand_for(robot, goal_of(robot, task or StandTask(), depths or {}), explain=explain)
+
+
+def stand_for(robot: Robot, goal: Goal, *, explain: bool) -> Stand:
+    """Finds the stand of a goal; see ``solve_stand``.
+
+    Raises:
+        StanceUnreachableError: If it is out of reach.
+    """
     # Distances between links remember where they were found last: they begin anew.
     shapes = shapes_of(robot) if goal.task.self_clearance is None else Shapes(robot)
     stand = search(shapes, goal)

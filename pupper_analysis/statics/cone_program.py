@@ -32,6 +32,8 @@ _PEAK_SLACK = 1e-7
 _ROUNDING = 1e-16
 """Residual that one more solution, for it alone, would not make less, relative to the weight."""
 
+_UP = np.array([0.0, 0.0, 1.0])
+
 _INDEPENDENT = 1e-8
 """Reciprocal condition from which on rows or columns count as independent. Four feet in a square
 have 1e-2; below it singular values decide, slowly."""
@@ -214,6 +216,43 @@ class Balance:
         return coordinates if excess <= 1e-9 * scale else None
 
 
+def minimum_tangential_forces(
+    bases: Array, weights: Array, normals: Array, friction: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Finds ``Balance.minimum_tangential`` for many states at once, where no friction cone binds.
+
+    Args:
+        bases: (k, 6, 3 n) see ``Balance``.
+        weights: (k, 6) likewise.
+        normals: (n, 3) the same in all states.
+        friction: (n,) coefficients.
+
+    Returns:
+        f (k, 3 n), and where it is the answer (k,); elsewhere ask one by one.
+    """
+    count, _, size = bases.shape
+    if size < 6:
+        return np.zeros((count, size)), np.zeros(count, dtype=bool)
+    inverse = _Metric(normals, np.ones(len(normals))).inverse()
+    turn, triangle = np.linalg.qr((bases @ inverse).transpose(0, 2, 1))
+    apart = (np.diagonal(triangle, axis1=1, axis2=2) != 0).all(axis=1)
+    triangle[~apart] = np.eye(6)
+    back = np.linalg.inv(triangle)
+    condition = np.abs(triangle).sum(axis=1).max(axis=1) * np.abs(back).sum(axis=1).max(axis=1)
+    solve = inverse @ turn @ back.transpose(0, 2, 1)  # R^T u = b, f = W^-1 Q u
+    forces = (solve @ weights[:, :, None])[..., 0]
+    left = weights - (bases @ forces[:, :, None])[..., 0]
+    forces += (solve @ left[:, :, None])[..., 0]
+    error = np.abs((bases @ forces[:, :, None])[..., 0] - weights).max(axis=1)
+    balanced = error < BALANCE_TOLERANCE * np.abs(weights).max(axis=1)
+    per_foot = forces.reshape(count, -1, 3)
+    pressing = (per_foot * normals).sum(axis=2)
+    aside = per_foot - pressing[:, :, None] * normals
+    held = np.sqrt((aside * aside).sum(axis=2)) <= friction * pressing
+    found = apart & (condition * _INDEPENDENT < 1) & balanced & held.all(axis=1)
+    return forces, found
+
+
 class _Metric:
     """The (3 n, 3 n) matrix whose product with f shall be short: tangential forces weigh more.
 
@@ -224,16 +263,25 @@ class _Metric:
 
     def __init__(self, normals: Array, grip: Array) -> None:
         self._normals, self._weights = normals, (_TANGENTIAL / np.sqrt(grip))[:, None]
+        self._level = bool((normals == _UP).all())
 
     def __matmul__(self, forces: Array) -> Array:
         return self._times(self._weights, forces)
 
     def _times(self, weights: Array, forces: Array) -> Array:
         columns = forces.reshape(len(self._normals), 3, -1)
+        if self._level:  # the matrix is diagonal
+            scaled = columns.copy()
+            scaled[:, :2] *= weights[:, :, None]
+            return scaled.reshape(forces.shape)
         normals = self._normals[:, :, None]
         along = normals * (normals * columns).sum(axis=1, keepdims=True)
         product: Array = along + weights[:, :, None] * (columns - along)
         return product.reshape(forces.shape)
+
+    def inverse(self) -> Array:
+        """Returns this matrix's inverse (3 n, 3 n)."""
+        return self._times(1 / self._weights, np.eye(3 * len(self._normals)))
 
     def shortest(self, rows: Array, right: Array) -> Array | None:
         """Returns the f (3 n,) of rows f = right with the shortest product with this matrix W.

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,10 +14,9 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.robot.configuration import UP, Configuration
-from pupper_analysis.robot.contact import contact_offset
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance
+from pupper_analysis.statics.contacts import Contacts, contacts_of
 from pupper_analysis.statics.foot_load import FootLoad, foot_load, sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
 
@@ -185,39 +183,16 @@ def equilibrium(
         ConfigurationError: Likewise.
         StaticsInfeasibleError: Likewise.
     """
-    robot, wanted = config.robot, _distribution(distribution)
-    feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
-    for foot in feet:
-        robot.check_foot(foot)
-    if len(set(feet)) != len(feet):
-        raise ConfigurationError("contacts", f"a foot is named twice in {', '.join(feet)}")
-    if feet and not robot.floating:
-        raise ConfigurationError("contacts", f"{robot.name} has a fixed base, which carries it")
-    base_rows = robot.nv - robot.nu
+    robot, wanted = config.robot, distribution_of(distribution)
+    carrying = contacts_of(robot, contacts, friction, normals, depths)
+    base_rows, feet = robot.nv - robot.nu, carrying.feet
     if not feet:
         return _result(config, load, load, point, {}, {}, {}, {}, load[:base_rows])
-
-    for given in (normals, depths, friction):
-        for foot in given if isinstance(given, Mapping) else ():
-            robot.check_foot(foot)
-    directions = {
-        foot: UP if normals is None or foot not in normals else _normal(foot, normals[foot])
-        for foot in feet
-    }
-    coefficients = {foot: _friction(config, foot, friction) for foot in feet}
-    out = np.array(list(directions.values()))
-    radii = [robot.foot_radius[foot] for foot in feet]
-    offsets = contact_offset(radii, out, [(depths or {}).get(foot, 0.0) for foot in feet])
-    points = dict(zip(feet, config.foot_places(feet) + offsets, strict=True))
-    stacked = config.point_jacobians(feet, offsets).reshape(-1, robot.nv).T  # (nv, 3 n)
-    problem = Balance(
-        base=stacked[:base_rows],
-        weight=load[:base_rows],
-        joints=stacked[base_rows:],
-        torques=load[base_rows:],
-        normals=out,
-    )
-    limits = None if held else np.array(list(coefficients.values()))
+    transposed = carrying.jacobian(config)
+    problem = carrying.balance(transposed, load)
+    points = dict(zip(feet, carrying.points(config), strict=True))
+    coefficients = dict(zip(feet, carrying.friction.tolist(), strict=True))
+    limits = None if held else carrying.friction
     if wanted is ForceDistribution.MIN_PEAK:
         forces = problem.minimum_peak(limits, robot.effort_limits)
     elif wanted is ForceDistribution.MIN_TORQUE:
@@ -225,17 +200,23 @@ def equilibrium(
     else:
         forces = problem.minimum_tangential(limits, np.ones(len(feet)))
         if forces is not None and robot.contacts and limits is not None:
-            forces = _creeping(problem, forces, limits, robot, feet)
+            forces = _creeping(problem, forces, carrying)
     if forces is None:
         raise _explain(point, problem, points, coefficients, tipping)
     per_foot = dict(zip(feet, forces.reshape(-1, 3), strict=True))
-    left = load - stacked @ forces
+    directions = dict(zip(feet, carrying.normals, strict=True))
+    left = load - transposed @ forces
     return _result(
         config, left, load, point, per_foot, points, directions, coefficients, np.zeros(base_rows)
     )
 
 
-def _distribution(value: str) -> ForceDistribution:
+def distribution_of(value: str) -> ForceDistribution:
+    """Returns the distribution of a name.
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
     try:
         return ForceDistribution(value)
     except ValueError as error:
@@ -243,14 +224,13 @@ def _distribution(value: str) -> ForceDistribution:
         raise ConfigurationError("distribution", f"{value!r} is none of {known}") from error
 
 
-def _creeping(
-    problem: Balance, forces: Array, friction: Array, robot: Robot, feet: Sequence[str]
-) -> Array | None:
+def _creeping(problem: Balance, forces: Array, carrying: Contacts) -> Array | None:
     """Finds the minimum-tangential forces (3 n,) for the viscosities that they themselves give."""
-    if np.abs(problem.normals - UP).max() < BALANCE_TOLERANCE:
+    if carrying.level:
         return forces  # nothing creeps
+    robot, friction = carrying.robot, carrying.friction
     scale = np.abs(forces).max()
-    laws = [GroundLaw.of(robot, foot) for foot in feet]
+    laws = [GroundLaw.of(robot, foot) for foot in carrying.feet]
     for _ in range(_MAX_ITERATIONS):
         loads = np.maximum(problem.normal_forces(forces), _LIGHTEST * scale)
         grip = np.array(
@@ -347,6 +327,7 @@ def _result(
                 points,
                 normals,
                 friction,
+                sliding,
                 tiny,
             )
             for foot in robot.feet_with(forces)
@@ -357,33 +338,3 @@ def _result(
         residual_force=math.hypot(*unbalanced[:3]),
         residual_torque=math.hypot(*unbalanced[3:]),
     )
-
-
-def _normal(foot: str, normal: ArrayLike) -> Array:
-    try:
-        vector = np.array(normal, dtype=float)
-    except (TypeError, ValueError):
-        vector = np.zeros(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise ConfigurationError("normals", f"{foot}: {normal!r} is not a direction (3,)")
-    unit: Array = vector / np.linalg.norm(vector)
-    return unit
-
-
-MOST_FRICTION = 1e6
-"""Far beyond all that does not slide; of much more, the cone programmes overflow."""
-
-
-def _friction(
-    config: Configuration, foot: str, friction: float | Mapping[str, float] | None
-) -> float:
-    robot = config.robot
-    if friction is None:
-        if foot not in robot.contacts:
-            raise ConfigurationError("friction", f"{robot.name} has no ground; give a coefficient")
-        return robot.contacts[foot].sliding_friction
-    value: object = friction.get(foot) if isinstance(friction, Mapping) else friction
-    if not isinstance(value, Real) or not 0 <= float(value) <= MOST_FRICTION:
-        problem = f"{foot}: {value} is no coefficient; it must be >= 0, and <= {MOST_FRICTION:g}"
-        raise ConfigurationError("friction", problem)
-    return float(value)

@@ -43,13 +43,12 @@ def foot_load(
     points: Mapping[str, Array],
     normals: Mapping[str, Array],
     friction: Mapping[str, float],
+    sliding: Mapping[str, float],
     tiny: float,
 ) -> FootLoad:
-    """Adds up what the ground does to a foot's contact points."""
+    """Adds up what the ground does to a foot's contact points; see ``sliding_share``."""
     if len(own) == 1:
-        force, place, normal = forces[own[0]], points[own[0]], normals[own[0]]
-        share = sliding_share(force, normal, friction[own[0]], tiny)
-        return FootLoad(force.copy(), place.copy(), share)
+        return FootLoad(forces[own[0]].copy(), points[own[0]].copy(), sliding[own[0]])
     total: Array = np.sum([forces[point] for point in own], axis=0)
     pressing = np.array([max(0.0, float(forces[point] @ normals[point])) for point in own])
     places = np.array([points[point] for point in own])

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Corner = tuple[float, float]
 
 
 def drop_at(place: Array, feet: Array, drops: Array) -> float:
@@ -38,7 +40,8 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
     """
     if not np.isfinite(com[:2]).all():
         return -math.inf
-    inside = _depth_inside(com.tolist(), [point.tolist() for point in points.values()])
+    corners = tuple([(x, y) for x, y, *_ in [point.tolist() for point in points.values()]])
+    inside = _depth_inside(com.tolist(), corners)
     if inside is not None:
         return inside
     polygon = shapely.MultiPoint([point[:2] for point in points.values()]).convex_hull
@@ -48,17 +51,31 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
     return -float(polygon.distance(projection))
 
 
-def _depth_inside(place: Sequence[float], points: Iterable[Sequence[float]]) -> float | None:
+def _depth_inside(place: Sequence[float], points: tuple[Corner, ...]) -> float | None:
     """Returns the distance (m) of a place from the edge of points' convex hull, if it is inside.
 
     Both are seen from above. The usual case without shapely's objects: None says nothing.
+    """
+    ring = _ring(points)
+    if len(ring) < 3:
+        return None
+    x, y, *_ = place
+    least = math.inf
+    for x0, y0, along_x, along_y, length in ring:
+        least = min(least, (along_x * (y - y0) - along_y * (x - x0)) / length)
+    return least if least > 0 else None
+
+
+@functools.lru_cache(maxsize=64)  # feet stay in place, as a rule, where many stands are solved
+def _ring(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
+    """Returns the sides of points' convex hull: corner, way to the next, length (m).
 
     Source: Andrew, "Another efficient algorithm for convex hulls in two dimensions", 1979.
     """
-    corners = sorted((x, y) for x, y, *_ in points)
-    rings: list[list[tuple[float, float]]] = []
+    corners = sorted(points)
+    rings: list[list[Corner]] = []
     for way in (corners, corners[::-1]):  # the lower half from left to right, the upper one back
-        half: list[tuple[float, float]] = []
+        half: list[Corner] = []
         for x, y in way:
             while len(half) > 1:
                 (x0, y0), (x1, y1) = half[-2:]
@@ -68,14 +85,10 @@ def _depth_inside(place: Sequence[float], points: Iterable[Sequence[float]]) -> 
             half.append((x, y))
         rings.append(half[:-1])
     ring = rings[0] + rings[1]
-    if len(ring) < 3:
-        return None
-    x, y, *_ = place
-    least = math.inf
-    for (x0, y0), (x1, y1) in zip(ring, ring[1:] + ring[:1], strict=True):
-        turning = (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)
-        least = min(least, turning / math.hypot(x1 - x0, y1 - y0))
-    return least if least > 0 else None
+    return tuple(
+        (x0, y0, x1 - x0, y1 - y0, math.hypot(x1 - x0, y1 - y0))
+        for (x0, y0), (x1, y1) in zip(ring, ring[1:] + ring[:1], strict=True)
+    )
 
 
 def support_polygon(contacts: Array) -> Array:

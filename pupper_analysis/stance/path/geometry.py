@@ -191,7 +191,8 @@ class _Roll:
             last, away = away, dict(self.away)
             for foot in stance_feet:
                 turn = pin.log3(rotations[foot] @ self.turned[foot].T)
-                away[foot] = away[foot] + np.cross(turn, robot.foot_radius[foot] * normal)[:2]
+                rolled = pin.skew(turn) @ (robot.foot_radius[foot] * normal)
+                away[foot] = away[foot] + rolled[:2]
             if max(np.abs(away[foot] - last[foot]).max() for foot in away) < _ROLLED:
                 self.step = {foot: away[foot] - self.away[foot] for foot in away}
                 self.away, self.turned = away, rotations

@@ -1,0 +1,84 @@
+"""How time grows with the number of variants, of configurations, of stands, of simulations."""
+
+from __future__ import annotations
+
+import itertools
+import statistics
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from bare import wave
+from measure import take_turns
+
+import pupper_analysis as pa
+
+COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+
+
+def growth(variant: str, most: int, seconds: float) -> dict[str, list[tuple[int, float]]]:
+    """Returns {what: (how many, time (s))}.
+
+    Args:
+        variant: The robot.
+        most: The greatest number of anything.
+        seconds: For how long a number is measured at least (s); the median counts.
+    """
+    robot = pa.load_variant(variant)
+    stand = pa.solve_stand(robot)
+    states = np.tile(stand.qpos, (most, 1))
+    tasks, new = wave(robot, 1000), itertools.count()  # a variant is derived but once
+    jobs: dict[str, tuple[int, Callable[[int], object]]] = {
+        "load_variant, each a new one": (
+            50,
+            lambda count: [
+                pa.load_variant(pa.VariantSpec("v3", leg_scale=1 + 1e-5 * next(new)))
+                for _ in range(count)
+            ],
+        ),
+        "cross_check, by configurations": (
+            200,
+            lambda count: pa.cross_check(robot, configurations=count),
+        ),
+        "solve_stands, by stands": (1000, lambda count: pa.solve_stands(robot, tasks[:count])),
+        "gravity_compensations, by states": (
+            1000,
+            lambda count: pa.gravity_compensations(robot, states[:count]),
+        ),
+        "sweep_gains, by cells of 2 s": (
+            20,
+            lambda count: pa.sweep_gains(
+                robot, stand, kp=np.linspace(5, 50, count), kd=[0.5], duration=2.0
+            ),
+        ),
+    }
+    return {
+        name: [
+            (count, statistics.median(take_turns([lambda: run(count)], 2, seconds)[0]))  # noqa: B023
+            for count in COUNTS
+            if count <= min(limit, most)
+        ]
+        for name, (limit, run) in jobs.items()
+    }
+
+
+def exponent(points: Sequence[tuple[int, float]]) -> float:
+    """Returns the p of time ~ count^p that fits the greatest counts best, a tenth to the most."""
+    last = [(count, took) for count, took in points if count >= points[-1][0] / 10]
+    counts, times = np.log(np.array(last)).T
+    return float(np.polyfit(counts, times, 1)[0])
+
+
+def draw(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
+    """Draws time against number, both on logarithmic axes."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 4.5), layout="constrained")
+    axes = figure.subplots()
+    for name, points in found.items():
+        counts, seconds = zip(*points, strict=True)
+        axes.loglog(counts, seconds, "o-", label=name, markersize=4)
+    axes.set(xlabel="how many", ylabel="time (s)")
+    axes.grid(True, which="major", alpha=0.3)
+    axes.legend(fontsize="small")
+    figure.savefig(path, dpi=120)

@@ -1,0 +1,125 @@
+"""Where the time of single calls goes: into the engine, and into what is around it.
+
+The parts are those that the package's functions call, one after the other, as they do.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+
+import pupper_analysis as pa
+from pupper_analysis.stance.clearance import shapes_of
+from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.solver import Solver, measure
+from pupper_analysis.statics.contacts import contacts_of
+
+Parts = dict[str, float]
+
+
+class Watch:
+    """Takes the times of parts, by name."""
+
+    def __init__(self) -> None:
+        self.taken: dict[str, list[float]] = {}
+        self._since = time.perf_counter()
+
+    def start(self) -> None:
+        self._since = time.perf_counter()
+
+    def stop(self, name: str) -> None:
+        now = time.perf_counter()
+        self.taken.setdefault(name, []).append(now - self._since)
+        self._since = time.perf_counter()
+
+    def medians(self) -> Parts:
+        return {name: statistics.median(times) for name, times in self.taken.items()}
+
+
+def stages(variant: str, calls: int) -> dict[str, Parts]:
+    """Returns {job: {part: median time (s)}}.
+
+    Args:
+        variant: The robot.
+        calls: Of each job, which take turns.
+    """
+    robot = pa.load_variant(variant)
+    jobs = {"solve_stand": _stand, "Configuration": _configuration, "gravity_compensation": _forces}
+    watches = {name: Watch() for name in jobs}
+    runs = {name: job(robot, watches[name]) for name, job in jobs.items()}
+    for _ in range(calls):
+        for name, run in runs.items():
+            watches[name].start()
+            run()
+    return {name: watch.medians() for name, watch in watches.items()}
+
+
+def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
+    shapes = shapes_of(robot)
+
+    def run() -> None:
+        task = pa.StandTask()
+        watch.stop("the task, checked")
+        goal = goal_of(robot, task, {})
+        watch.stop("the task in numbers")
+        solver = Solver(shapes, goal)
+        point = solver.run(robot.home[robot.nq - robot.nu :])
+        watch.stop("PlaCo: aiming and steps")
+        measure(shapes, goal, point.qpos, point.iterations)
+        watch.stop("errors by Pinocchio, clearance, result")
+        pa.solve_stand(robot)
+        watch.stop("solve_stand, all of it")
+
+    return run
+
+
+def _configuration(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
+    stand = pa.solve_stand(robot)
+    model, data = robot.pin_model, robot.pin_model.createData()
+    q = robot.pin_convention.q(stand.qpos)
+    frames = [model.getFrameId(frame) for frame in robot.foot_frames.values()]
+
+    def run() -> None:
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        local = [
+            pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED) for frame in frames
+        ]
+        pin.centerOfMass(model, data, q, False)
+        pin.crba(model, data, q)
+        pin.computeGeneralizedGravity(model, data, q)
+        watch.stop("Pinocchio's calls")
+        np.array(local)
+        watch.stop("one array of four Jacobians")
+        config = pa.Configuration(robot, stand.qpos)
+        watch.stop("Configuration: checked, Jacobians computed")
+        config.foot_jacobians()
+        watch.stop("foot_jacobians")
+        config.mass_matrix()
+        watch.stop("mass_matrix")
+        config.center_of_mass()
+        config.gravity()
+        watch.stop("center_of_mass, gravity")
+
+    return run
+
+
+def _forces(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
+    config = pa.Configuration(robot, pa.solve_stand(robot).qpos)
+
+    def run() -> None:
+        load = config.gravity()
+        carrying = contacts_of(robot, None, None, None, None)
+        transposed = carrying.jacobian(config)
+        problem = carrying.balance(transposed, load)
+        watch.stop("Jacobians of the contacts, gravity")
+        problem.minimum_tangential(carrying.friction, np.ones(len(carrying.feet)))
+        watch.stop("forces: a least-squares problem of 6 by 12")
+        pa.gravity_compensation(config)
+        watch.stop("gravity_compensation, all of it")
+
+    return run

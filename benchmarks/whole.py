@@ -1,0 +1,177 @@
+"""What a user waits for: whole commands, by stage, and jobs that no engine does alone."""
+
+from __future__ import annotations
+
+import io
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+from measure import Accuracy, Job, Rival, median_seconds
+from rich.console import Console
+
+import pupper_analysis as pa
+from pupper_analysis.analysis.robot import SECONDS, analyze_variant, leg_lengths
+from pupper_analysis.report.analysis import print_analysis
+
+STEP = 0.02
+"""rad: of the tutorial's grid, whose own is not told; this takes it as long as ours takes."""
+
+
+def jobs(variant: str) -> list[Job]:
+    """Returns the jobs that need more than one engine."""
+    robot = pa.load_variant(variant)
+    stand = pa.solve_stand(robot)
+    return [_grid_search(), _cross_check(robot), _push(robot, stand)]
+
+
+def grid_pose(thigh: float, calf: float, height: float) -> tuple[float, float, float, float]:
+    """Searches a leg's pose on a grid, as the tutorial describes it.
+
+    A leg is two links in a plane, its abduction zero. Of all pairs of hip and knee angles that one
+    is taken whose foot is nearest to a height below the hip and, less important, below it.
+
+    Args:
+        thigh: Length of the thigh (m).
+        calf: Of the calf (m).
+        height: Of the hip above the centre of the foot (m).
+
+    Returns:
+        Both angles (rad), and by how much the foot misses forwards and upwards (m).
+    """
+    best = (math.inf, 0.0, 0.0, 0.0, 0.0)
+    for hip in np.arange(0.0, 1.6, STEP).tolist():
+        for knee in np.arange(-2.6, 0.0, STEP).tolist():
+            x = -thigh * math.sin(hip) - calf * math.sin(hip + knee)
+            z = -thigh * math.cos(hip) - calf * math.cos(hip + knee)
+            score = (z + height) ** 2 + 0.25 * x**2
+            if score < best[0]:
+                best = score, hip, knee, x, z + height
+    return best[1:]
+
+
+def _grid_search() -> Job:
+    robot = pa.load_variant("original")
+    stand = pa.solve_stand(robot)
+    thigh, calf = leg_lengths(robot)
+    config = pa.Configuration(robot, stand.qpos)
+    foot = robot.feet[0]
+    hip = config.joint_position(next(name for name in robot.joint_names if name.endswith("HFE")))
+    height = float(hip[2] - stand.foot_targets[foot][2])
+
+    def missed() -> Accuracy:
+        _, _, x, z = grid_pose(thigh, calf, height)
+        return Accuracy(math.hypot(x, z), np.inf, "m")
+
+    return Job(
+        "the tutorial's stand (original)",
+        lambda: pa.solve_stand(robot),
+        lambda: Accuracy(pa.solve_stand(robot).foot_error, 1e-9, "m, the feet"),
+        peers=(
+            Rival(
+                f"grid search, one leg, {STEP:g} rad",
+                lambda: grid_pose(thigh, calf, height),
+                missed,
+            ),
+        ),
+    )
+
+
+def _cross_check(robot: pa.Robot) -> Job:
+    def accuracy() -> Accuracy:
+        check = pa.cross_check(robot)
+        worst = max(quantity.relative for quantity in check.quantities)
+        return Accuracy(worst, check.tolerance, "between engines and files, relative")
+
+    return Job("cross_check, 20 configurations", lambda: pa.cross_check(robot), accuracy)
+
+
+def _push(robot: pa.Robot, stand: pa.Stand) -> Job:
+    def run() -> pa.PushRecovery:
+        return pa.push_recovery(robot, stand, directions=4)
+
+    def accuracy() -> Accuracy:
+        one, other = run().impulses, run().impulses
+        return Accuracy(float(np.abs(one - other).max()), 0.0, "N s between two runs")
+
+    return Job("push_recovery, 4 directions", run, accuracy, quick=False)
+
+
+def start_up(repeats: int) -> dict[str, float]:
+    """Returns how long it takes before anything is computed, {what: s}."""
+    commands = {
+        "python -c pass": ["-c", "pass"],
+        "import pupper_analysis": ["-c", "import pupper_analysis"],
+        "... and a name of it": ["-c", "import pupper_analysis as pa; pa.Configuration"],
+        "pupper-analysis --help": ["-m", "pupper_analysis", "--help"],
+        "pupper-analysis stand --help": ["-m", "pupper_analysis", "stand", "--help"],
+        "pupper-analysis analyze v3 --no-figures": [
+            *("-m", "pupper_analysis", "analyze", "v3", "--no-figures")
+        ],
+    }
+
+    def run(arguments: list[str]) -> Callable[[], object]:
+        command = [sys.executable, *arguments]
+        return lambda: subprocess.run(command, check=True, capture_output=True)
+
+    return {name: median_seconds(run(given), repeats) for name, given in commands.items()}
+
+
+def default_run(names: Iterable[str]) -> dict[str, float]:
+    """Returns how long each stage of the default run takes for some variants, {stage: s}."""
+    from pupper_analysis.report import render
+    from pupper_analysis.report.figures.gains import gain_figure
+    from pupper_analysis.report.figures.heights import height_figure
+    from pupper_analysis.report.figures.pose import pose_figure
+    from pupper_analysis.report.figures.torques import torque_figure
+
+    taken: dict[str, float] = {}
+
+    def stage(name: str, work: Callable[[], object]) -> None:
+        start = time.perf_counter()
+        work()
+        taken[name] = time.perf_counter() - start
+
+    robots = [pa.load_variant(name) for name in names]
+    stands = [pa.solve_stand(robot) for robot in robots]
+    pairs = list(zip(robots, stands, strict=True))
+    stage("loading", lambda: [pa.load_variant(name) for name in names])
+    stage("stands", lambda: [pa.solve_stand(robot) for robot in robots])
+    stage("statics", lambda: [pa.stand_statics(*pair) for pair in pairs])
+    stage(
+        "verification, fed forward and not",
+        lambda: [
+            pa.verify_stand(*pair, feedforward=told, duration=SECONDS)
+            for pair in pairs
+            for told in (True, False)
+        ],
+    )
+    stage("gain sweeps", lambda: [pa.sweep_gains(*pair) for pair in pairs])
+    stage("cross-checks", lambda: [pa.cross_check(robot) for robot in robots])
+    analyses = [analyze_variant(robot) for robot in robots]
+    quiet = Console(file=io.StringIO(), width=100)
+    stage("text", lambda: [print_analysis(quiet, analysis) for analysis in analyses])
+    with tempfile.TemporaryDirectory() as told:
+        folder = Path(told)
+        stage(
+            "figures of poses",
+            lambda: [
+                pose_figure(robot, one.stand, one.statics, folder / f"{robot.name}.png")
+                for robot, one in zip(robots, analyses, strict=True)
+            ],
+        )
+        stage(
+            "other figures",
+            lambda: (
+                torque_figure(analyses, folder / "torques.png"),
+                height_figure(analyses, folder / "heights.png"),
+                gain_figure(analyses, folder / "gains.png"),
+            ),
+        )
+        stage("picture of all", lambda: render.render_variants(pairs, folder / "variants.png"))
+    return taken

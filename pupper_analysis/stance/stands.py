@@ -1,0 +1,166 @@
+"""A sequence of stands of one robot, each begun where those before it lead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.arguments import checked
+from pupper_analysis.errors import (
+    ConfigurationError,
+    StanceUnreachableError,
+    UnknownNameError,
+)
+from pupper_analysis.robot.bodies import check_bodies
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.clearance import Shapes, shapes_of
+from pupper_analysis.stance.problem import Goal, goal_of
+from pupper_analysis.stance.search import begin_at
+from pupper_analysis.stance.stand import Stand, stand_for
+from pupper_analysis.stance.task import StandTask
+
+Array = NDArray[np.float64]
+
+_FIXED = {1: 3, 2: 5}
+"""Coordinates of a foot that one or two contact points fix; more of them fix all 6."""
+
+_NEAR = 0.5
+"""rad: joints that are further from those of the stand before may be bent another way than a search
+from home would bend them. A sample of a path never goes so far."""
+
+
+@overload
+def solve_stands(
+    robot: Robot,
+    tasks: Sequence[StandTask],
+    *,
+    explain: bool = ...,
+    keep_going: Literal[False] = ...,
+) -> tuple[Stand, ...]: ...
+
+
+@overload
+def solve_stands(
+    robot: Robot,
+    tasks: Sequence[StandTask],
+    *,
+    explain: bool = ...,
+    keep_going: bool,
+) -> tuple[Stand | StanceUnreachableError, ...]: ...
+
+
+@checked
+def solve_stands(
+    robot: Robot,
+    tasks: Sequence[StandTask],
+    *,
+    explain: bool = False,
+    keep_going: bool = False,
+) -> tuple[Stand | StanceUnreachableError, ...]:
+    """Solves a sequence of stand tasks: quicker than one by one where neighbours are alike.
+
+    Each search begins where the two stands before it lead to. If that comes to a stand near the one
+    before, it is the task's; if not, the task is solved as ``solve_stand`` does, from its own
+    starts. So it is for tasks that choose where to begin (``ik_seed``), or that leave open where a
+    stand ends: with the com anywhere ``"inside"``, on redundant legs, with links to keep apart.
+
+    The stands are those of ``solve_stand``, to rounding. Only where a leg can be bent in several
+    ways may they differ: a sequence keeps to the way in which it began, as long as that leads on.
+
+    Args:
+        robot: A robot with a floating base.
+        tasks: How to stand, one after the other.
+        explain: As in ``solve_stand``, for tasks that are out of reach (a second each).
+        keep_going: Where a task is out of reach, return the error in the place of its stand, and go
+            on; otherwise it is raised.
+
+    Returns:
+        The stands, in the order of the tasks; with ``keep_going``, errors among them.
+
+    Raises:
+        ConfigurationError: As ``solve_stand``; before any is solved, and naming the task.
+        UnknownNameError: Likewise.
+        StanceUnreachableError: Without ``keep_going``, for the first task that is out of reach;
+            ``where`` tells which.
+    """
+    check_bodies(robot)
+    solved: list[Stand | StanceUnreachableError] = []
+    sequence = _Sequence(robot)
+    for number, goal in enumerate(_goals(robot, tasks)):
+        try:
+            solved.append(sequence.solve(goal, explain=explain))
+        except StanceUnreachableError as error:
+            told = error.at(f"tasks[{number}]")
+            if not keep_going:
+                raise told from None
+            solved.append(told)
+    return tuple(solved)
+
+
+def _goals(robot: Robot, tasks: Sequence[StandTask]) -> list[Goal]:
+    """Returns the tasks in numbers; where feet and ground stay the same, so do the feet's places.
+
+    Raises:
+        ConfigurationError: If one is none, or none for this robot; names it.
+        UnknownNameError: Likewise.
+    """
+    goals: list[Goal] = []
+    for number, task in enumerate(tasks):
+        try:
+            goals.append(goal_of(robot, task, {}, goals[-1] if goals else None))
+        except (ConfigurationError, UnknownNameError) as error:
+            raise error.at(f"tasks[{number}]") from None
+    return goals
+
+
+class _Sequence:
+    """The stands of a sequence, as far as it has come.
+
+    Args:
+        robot: The robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self._before: list[Array] = []  # joints of the last two stands
+
+    def solve(self, goal: Goal, *, explain: bool) -> Stand:
+        """Returns the next stand.
+
+        Raises:
+            StanceUnreachableError: If it is out of reach.
+        """
+        shapes = shapes_of(self.robot)
+        stand = self._continued(shapes, goal)
+        if stand is None:
+            stand = stand_for(self.robot, goal, explain=explain)
+        self._before = [*self._before[-1:], stand.joint_positions(self.robot)]
+        return stand
+
+    def _continued(self, shapes: Shapes, goal: Goal) -> Stand | None:
+        """Returns the stand that those before lead to; None if they lead to none nearby."""
+        if not self._before or not _determined(self.robot, goal):
+            return None
+        last = self._before[-1]
+        ahead = 2 * last - self._before[0]  # as far again as from the one before to the last
+        for start in (ahead, last) if np.abs(ahead - last).max() < _NEAR else (last,):
+            stand = begin_at(shapes, goal, start)
+            if stand is not None and np.abs(stand.joint_positions(self.robot) - last).max() < _NEAR:
+                return stand
+        return None
+
+
+def _determined(robot: Robot, goal: Goal) -> bool:
+    """Whether a task leaves nothing open but how legs are bent, so that any start will do."""
+    task = goal.task
+    if task.ik_seed is not None or task.self_clearance is not None:
+        return False
+    if task.com == "inside" and not goal.by_base:
+        return False
+    # Given are the base's turn, height and place, and of each foot what its points fix: a line may
+    # still turn about itself.
+    fixed = sum(_FIXED.get(len(points), 6) for points in robot.soles.values())
+    return 6 + fixed >= robot.nv

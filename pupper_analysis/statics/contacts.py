@@ -1,0 +1,158 @@
+"""The contacts that carry: which feet, where they touch, which way the ground is, its friction."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from numbers import Real
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.contact import contact_offset
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance
+
+Array = NDArray[np.float64]
+
+MOST_FRICTION = 1e6
+"""Far beyond all that does not slide; of much more, the cone programmes overflow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Contacts of a robot with the ground, wherever the robot is.
+
+    Attributes:
+        robot: The robot.
+        feet: The n feet that carry.
+        normals: (n, 3) out of the ground, unit vectors in the world.
+        friction: (n,) coefficients.
+        offsets: (n, 3) from each foot's centre to its contact, in the world (m).
+    """
+
+    robot: Robot
+    feet: tuple[str, ...]
+    normals: Array
+    friction: Array
+    offsets: Array
+
+    @property
+    def level(self) -> bool:
+        """Whether the ground is level under all feet."""
+        return bool(np.abs(self.normals - UP).max(initial=0.0) < BALANCE_TOLERANCE)
+
+    def points(self, config: Configuration) -> Array:
+        """Returns where they are (n, 3) in a configuration, in the world (m)."""
+        return config.foot_places(self.feet) + self.offsets
+
+    def jacobian(self, config: Configuration) -> Array:
+        """Returns J^T (nv, 3 n): what generalised force their forces make."""
+        jacobians = config.point_jacobians(self.feet, self.offsets)
+        return jacobians.reshape(-1, self.robot.nv).T
+
+    def balance(self, transposed: Array, load: Array) -> Balance:
+        """Returns the equations of balance.
+
+        Args:
+            transposed: (nv, 3 n) see ``jacobian``.
+            load: (nv,) what motors and contacts must add up to (N, N m).
+        """
+        base_rows = self.robot.nv - self.robot.nu
+        return Balance(
+            base=transposed[:base_rows],
+            weight=load[:base_rows],
+            joints=transposed[base_rows:],
+            torques=load[base_rows:],
+            normals=self.normals,
+        )
+
+
+def contacts_of(
+    robot: Robot,
+    contacts: Iterable[str] | None,
+    friction: float | Mapping[str, float] | None,
+    normals: Mapping[str, ArrayLike] | None,
+    depths: Mapping[str, float] | None,
+) -> Contacts:
+    """Checks what ``gravity_compensation`` is told of contacts; its docstring tells what that is.
+
+    Raises:
+        UnknownNameError: If a foot is unknown.
+        ConfigurationError: If a friction coefficient or a normal is no such thing, a foot is named
+            twice, or a robot with a fixed base is given contacts.
+    """
+    feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
+    if friction is None and normals is None and depths is None:
+        return _usual(robot, feet)
+    return _contacts(robot, feet, friction, normals, depths)
+
+
+@functools.lru_cache(maxsize=8)
+def _usual(robot: Robot, feet: tuple[str, ...]) -> Contacts:
+    """Returns the contacts of feet on level ground, which depend on the robot alone."""
+    made = _contacts(robot, feet, None, None, None)
+    for array in (made.normals, made.friction, made.offsets):
+        array.flags.writeable = False
+    return made
+
+
+def _contacts(
+    robot: Robot,
+    feet: tuple[str, ...],
+    friction: float | Mapping[str, float] | None,
+    normals: Mapping[str, ArrayLike] | None,
+    depths: Mapping[str, float] | None,
+) -> Contacts:
+    for foot in feet:
+        robot.check_foot(foot)
+    if len(set(feet)) != len(feet):
+        raise ConfigurationError("contacts", f"a foot is named twice in {', '.join(feet)}")
+    if feet and not robot.floating:
+        raise ConfigurationError("contacts", f"{robot.name} has a fixed base, which carries it")
+    if not feet:
+        nothing = np.zeros((0, 3))
+        return Contacts(robot, feet, nothing, np.zeros(0), nothing)
+    for given in (normals, depths, friction):
+        for foot in given if isinstance(given, Mapping) else ():
+            robot.check_foot(foot)
+    out = np.array(
+        [
+            UP if normals is None or foot not in normals else _normal(foot, normals[foot])
+            for foot in feet
+        ]
+    )
+    radii = [robot.foot_radius[foot] for foot in feet]
+    return Contacts(
+        robot=robot,
+        feet=feet,
+        normals=out,
+        friction=np.array([_friction(robot, foot, friction) for foot in feet]),
+        offsets=contact_offset(radii, out, [(depths or {}).get(foot, 0.0) for foot in feet]),
+    )
+
+
+def _normal(foot: str, normal: ArrayLike) -> Array:
+    try:
+        vector = np.array(normal, dtype=float)
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise ConfigurationError("normals", f"{foot}: {normal!r} is not a direction (3,)")
+    unit: Array = vector / np.linalg.norm(vector)
+    return unit
+
+
+def _friction(robot: Robot, foot: str, friction: float | Mapping[str, float] | None) -> float:
+    if friction is None:
+        if foot not in robot.contacts:
+            raise ConfigurationError("friction", f"{robot.name} has no ground; give a coefficient")
+        return robot.contacts[foot].sliding_friction
+    value: object = friction.get(foot) if isinstance(friction, Mapping) else friction
+    if not isinstance(value, Real) or not 0 <= float(value) <= MOST_FRICTION:
+        problem = f"{foot}: {value} is no coefficient; it must be >= 0, and <= {MOST_FRICTION:g}"
+        raise ConfigurationError("friction", problem)
+    return float(value)
