@@ -102,6 +102,31 @@ def test_all_link_frames_elsewhere_are_nothing(tmp_path: Path) -> None:
     assert compared(pair(tmp_path, mjcf, feet)).agree
 
 
+def test_frames_that_are_turned_in_a_row_and_back_after_the_last_are_nothing(
+    tmp_path: Path,
+) -> None:
+    """As the thumb of a Shadow Hand: by itself no link's frame is nearer to the other file's."""
+    links, axes = ["base", "t5", "t4", "t3", "t2", "t1"], ["z", "x", "x", "y", "y"]
+    thumb = {"base": Part("base", mass=2.0)}
+    for parent, link, axis in zip(links, links[1:], axes, strict=False):
+        thumb[link] = Part(
+            link, parent, f"joint_{link}", position=(0.0, 0.0, 0.03), com=(0.0, 0.0, 0.02),
+            axis=tuple(float(axis == name) for name in "xyz"), inertia=(1e-3,) * 3 + (0.0,) * 3,
+        )  # fmt: skip
+    mjcf, quarter = thumb, Rotation.from_rotvec([0, 0, math.pi / 2])
+    for link in links[1:5]:
+        mjcf, _ = reframed(mjcf, [], link, quarter, np.zeros(3))
+    files = write(tmp_path, urdf_text(thumb), mjcf_text(mjcf, [], free=False))
+    comparison = compared(files)
+    assert comparison.agree, comparison.differences
+    # One axis that really differs is still told, and it alone.
+    axis = tuple(Rotation.from_rotvec([0, 0, 0.1]).apply(mjcf["t3"].axis))
+    files = write(tmp_path, urdf_text(thumb), mjcf_text(changed(mjcf, "t3", axis=axis), free=False))
+    comparison = compared(files)
+    assert found(comparison) == [("axis", "joint_t3")]
+    assert "turned by 5.73 deg" in comparison.differences[0].message
+
+
 def test_the_origin_of_a_slide_is_nothing(tmp_path: Path) -> None:
     mjcf, _ = reframed(arm(), [], "rod", Rotation.identity(), np.array([0.1, -0.2, 0.05]))
     assert compared(pair(tmp_path, mjcf, urdf=arm())).agree

@@ -709,3 +709,30 @@ def test_nothing_is_changed_in_the_files_that_were_read(tmp_path: Path) -> None:
     ]
     assert len(mjcf.spec.bodies) == 10
     assert isinstance(mjcf.compile(), mujoco.MjModel)
+
+
+# ------------------------------------------------------------------------------------- fused
+
+
+def test_a_base_that_is_fused_with_the_world_has_no_mass_there(tmp_path: Path) -> None:
+    """As MuJoCo converts a URDF: all four legs are the robot's, and the base's mass is no cause."""
+    legs = mjcf_text(quadruped(), [], free=False).splitlines()
+    start = next(row for row, line in enumerate(legs) if '<body name="base"' in line)
+    end = legs.index("</worldbody>")
+    assert "<inertial" in legs[start + 1]
+    assert legs[end - 1] == "</body>"
+    fused = "\n".join([*legs[:start], *legs[start + 2 : end - 1], *legs[end:]])
+    comparison = compare_texts(tmp_path, URDF, fused)
+    assert comparison.agree, comparison.differences
+    assert set(comparison.joints) == JOINTS
+    note = next(note for note in comparison.notes if "fused with the world" in note)
+    assert "6 kg, 'base'" in note
+    # What is in the legs is still found, and the base is no part of it.
+    heavier = fused.replace('mass="0.2"', 'mass="0.3"')
+    assert heavier != fused
+    assert found(compare_texts(tmp_path, URDF, heavier)) == [("mass", "knee0")]
+    # Other things in the scene are not: they have no name of the URDF's.
+    other = '<body name="door"><joint name="hinge"/><geom size="0.1"/></body></worldbody>'
+    comparison = compare_texts(tmp_path, URDF, fused.replace("</worldbody>", other))
+    assert comparison.agree
+    assert "'door' is not part of the robot" in " ".join(comparison.notes)

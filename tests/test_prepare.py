@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from legged import BIPED_FEET, Pair, biped, quadruped
+from legged import BIPED_FEET, Pair, biped, fused, quadruped
 
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
@@ -71,6 +71,22 @@ def test_a_base_that_the_mjcf_holds_is_freed(tmp_path: Path) -> None:
     assert robot.floating
     said(robot, "a free joint was added")
     stands(robot)
+
+
+def test_a_base_that_was_fused_with_the_world_is_made_anew(tmp_path: Path) -> None:
+    """MuJoCo's own conversion of a URDF has no body for the root link, and loses its mass."""
+    whole = quadruped(tmp_path, keyframe="", floor=True)
+    there = load(whole)
+    robot = load(fused(whole))
+    assert "with the mass of the URDF's 'trunk' (4 kg)" in said(robot, "limbs in the world")
+    stands(robot)
+    # It is the robot that it was before, in MuJoCo too.
+    assert robot.total_mass == pytest.approx(4 + 4 * 1.1)
+    assert robot.stand_height == there.stand_height
+    body = robot.mj_model.body(robot.mj_base)
+    before = there.mj_model.body(there.mj_base)
+    assert float(body.mass[0]) == float(before.mass[0]) == 4
+    assert np.sort(body.inertia) == pytest.approx(np.sort(before.inertia), rel=1e-12)
 
 
 def test_but_not_if_it_shall_be_fixed(tmp_path: Path) -> None:

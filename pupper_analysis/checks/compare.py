@@ -12,7 +12,7 @@ from pupper_analysis.checks.attribution import EXPLAINED, align, explain
 from pupper_analysis.checks.differences import Difference, Explanation
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
-from pupper_analysis.checks.notes import armature_notes, damping_notes
+from pupper_analysis.checks.notes import armature_notes, unstated_notes
 from pupper_analysis.checks.patterns import Cause, causes
 from pupper_analysis.checks.places import mjcf_place, path_of, shares, urdf_place
 from pupper_analysis.checks.states import check_states
@@ -101,8 +101,8 @@ def compare_models(
             both files have are compared.
         tolerances: What counts as a difference; by default for files of 5 to 6 digits.
         strict_names: Joints that are matched by structure, not by their name or by ``names``, are
-            a difference; otherwise `guessed` alone tells of them. So is damping that the URDF does
-            not state; otherwise a note tells of it.
+            a difference; otherwise `guessed` alone tells of them. So are damping and dry friction
+            that the URDF does not state; otherwise a note tells of them.
         configurations: Number of random configurations of the cross-check.
         seed: Of the random numbers, 0 or more.
 
@@ -140,7 +140,7 @@ def compare_models(
         mimics=matched.mimics,
         alignment=alignment,
         conventions=matched.conventions,
-        undamped=matched.undamped,
+        undamped=matched.unstated.get("damping", ()),
     )
     names_too = matched.guessed if strict_names else {}
     differences = tuple(_placed(explanation, names_too, matched, urdf_file, mjcf_file))
@@ -160,7 +160,7 @@ def compare_models(
         notes=(
             *matched.notes,
             *armature_notes(explanation),
-            *damping_notes(matched, explanation),
+            *unstated_notes(matched, explanation),
         ),
         check=check,
         differences=differences,

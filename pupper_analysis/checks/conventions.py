@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from pupper_analysis.checks.alignment import (
     aligned,
     digits,
+    digits_in_all,
     digits_of,
     digits_of_body,
     offset_of_limits,
@@ -75,9 +76,15 @@ def conventions(
             quarter turn of its frame is taken for one even if the base has no mass to show it.
     """
     base = _base(first, second, tolerances, fixed=fixed)
+    placed = first if base is None else with_base(first, base)
+    in_place = aligned(second, placed, tolerances).values
     if base is not None:
-        first = with_base(first, base)
-    second = aligned(second, first, tolerances).values
+        # What is on the base must not have to pay for it further out.
+        as_it_is = aligned(second, first, tolerances).values
+        told = digits_in_all(first, as_it_is, tolerances)
+        if told < digits_in_all(placed, in_place, tolerances):
+            base, placed, in_place = None, first, as_it_is
+    first, second = placed, in_place
     zeros = {}
     for name, joint in first.joints.items():
         offset = _zero(first, second, name, tolerances)

@@ -65,7 +65,8 @@ def drop_other_objects(
     """Keeps the largest tree of joints: a scene may have loose objects besides the robot.
 
     Beside a robot on a fixed base, a table or a wall would count as part of that base, unless it
-    has the name of one of the URDF's links.
+    has the name of one of the URDF's links. So do limbs that stand in the world itself, because
+    the base was fused with it.
     """
     kinds = mujoco.mjtObj
     size = {body.name: len(body.find_all(kinds.mjOBJ_JOINT)) for body in spec.worldbody.bodies}
@@ -76,9 +77,18 @@ def drop_other_objects(
     for body in list(spec.worldbody.bodies):
         names = {body.name, *(below.name for below in body.find_all(kinds.mjOBJ_BODY))}
         scenery = fixed and not body.mocap and not names & links
-        if body.name != robot.name and (size[body.name] or scenery):
+        limb = on_the_world(robot) and on_the_world(body) and names & links
+        if body.name != robot.name and (size[body.name] or scenery) and not limb:
             notes.append(f"{source.name}: body {body.name!r} is not part of the robot: left out")
             spec.delete(body)
+
+
+def on_the_world(body: mujoco.MjsBody) -> bool:
+    """Tells whether a body of the world moves by joints, and is not free: a limb without a base.
+
+    MuJoCo makes that of a URDF: it fuses what does not move with the world.
+    """
+    return bool(body.joints) and all(j.type != mujoco.mjtJoint.mjJNT_FREE for j in body.joints)
 
 
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:

@@ -85,7 +85,7 @@ def mjcf_members(matched: Match, mover: str) -> list[tuple[str, float]]:
     top = model.body(matched.mjcf_body[mover]).id
     group = [
         body
-        for body in range(1, model.nbody)
+        for body in range(model.nbody)
         if model.body_weldid[body] == model.body_weldid[top]
         and (model.body_mass[body] > 0 or body == top)
     ]

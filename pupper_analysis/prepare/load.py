@@ -18,6 +18,7 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare import drives, start
+from pupper_analysis.prepare.base import free_base
 from pupper_analysis.prepare.feet import (
     Foot,
     apart_at,
@@ -162,7 +163,7 @@ def _prepared(
     name_all(spec, set(), [])
     known = start.chosen(mjcf, start.keyframes(spec), keyframe)
     if not fixed_base:
-        _free(spec, notes)
+        spec = free_base(urdf, spec, notes)
     matched = match(urdf, replace(mjcf, spec=spec), names=joints, complete=True)
     notes += [*matched.notes, *_said(matched)]
     description = replace(matched.robot.description, name=name or spec.modelname)
@@ -203,23 +204,6 @@ def _prepared(
     if not set(robot.joint_names) <= own_servos(robot).keys():
         robot = _driven(robot, notes)
     return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
-
-
-def _free(spec: mujoco.MjSpec, notes: list[str]) -> None:
-    """Frees the base of a robot with two limbs or more that the MJCF holds in the world."""
-    if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints):
-        return
-    bodies = list(spec.worldbody.bodies)
-    size = {body.name: len(body.find_all(mujoco.mjtObj.mjOBJ_JOINT)) for body in bodies}
-    base = max(bodies, key=lambda body: size[body.name], default=None)
-    if base is None or list(base.joints):
-        return
-    limbs = [
-        body for body in base.bodies if body.find_all(mujoco.mjtObj.mjOBJ_JOINT) or body.joints
-    ]
-    if len(limbs) >= 2:
-        base.add_freejoint()
-        notes.append(f"the MJCF holds {base.name!r} in the world: a free joint was added")
 
 
 def _said(matched: Match) -> Iterator[str]:
