@@ -319,6 +319,32 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     stands(robot)
 
 
+def test_a_foot_that_is_a_lying_cylinder_in_the_urdf(tmp_path: Path) -> None:
+    """As on a B2 or an M20: where the MJCF's foot is a sphere, the cylinder there is the same foot.
+
+    It is as wide as it is thick, so that it is in the ground as soon as the calf leans sideways.
+    """
+    pair = quadruped(tmp_path, keyframe="")
+    text = pair.urdf.read_text()
+    for leg in ("FL", "FR", "RL", "RR"):
+        shape = (
+            '<origin xyz="0 0 -0.2" rpy="1.5707963 0 0"/>'
+            '<geometry><cylinder radius="0.02" length="0.03"/></geometry>'
+        )
+        head = f'<link name="{leg}_calf">'
+        assert head in text
+        text = text.replace(head, f"{head}<collision>{shape}</collision>")
+    pair.urdf.write_text(text)
+    robot = load(pair)
+    said(robot, "a stand was found")
+    stands(robot)
+    pa.solve_stand(robot, pa.StandTask(roll=0.1))
+    # A longer part there is no foot: it may be no deeper in the ground than the foot.
+    pair.urdf.write_text(text.replace('length="0.03"', 'length="0.2"'))
+    with pytest.raises(pa.StanceUnreachableError, match="calf is .* mm in the ground"):
+        pa.solve_stand(load(pair), pa.StandTask(roll=0.1))
+
+
 def test_a_leg_of_three_joints_has_one_contact_point(tmp_path: Path) -> None:
     """It cannot lay its box flat: the box's lowest corner touches, in the start pose."""
     box = '<geom type="box" size="0.02 0.02 0.02" pos="0 0 -0.2"/>'
