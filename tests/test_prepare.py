@@ -341,7 +341,7 @@ def test_a_foot_that_is_a_lying_cylinder_in_the_urdf(tmp_path: Path) -> None:
     pa.solve_stand(robot, pa.StandTask(roll=0.1))
     # A longer part there is no foot: it may be no deeper in the ground than the foot.
     pair.urdf.write_text(text.replace('length="0.03"', 'length="0.2"'))
-    with pytest.raises(pa.StanceUnreachableError, match="calf is .* mm in the ground"):
+    with pytest.raises(pa.StanceUnreachableError, match=r"calf is .* mm in the ground"):
         pa.solve_stand(load(pair), pa.StandTask(roll=0.1))
 
 

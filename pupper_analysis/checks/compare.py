@@ -9,7 +9,8 @@ from pathlib import Path
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.checks.attribution import EXPLAINED, align, explain
-from pupper_analysis.checks.differences import Difference, Explanation
+from pupper_analysis.checks.conventions import Conventions, convention_changes
+from pupper_analysis.checks.differences import CONVENTIONS, Difference, Explanation
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
 from pupper_analysis.checks.notes import armature_notes, unstated_notes
@@ -17,6 +18,7 @@ from pupper_analysis.checks.patterns import Cause, causes
 from pupper_analysis.checks.places import mjcf_place, path_of, shares, urdf_place
 from pupper_analysis.checks.states import check_states
 from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.checks.trees import trees
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
@@ -54,6 +56,7 @@ class Comparison(Result):
             difference explains, and what differences within the tolerances add up to.
         agree: Whether the models agree, within the tolerances: no difference, no joint in one file
             only, and no objection.
+        same_robot: Whether they agree, but for coordinates: joints' zeros, the base's frame.
     """
 
     urdf: str
@@ -75,6 +78,7 @@ class Comparison(Result):
     engines: tuple[str, ...]
     objections: tuple[str, ...]
     agree: bool
+    same_robot: bool
 
 
 @checked
@@ -87,6 +91,7 @@ def compare_models(
     feet: Sequence[str] = (),
     tolerances: Tolerances | None = None,
     strict_names: bool = False,
+    any_coordinates: bool = False,
     configurations: int = 20,
     seed: int = 0,
 ) -> Comparison:
@@ -103,6 +108,9 @@ def compare_models(
         strict_names: Joints that are matched by structure, not by their name or by ``names``, are
             a difference; otherwise `guessed` alone tells of them. So are damping and dry friction
             that the URDF does not state; otherwise a note tells of them.
+        any_coordinates: Joints' zeros, moved with their limits, and a free base's frame may be
+            elsewhere: notes tell of them. By default they are differences, because qpos means
+            another pose.
         configurations: Number of random configurations of the cross-check.
         seed: Of the random numbers, 0 or more.
 
@@ -120,6 +128,10 @@ def compare_models(
     matched = match(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
+    coordinates = ()
+    if any_coordinates:
+        coordinates = _as_notes(matched)
+        matched = replace(matched, conventions=Conventions())
     robot = matched.robot
     if not robot.total_mass > 0:
         problem = f"its links weigh {robot.total_mass:.6g} kg together; give them <inertial>s"
@@ -159,6 +171,7 @@ def compare_models(
         parts=matched.parts,
         notes=(
             *matched.notes,
+            *coordinates,
             *armature_notes(explanation),
             *unstated_notes(matched, explanation),
         ),
@@ -172,7 +185,18 @@ def compare_models(
         engines=_engines(check, explanation),
         objections=objections,
         agree=not (differences or unmatched or objections),
+        same_robot=not (
+            any(difference.kind not in CONVENTIONS for difference in differences)
+            or unmatched
+            or objections
+        ),
     )
+
+
+def _as_notes(matched: Match) -> tuple[str, ...]:
+    """Tells the files' conventions of coordinates as notes."""
+    changes = convention_changes(matched.conventions, trees(matched.robot)[0])
+    return tuple(difference.message for difference, _ in changes)
 
 
 def _placed(
@@ -225,7 +249,7 @@ def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[st
         because = f" ({'; '.join(explanation.remains)})" if explanation.remains else ""
         yield f"{left[name]:.1e} of {name} is left that no difference explains{because}"
         return
-    if explanation.differences:
+    if any(difference.kind not in CONVENTIONS for difference in explanation.differences):
         return
     # Who lets a mass differ by 1e-2 lets what follows from it differ as much.
     allowed = max(getattr(tolerances, kind) for kind in _FELT)

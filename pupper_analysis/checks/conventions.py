@@ -47,8 +47,8 @@ class Conventions:
 
     Attributes:
         base: Pose of the URDF's base frame in the MJCF's; None if they are the same.
-        shown: Whether the base's body, or several joints on it, show that its frame is elsewhere;
-            else it might as well be the one joint on it.
+        shown: Whether the base's body, several joints on it, or the same limits of the one joint
+            show that its frame is elsewhere; else it might as well be that joint's zero.
         zeros: {joint: q in the URDF less q in the MJCF (rad or m)} where that is not 0.
     """
 
@@ -90,9 +90,19 @@ def conventions(
         offset = _zero(first, second, name, tolerances)
         if offset and joint.parent == second.joints[name].parent:
             zeros[name] = offset
+    return Conventions(base, _shown(first, second, tolerances), zeros)
+
+
+def _shown(first: Parameters, second: Parameters, tolerances: Tolerances) -> bool:
+    """Tells whether it is the base's frame that is elsewhere, and not the zero of a joint on it."""
+    names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
-    several = len(first.children(first.base)) > 1
-    return Conventions(base, several or all(body.mass for body in bodies), zeros)
+    if len(names) > 1 or all(body.mass for body in bodies):
+        return True
+    one, two = (tree.joints[name] for tree in (first, second) for name in names)
+    # The limits would have moved with the zero; of a whole turn and more they say nothing.
+    apart = max(abs(one.lower - two.lower), abs(one.upper - two.upper))
+    return bool(one.upper - one.lower < 2 * math.pi and apart <= tolerances.limit)
 
 
 def _zero(first: Parameters, second: Parameters, name: str, tolerances: Tolerances) -> float:

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
-_STRUCTURE = ("name", "type", "parent", "base frame", "zero", "gravity")
+CONVENTIONS = ("base frame", "zero")
+"""Kinds of difference after which the two are still one robot, in other coordinates."""
+
+_STRUCTURE = ("name", "type", "parent", *CONVENTIONS, "gravity")
 _LIMITS = ("lower limit", "upper limit", "effort")
 _FELT = 1e-3  # least relative effect that goes before limits and efforts
 _SCREW = 0.01  # likewise of a body's mass

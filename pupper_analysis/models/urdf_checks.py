@@ -103,32 +103,22 @@ def leave_out_undeclared(root: etree._Element, notes: list[str]) -> bool:
     return bool(gone)
 
 
-def leave_out_odd_materials(root: etree._Element, notes: list[str]) -> bool:
+def leave_out_odd_materials(root: etree._Element) -> bool:
     """Takes out a shape's materials without a name, and all but the first, in place.
 
     Converters write one for each colour of a mesh, where parsers read the first; urdfdom reports
-    one without a name, and leaves out its shape. They neither weigh nor touch anything.
+    one without a name, and leaves out its shape. A colour has no effect, so no note tells of it.
 
     Returns:
         Whether there was any.
     """
-    further, nameless = [], []
-    for link in root.findall("link"):
-        for visual in link.findall("visual"):
-            for material in visual.findall("material"):
-                found = further if material.get("name") else nameless
-                if material is not visual.find("material") or found is nameless:
-                    found.append(str(link.get("name")))
-                    visual.remove(material)
-    for links, what, done in (
-        (further, "several materials", "the first one counts"),
-        (nameless, "a material without a name", "it was left out"),
-    ):
-        names = list(dict.fromkeys(links))
-        if names:
-            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-            notes.append(f"shapes with {what} ({', '.join(names[:3])}{more}): {done}")
-    return bool(further or nameless)
+    found = False
+    for visual in root.findall("link/visual"):
+        for number, material in enumerate(visual.findall("material")):
+            if number or not material.get("name"):
+                visual.remove(material)
+                found = True
+    return found
 
 
 def distinct(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:

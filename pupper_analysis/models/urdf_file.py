@@ -133,7 +133,7 @@ def urdf_from(
         raise refusal_at(path, root, f"version {root.get('version')!r} is unknown; valid: 1.0")
     notes: list[str] = []
     rewritten = leave_out_undeclared(root, notes)
-    rewritten |= leave_out_odd_materials(root, notes)
+    rewritten |= leave_out_odd_materials(root)
     materials = distinct(path, root, "material")
     links = distinct(path, root, "link")
     joints = distinct(path, root, "joint")
