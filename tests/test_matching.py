@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from robots import (
     FEET,
+    Files,
     Frame,
     Part,
     Parts,
@@ -413,6 +414,45 @@ def test_ambiguous_structure_is_not_guessed(tmp_path: Path) -> None:
     assert comparison.guessed == {}
     assert comparison.only_urdf == ("one", "two")
     assert comparison.only_mjcf == ("to_left", "to_right")
+
+
+def test_sides_in_names_decide_between_turns(tmp_path: Path) -> None:
+    """As Cassie's two models: turned by half a turn about z, its legs match as well, exchanged."""
+
+    def walker(x: float, hip: str, knee: str, last: tuple[float, float, float]) -> Parts:
+        parts = {"base": quadruped()["base"]}
+        for side, y in (("left", 0.13), ("right", -0.13)):
+            names = [word.replace("*", side) for word in (hip, knee, "end_*" + hip)]
+            places, axes = [(x, y, 0.0), (0.0, 0.0, -0.3), (0.0, 0.0, -0.4)], [(1.0, 0.0, 0.0)]
+            axes += [(0.0, 1.0, 0.0), last]
+            parent = "base"
+            for name, place, axis in zip(names, places, axes, strict=True):
+                link = f"{name} link"
+                parts[link] = light(link, parent, position=place, axis=axis)
+                parts[link] = replace(parts[link], joint=name)
+                parent = link
+        return parts
+
+    def files(urdf: str, mjcf: str) -> Files:
+        one = walker(-0.05, f"abduction_{urdf}", f"flexion_{urdf}", (0.0, 1.0, 0.0))
+        two = walker(0.02, f"{mjcf}-roll", f"{mjcf}-pitch", (0.0, 0.0, 1.0))
+        return write(tmp_path, urdf_text(one, []), mjcf_text(two, []))
+
+    comparison = compared(files("*", "*"))
+    assert comparison.guessed == {
+        f"{one}_{side}": f"{side}-{two}"
+        for one, two in (("abduction", "roll"), ("flexion", "pitch"))
+        for side in ("left", "right")
+    }
+    # Names without sides leave it open, and so nothing is guessed.
+    text = files("*", "*")
+    for path, words in ((text.urdf, ("near", "far")), (text.mjcf, ("one", "two"))):
+        new = path.read_text().replace("left", words[0]).replace("right", words[1])
+        path.write_text(new)
+    with pytest.raises(
+        ModelError, match="abduction_near=one-roll or --map abduction_near=two-roll"
+    ):
+        compared(text)
 
 
 def test_each_is_to_be_the_nearest_of_the_other(tmp_path: Path) -> None:
