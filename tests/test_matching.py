@@ -435,7 +435,7 @@ def test_sides_in_names_decide_between_turns(tmp_path: Path) -> None:
 
     def files(urdf: str, mjcf: str) -> Files:
         one = walker(-0.05, f"abduction_{urdf}", f"flexion_{urdf}", (0.0, 1.0, 0.0))
-        two = walker(0.02, f"{mjcf}-roll", f"{mjcf}-pitch", (0.0, 0.0, 1.0))
+        two = walker(0.01, f"{mjcf}-roll", f"{mjcf}-pitch", (0.0, 0.0, 1.0))
         return write(tmp_path, urdf_text(one, []), mjcf_text(two, []))
 
     comparison = compared(files("*", "*"))
