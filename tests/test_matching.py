@@ -449,7 +449,9 @@ def test_sides_in_names_decide_between_turns(tmp_path: Path) -> None:
     for path, words in ((text.urdf, ("near", "far")), (text.mjcf, ("one", "two"))):
         new = path.read_text().replace("left", words[0]).replace("right", words[1])
         path.write_text(new)
-    with pytest.raises(ModelError, match="--map abduction_near=[a-z]+-roll or --map abduction_near"):
+    with pytest.raises(
+        ModelError, match=r"--map abduction_near=[a-z]+-roll or --map abduction_near"
+    ):
         compared(text)
 
 

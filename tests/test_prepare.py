@@ -319,6 +319,33 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     stands(robot)
 
 
+def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_path: Path) -> None:
+    """As Cassie's, whose left and right legs have bits of their own."""
+    foot = '<geom type="sphere" size="0.02" pos="0 0 -0.2" contype="2" conaffinity="4"/>'
+    robot = load(quadruped(tmp_path, foot=foot))
+    assert len(robot.feet) == 4
+    stands(robot)
+
+
+def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) -> None:
+    """Else Cassie's feet, of condim 1, would have no friction on it."""
+    pair = quadruped(tmp_path)
+    default = (
+        '<default><geom contype="0" conaffinity="0" condim="1" margin="0.01" solref="0.005 1" '
+        'type="box"/></default><worldbody>'
+    )
+    text = pair.mjcf.read_text().replace("<worldbody>", default)
+    pair.mjcf.write_text(text.replace('type="sphere"', 'type="sphere" contype="1" margin="0"'))
+    robot = load(pair)
+    plain = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom type="plane" size="0 0 1"/></worldbody></mujoco>'
+    )
+    floor = robot.mj_model.geom("floor")
+    for word in ("type", "condim", "friction", "solref", "solimp", "margin", "gap", "priority"):
+        assert getattr(floor, word).tolist() == getattr(plain.geom(0), word).tolist(), word
+    stands(robot)
+
+
 def test_a_foot_that_is_a_lying_cylinder_in_the_urdf(tmp_path: Path) -> None:
     """As on a B2 or an M20: where the MJCF's foot is a sphere, the cylinder there is the same foot.
 

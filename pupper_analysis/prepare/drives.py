@@ -78,6 +78,28 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array]:
     return built(*first, 1), *first
 
 
+def advice(robot: Robot, stand: Stand) -> str | None:
+    """Says so, with gains that would hold it, if a robot falls over on servos of its own.
+
+    They are the robot's, and so they stay as they are.
+    """
+    if verify_stand(robot, stand, duration=_TRIALS[0]).tilt < _UPRIGHT:
+        return None
+    own = np.array(list(own_servos(robot).values()))
+    torques = stand_statics(robot, stand).joint_torques
+    said = (
+        f"the MJCF's own servos (kp {own[:, 0].min():g} to {own[:, 0].max():g} N m/rad) let it "
+        "fall over in the start pose"
+    )
+    for sag in _SAGS:
+        kp, kd = (
+            np.full(robot.nu, gains.min()) for gains in _gains(robot, stand.qpos, torques, sag, 1)
+        )
+        if _rests(robot, stand, kp, kd):
+            return f"{said}; --kp {kp[0]:g} --kd {kd[0]:g} would hold it"
+    return f"{said}, and none that were tried hold it"
+
+
 def _kept(
     robot: Robot, own: Mapping[str, tuple[float, float]], kp: Array, kd: Array
 ) -> tuple[Array, Array]:

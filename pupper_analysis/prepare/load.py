@@ -192,6 +192,7 @@ def _prepared(
             f"at zero angles the last joint of foot {worst} is {1e3 * apart[worst]:.0f} mm off in "
             "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
         )
+    notes += _edgy(bare, feet)
     balls = [f.name for f in feet if any(is_ball(bare.mj_model, point) for point in f.points)]
     if balls:
         notes.append(
@@ -203,6 +204,9 @@ def _prepared(
     robot = _apart(_on_feet_alone(robot, notes), notes)
     if not set(robot.joint_names) <= own_servos(robot).keys():
         robot = _driven(robot, notes)
+    else:
+        stand = start.first_stand(robot)
+        notes += filter(None, [drives.advice(robot, stand) if stand is not None else None])
     return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
 
 
@@ -240,6 +244,24 @@ def _named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> str:
         texts.append(f"{foot.name} on {body}" + (f", {count} contact points" if count > 1 else ""))
     how = "feet" if given else "no feet were named; taken were the lowest limbs' ends"
     return f"{how}: {'; '.join(texts)}"
+
+
+def _edgy(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
+    """Says which feet touch with one point of a mesh that is not round there."""
+    model = robot.mj_model
+    mesh = mujoco.mjtGeom.mjGEOM_MESH.value
+    names = [
+        foot.name
+        for foot in feet
+        for point in foot.points
+        if len(foot.points) == 1 and not point.radius and model.geom_type[point.geom] == mesh
+    ]
+    if names:
+        yield (
+            f"feet {', '.join(names)} touch the ground with meshes that are not round: where they "
+            "touch changes as they sink in, so that forces may be off by several percent; a sphere "
+            "as collision geom would mend that"
+        )
 
 
 def _started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list[str]) -> Robot:
