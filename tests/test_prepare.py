@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from pathlib import Path
 
 import mujoco
@@ -325,6 +326,31 @@ def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_pat
     robot = load(quadruped(tmp_path, foot=foot))
     assert len(robot.feet) == 4
     stands(robot)
+
+
+def test_servos_that_let_it_fall_are_told_with_gains_that_would_not(tmp_path: Path) -> None:
+    """As a Berkeley Humanoid's, of 1 to 15 N m/rad: they stay, and a line says what would hold."""
+    pair = biped(tmp_path, damping=0.02)
+    soft = pair.mjcf.read_text().replace("<motor ", '<position kp="3" kv="0.01" ')
+    pair.mjcf.write_text(soft.replace("ctrlrange", "forcerange"))
+    robot = load(pair)
+    advice = re.search(r"let it fall over .*; --kp (\S+) --kd (\S+) would", " ".join(robot.notes))
+    assert advice, robot.notes
+    kp, kd = (np.full(robot.nu, float(word)) for word in advice.groups())
+    stand = pa.sunk_stand(robot)
+    assert pa.verify_stand(robot, stand).tilt > 0.5
+    assert pa.verify_stand(robot, stand, kp=kp, kd=kd).passed
+
+
+def test_a_foot_with_a_mesh_that_is_not_round_is_told(tmp_path: Path) -> None:
+    mesh = '<asset><mesh name="block" vertex="{}"/></asset><worldbody>'
+    corners = [(x, y, z) for x in (-0.03, 0.03) for y in (-0.02, 0.02) for z in (-0.02, 0.02)]
+    vertices = " ".join(str(value) for corner in corners for value in corner)
+    pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="block" pos="0 0 -0.2"/>')
+    text = pair.mjcf.read_text().replace("<worldbody>", mesh.format(vertices))
+    pair.mjcf.write_text(text)
+    said(load(pair), "meshes that are not round")
+    assert not any("not round" in note for note in load(quadruped(tmp_path)).notes)
 
 
 def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) -> None:

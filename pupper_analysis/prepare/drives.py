@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -83,7 +83,7 @@ def advice(robot: Robot, stand: Stand) -> str | None:
 
     They are the robot's, and so they stay as they are.
     """
-    if verify_stand(robot, stand, duration=_TRIALS[0]).tilt < _UPRIGHT:
+    if verify_stand(robot, stand, duration=_TRIALS[-1]).tilt < _UPRIGHT:
         return None
     own = np.array(list(own_servos(robot).values()))
     torques = stand_statics(robot, stand).joint_torques
@@ -95,8 +95,8 @@ def advice(robot: Robot, stand: Stand) -> str | None:
         kp, kd = (
             np.full(robot.nu, gains.min()) for gains in _gains(robot, stand.qpos, torques, sag, 1)
         )
-        if _rests(robot, stand, kp, kd):
-            return f"{said}; --kp {kp[0]:g} --kd {kd[0]:g} would hold it"
+        if _rests(robot, stand, kp, kd, ways=(True,)):
+            return f"{said}; --kp {kp[0]:g} --kd {kd[0]:g} would hold it, with feed-forward"
     return f"{said}, and none that were tried hold it"
 
 
@@ -109,9 +109,11 @@ def _kept(
     return both[:, 0], both[:, 1]
 
 
-def _rests(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
+def _rests(
+    robot: Robot, stand: Stand, kp: Array, kd: Array, ways: Sequence[bool] = (True, False)
+) -> bool:
     """Tells whether a robot comes to rest where it stands, with feed-forward and without."""
-    for feedforward in (True, False):
+    for feedforward in ways:
         for duration in _TRIALS:
             seen = verify_stand(
                 robot, stand, kp=kp, kd=kd, feedforward=feedforward, duration=duration
