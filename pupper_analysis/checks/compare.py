@@ -128,7 +128,7 @@ def compare_models(
     matched = match(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
-    coordinates = ()
+    coordinates: tuple[str, ...] = ()
     if any_coordinates:
         coordinates = _as_notes(matched)
         matched = replace(matched, conventions=Conventions())

@@ -20,7 +20,6 @@ from pupper_analysis.checks.matching_mjcf import (
     hinges,
     mjcf_tree,
     name_all,
-    on_the_world,
 )
 from pupper_analysis.checks.matching_pairs import pair_up
 from pupper_analysis.checks.matching_structure import common_frames
@@ -133,7 +132,7 @@ def match(
     spec = mjcf.spec.copy()
     name_all(spec, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
-    drop_other_objects(spec, mjcf.path, {str(e.get("name")) for e in root.iter("link")}, notes)
+    drop_other_objects(spec, mjcf.path, root, notes)
     theirs, balls = hinges(spec, mjcf.path, notes)
     root = strip_roots(root, urdf.path, mjcf_tree(spec, mjcf.path), notes)
     mine, others = moving_joints(root, notes)
@@ -144,8 +143,9 @@ def match(
     found = pair_up(root, spec, (urdf.path, mjcf.path), (mine, theirs), wanted)
     pairs, guessed = found.pairs, found.guessed
     notes += found.notes
-    limbs = [body for body in spec.worldbody.bodies if on_the_world(body)]
-    if any(joint.name in pairs.values() for body in limbs for joint in body.joints):
+    limbs = [body for body in spec.worldbody.bodies if list(body.joints)]
+    hinges_there = {j.name for b in limbs for j in b.joints if j.type != mujoco.mjtJoint.mjJNT_FREE}
+    if hinges_there & set(pairs.values()):
         take_mass_of_base(root, urdf.path, notes)
     only_urdf = (*others, *(name for name in mine if name not in pairs))
     only_mjcf = (*balls, *(name for name in theirs if name not in pairs.values()))

@@ -7,8 +7,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pinocchio as pin
+from lxml import etree
 
 from pupper_analysis.checks.alignment import with_base
+from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
@@ -60,7 +62,7 @@ def hinges(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> tuple[list[st
 
 
 def drop_other_objects(
-    spec: mujoco.MjSpec, source: Path, links: set[str], notes: list[str]
+    spec: mujoco.MjSpec, source: Path, urdf: etree._Element, notes: list[str]
 ) -> None:
     """Keeps the largest tree of joints: a scene may have loose objects besides the robot.
 
@@ -69,6 +71,8 @@ def drop_other_objects(
     the base was fused with it.
     """
     kinds = mujoco.mjtObj
+    links = {str(link.get("name")) for link in urdf.iter("link")}
+    limbs = {body.name for body in limbs_on_the_world(spec, urdf)}
     size = {body.name: len(body.find_all(kinds.mjOBJ_JOINT)) for body in spec.worldbody.bodies}
     if not any(size.values()):
         raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")
@@ -77,18 +81,28 @@ def drop_other_objects(
     for body in list(spec.worldbody.bodies):
         names = {body.name, *(below.name for below in body.find_all(kinds.mjOBJ_BODY))}
         scenery = fixed and not body.mocap and not names & links
-        limb = on_the_world(robot) and on_the_world(body) and names & links
-        if body.name != robot.name and (size[body.name] or scenery) and not limb:
+        if body.name in limbs and robot.name in limbs:
+            continue
+        if body.name != robot.name and (size[body.name] or scenery):
             notes.append(f"{source.name}: body {body.name!r} is not part of the robot: left out")
             spec.delete(body)
 
 
-def on_the_world(body: mujoco.MjsBody) -> bool:
-    """Tells whether a body of the world moves by joints, and is not free: a limb without a base.
+def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco.MjsBody]:
+    """Returns the bodies of the world that move by the joints of a URDF: limbs without a base.
 
-    MuJoCo makes that of a URDF: it fuses what does not move with the world.
+    MuJoCo makes that of a URDF: it fuses what does not move with the world. The joints are known
+    by their names, or their names without prefixes and suffixes.
     """
-    return bool(body.joints) and all(j.type != mujoco.mjtJoint.mjJNT_FREE for j in body.joints)
+    mine = [str(j.get("name")) for j in urdf.findall("joint") if j.get("type") != "fixed"]
+    theirs = [joint.name for joint in spec.joints]
+    known = {*mine, *without_affixes(mine, theirs, {}).values()}
+    return [
+        body
+        for body in spec.worldbody.bodies
+        if any(joint.name in known for joint in body.joints)
+        and all(joint.type != mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+    ]
 
 
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:

@@ -82,11 +82,11 @@ def take_mass_of_base(root: etree._Element, source: Path, notes: list[str]) -> N
     waiting, masses = [str(root_link(root).get("name"))], {}
     while waiting:
         name = waiting.pop()
-        link = root.find(f"link[@name='{name}']") if "'" not in name else None
-        inertial = None if link is None else link.find("inertial")
-        if inertial is not None:
-            masses[name] = float(inertial.find("mass").get("value"))
-            link.remove(inertial)
+        for link in root.findall("link"):
+            inertial = link.find("inertial") if link.get("name") == name else None
+            if inertial is not None:
+                masses[name] = float(inertial.find("mass").get("value"))
+                link.remove(inertial)
         waiting += [
             end_link(joint, "child")
             for joint in root.findall("joint")

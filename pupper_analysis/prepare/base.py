@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES
-from pupper_analysis.checks.matching_mjcf import on_the_world
+from pupper_analysis.checks.matching_mjcf import limbs_on_the_world, mjcf_tree
+from pupper_analysis.checks.matching_names import without_affixes
+from pupper_analysis.checks.matching_places import at_zero
 from pupper_analysis.checks.matching_urdf import root_link, urdf_tree
 from pupper_analysis.models.mjcf import quiet
-from pupper_analysis.models.parameters import Body
+from pupper_analysis.models.parameters import Body, Parameters
 from pupper_analysis.models.urdf_file import UrdfFile
+
+Array = NDArray[np.float64]
 
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 
@@ -24,9 +30,7 @@ def free_base(urdf: UrdfFile, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.M
     """
     if any(joint.type == _FREE for joint in spec.joints):
         return spec
-    links = {str(link.get("name")) for link in urdf.root.findall("link")}
-    limbs = [body for body in spec.worldbody.bodies if on_the_world(body) and body.name in links]
-    if len(limbs) >= 2:
+    if len(limbs_on_the_world(spec, urdf.root)) >= 2:
         return _unfused(urdf, spec, notes)
     bodies = list(spec.worldbody.bodies)
     size = {body.name: len(body.find_all(mujoco.mjtObj.mjOBJ_JOINT)) for body in bodies}
@@ -66,7 +70,7 @@ def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.Mj
             setattr(freed.option, word, getattr(spec.option, word))
     base = freed.worldbody.add_body(name=name)
     base.add_freejoint()
-    _weigh(base, inertial)
+    _weigh(base, inertial, _apart(tree, spec, urdf))
     with quiet():
         freed.attach(spec, frame=base.add_frame(), prefix="")
     notes.append(
@@ -76,8 +80,22 @@ def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.Mj
     return freed
 
 
-def _weigh(body: mujoco.MjsBody, inertial: Body) -> None:
+def _apart(tree: Parameters, spec: mujoco.MjSpec, urdf: UrdfFile) -> Array:
+    """Returns how far the limbs are from where the URDF has them (3,): its base is off by as much.
+
+    The frame of the world may be that of any of the links that were fused with it.
+    """
+    here, there = at_zero(tree), at_zero(mjcf_tree(spec, urdf.path))
+    names = {name: name for name in here if name in there}
+    names |= without_affixes(list(here), list(there), names)
+    first = [name for name in tree.children(tree.base) if name in names]
+    apart = [there[names[name]][0] - here[name][0] for name in first]
+    return np.asarray(np.median(apart, axis=0))
+
+
+def _weigh(body: mujoco.MjsBody, inertial: Body, apart: Array) -> None:
     """Gives a body a mass, a com and an inertia."""
     tensor = inertial.inertia
-    body.mass, body.ipos, body.explicitinertial = inertial.mass, inertial.com, True
+    body.mass, body.explicitinertial = inertial.mass, True
+    body.ipos = inertial.com + apart
     body.fullinertia = [tensor[place] for place in INERTIA_ENTRIES.values()]
