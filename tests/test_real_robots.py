@@ -220,7 +220,7 @@ def test_what_else_differs_in_go2() -> None:
     np.testing.assert_allclose(foot.mjcf, (-0.002, 0, -0.213), atol=1e-12)
     assert any("damping (0.1 to 0.2989 on 12 joints" in note for note in comparison.notes)
     note = next(note for note in comparison.notes if note.startswith("dry friction"))
-    assert "1.0151 on 4 joints" in note
+    assert "(0.1388 to 1.3573 on 12 joints; N m)" in note
     kinds = {kind for kind, _ in found(comparison)}
     assert kinds == {"mass", "com", "inertia", "frame"}
 

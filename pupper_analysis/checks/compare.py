@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -128,10 +128,8 @@ def compare_models(
     matched = match(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
-    coordinates: tuple[str, ...] = ()
     if any_coordinates:
-        coordinates = _as_notes(matched)
-        matched = replace(matched, conventions=Conventions())
+        matched = _in_any_coordinates(matched)
     robot = matched.robot
     if not robot.total_mass > 0:
         problem = f"its links weigh {robot.total_mass:.6g} kg together; give them <inertial>s"
@@ -156,8 +154,6 @@ def compare_models(
     )
     names_too = matched.guessed if strict_names else {}
     differences = tuple(_placed(explanation, names_too, matched, urdf_file, mjcf_file))
-    worst = max(explanation.deviations.values())
-    left = max(explanation.left.values())
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = tuple(_objections(explanation, tolerances))
     return Comparison(
@@ -169,34 +165,31 @@ def compare_models(
         only_urdf=matched.only_urdf,
         only_mjcf=matched.only_mjcf,
         parts=matched.parts,
-        notes=(
-            *matched.notes,
-            *coordinates,
-            *armature_notes(explanation),
-            *unstated_notes(matched, explanation),
-        ),
+        notes=(*matched.notes, *armature_notes(explanation), *unstated_notes(matched, explanation)),
         check=check,
         differences=differences,
         causes=causes(robot, alignment.values, differences, tolerances),
         deviations=explanation.deviations,
         left=explanation.left,
-        explained=_explained(worst, left),
+        explained=_explained(max(explanation.deviations.values()), max(explanation.left.values())),
         complete=explanation.complete,
         engines=_engines(check, explanation),
         objections=objections,
         agree=not (differences or unmatched or objections),
-        same_robot=not (
-            any(difference.kind not in CONVENTIONS for difference in differences)
-            or unmatched
-            or objections
-        ),
+        same_robot=not (_mechanical(differences) or unmatched or objections),
     )
 
 
-def _as_notes(matched: Match) -> tuple[str, ...]:
-    """Tells the files' conventions of coordinates as notes."""
+def _in_any_coordinates(matched: Match) -> Match:
+    """Makes notes of the files' conventions of coordinates: then they are no differences."""
     changes = convention_changes(matched.conventions, trees(matched.robot)[0])
-    return tuple(difference.message for difference, _ in changes)
+    notes = (*matched.notes, *(difference.message for difference, _ in changes))
+    return replace(matched, conventions=Conventions(), notes=notes)
+
+
+def _mechanical(differences: Iterable[Difference]) -> bool:
+    """Tells whether any difference is more than one of coordinates."""
+    return any(difference.kind not in CONVENTIONS for difference in differences)
 
 
 def _placed(
@@ -249,7 +242,7 @@ def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[st
         because = f" ({'; '.join(explanation.remains)})" if explanation.remains else ""
         yield f"{left[name]:.1e} of {name} is left that no difference explains{because}"
         return
-    if any(difference.kind not in CONVENTIONS for difference in explanation.differences):
+    if _mechanical(explanation.differences):
         return
     # Who lets a mass differ by 1e-2 lets what follows from it differ as much.
     allowed = max(getattr(tolerances, kind) for kind in _FELT)

@@ -18,6 +18,7 @@ from pupper_analysis.checks.matching_mjcf import (
     delete_joint,
     drop_other_objects,
     hinges,
+    is_fused,
     mjcf_tree,
     name_all,
 )
@@ -143,9 +144,7 @@ def match(
     found = pair_up(root, spec, (urdf.path, mjcf.path), (mine, theirs), wanted)
     pairs, guessed = found.pairs, found.guessed
     notes += found.notes
-    limbs = [body for body in spec.worldbody.bodies if list(body.joints)]
-    hinges_there = {j.name for b in limbs for j in b.joints if j.type != mujoco.mjtJoint.mjJNT_FREE}
-    if hinges_there & set(pairs.values()):
+    if is_fused(spec, pairs.values()):
         take_mass_of_base(root, urdf.path, notes)
     only_urdf = (*others, *(name for name in mine if name not in pairs))
     only_mjcf = (*balls, *(name for name in theirs if name not in pairs.values()))
@@ -160,14 +159,8 @@ def match(
     for foot in feet:
         if foot not in frames:
             raise UnknownNameError(urdf.path, "frame of both files (for a foot)", foot, frames)
-    description = Description(
-        name=spec.modelname,
-        urdf=etree.tostring(root, encoding="unicode"),
-        urdf_source=urdf.path,
-        mjcf=spec,
-        mjcf_source=mjcf.path,
-        feet={},
-        frames={name: frames[name] for name in (feet or frames)},
+    description = _described(
+        root, spec, (urdf, mjcf), {name: frames[name] for name in (feet or frames)}
     )
     robot, meant = _in_one_convention(root, description, tolerances or Tolerances(), notes)
     return Match(
@@ -189,6 +182,25 @@ def match(
         conventions=meant,
         parts=tuple(parts),
         unstated=unstated,
+    )
+
+
+def _described(
+    root: etree._Element,
+    spec: mujoco.MjSpec,
+    files: tuple[UrdfFile, MjcfFile],
+    frames: Mapping[str, tuple[str, str]],
+) -> Description:
+    """Describes a robot by two files that have been made alike."""
+    urdf, mjcf = files
+    return Description(
+        name=spec.modelname,
+        urdf=etree.tostring(root, encoding="unicode"),
+        urdf_source=urdf.path,
+        mjcf=spec,
+        mjcf_source=mjcf.path,
+        feet={},
+        frames=frames,
     )
 
 

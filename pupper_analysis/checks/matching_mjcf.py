@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import mujoco
@@ -103,6 +104,12 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
         if any(joint.name in known for joint in body.joints)
         and all(joint.type != mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
     ]
+
+
+def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
+    """Tells whether the world is the base: whether one of some joints is between it and a body."""
+    there = (joint for body in spec.worldbody.bodies for joint in body.joints)
+    return any(j.name in joints and j.type != mujoco.mjtJoint.mjJNT_FREE for j in there)
 
 
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:

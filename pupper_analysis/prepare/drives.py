@@ -83,13 +83,12 @@ def advice(robot: Robot, stand: Stand) -> str | None:
 
     They are the robot's, and so they stay as they are.
     """
-    if verify_stand(robot, stand, duration=_TRIALS[-1]).tilt < _UPRIGHT:
+    if verify_stand(robot, stand).tilt < _UPRIGHT:
         return None
     own = np.array(list(own_servos(robot).values()))
     torques = stand_statics(robot, stand).joint_torques
     said = (
-        f"the MJCF's own servos (kp {own[:, 0].min():g} to {own[:, 0].max():g} N m/rad) let it "
-        "fall over in the start pose"
+        f"the MJCF's own servos (kp {span(own[:, 0])} N m/rad) let it fall over in the start pose"
     )
     for sag in _SAGS:
         kp, kd = (
@@ -146,6 +145,12 @@ def _gains(
     wanted = np.full(robot.nu, most_torque / sag)
     kp = np.array([_two_digits(value) for value in np.minimum(wanted, most)])
     return kp, np.array([_two_digits(value) for value in _DAMPING_TIME * kp])
+
+
+def span(values: Array) -> str:
+    """Says the least and the greatest of some numbers, or the one that all are."""
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 def _two_digits(value: float) -> float:

@@ -326,8 +326,8 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
     new = [index for index, name in enumerate(robot.joint_names) if name not in own]
     which = "no position servos" if not own else f"no position servos at {len(new)} joints"
     notes.append(
-        f"the MJCF has {which}: they were added, with kp {_range(kp[new])} N m/rad and kd "
-        f"{_range(kd[new])} N m s/rad, integrator implicitfast, "
+        f"the MJCF has {which}: they were added, with kp {drives.span(kp[new])} N m/rad and kd "
+        f"{drives.span(kd[new])} N m s/rad, integrator implicitfast, "
         f"{1e3 * built.mj_model.opt.timestep:g} ms"
     )
     return built
@@ -384,8 +384,3 @@ def _apart(robot: Robot, notes: list[str]) -> Robot:
         f"bodies overlap in the start pose: {pairs}; they were kept from pushing each other apart"
     )
     return rebuilt(robot, mjcf=spec)
-
-
-def _range(values: Array) -> str:
-    low, high = float(values.min()), float(values.max())
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"

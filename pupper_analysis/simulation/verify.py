@@ -16,6 +16,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.passive import passive_forces
 from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
 from pupper_analysis.simulation.stability import too_stiff
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -311,28 +312,12 @@ def _deviations(
             f"of the URDF ({masses[0]:.3f} kg); crosscheck tells the differences"
         )
         return off
-    if off and (acts := _passive(robot, stand, ANOTHER_ROBOT * weight)):
+    if off and (acts := passive_forces(robot, stand, ANOTHER_ROBOT * weight)):
         return [*off, acts]
     deepest = max(float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
     if off and alone and deepest > SOFT:
         off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")
     return off
-
-
-def _passive(robot: Robot, stand: Stand, least: float) -> str | None:
-    """Says what springs and the like do at rest, if it is more than a force (N or N m)."""
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_forward(model, data)
-    most = int(np.argmax(np.abs(data.qfrc_passive)))
-    force = float(data.qfrc_passive[most])
-    if not abs(force) > least:
-        return None
-    return (
-        f"the MJCF has springs or gravity compensation, up to {force:+.3g} N or N m, at joint "
-        f"{model.joint(int(model.dof_jntid[most])).name!r}: a URDF cannot state them, and the "
-        "prediction is without"
-    )
 
 
 def _watch(
