@@ -52,12 +52,12 @@ _DAMPING_TIME = 0.05
 """kd / kp of the suggested servos (s): within the 0.02 to 0.1 s of robots' own controllers."""
 
 
-def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array]:
+def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
     Returns:
         The robot, with the stiffest servos tried if it comes to rest with none; the stiffness (nu,)
-        (N m/rad) and damping (nu,) (N m s/rad) of all its servos.
+        (N m/rad) and damping (nu,) (N m s/rad) of all its servos; and whether it comes to rest.
     """
     own = own_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
@@ -74,8 +74,8 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array]:
         kp, kd = _kept(robot, own, *_gains(robot, stand.qpos, torques, sag, parts))
         trial.mj_model.opt.timestep = timestep / parts
         if _rests(trial, stand, kp, kd):
-            return built(kp, kd, parts), kp, kd
-    return built(*first, 1), *first
+            return built(kp, kd, parts), kp, kd, True
+    return built(*first, 1), *first, False
 
 
 def advice(robot: Robot, stand: Stand) -> str | None:

@@ -322,7 +322,7 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
     if stand is None:
         return robot
     own = own_servos(robot)
-    built, kp, kd = drives.driven(robot, stand)
+    built, kp, kd, rests = drives.driven(robot, stand)
     new = [index for index, name in enumerate(robot.joint_names) if name not in own]
     which = "no position servos" if not own else f"no position servos at {len(new)} joints"
     notes.append(
@@ -330,6 +330,11 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
         f"{drives.span(kd[new])} N m s/rad, integrator implicitfast, "
         f"{1e3 * built.mj_model.opt.timestep:g} ms"
     )
+    if not rests:
+        notes.append(
+            "with none of the servos that were tried does it come to rest in the start pose, with "
+            "feed-forward and without: give --kp and --kd, or another --keyframe"
+        )
     return built
 
 
