@@ -315,7 +315,7 @@ def _deviations(
     if off and (acts := passive_forces(robot, stand, ANOTHER_ROBOT * weight)):
         return [*off, acts]
     deepest = max(float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
-    if off and alone and deepest > SOFT:
+    if off and alone and deepest > SOFT and not any(stand.depths.values()):
         off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")
     return off
 
