@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 
 class Pair(NamedTuple):
@@ -82,6 +83,26 @@ def quadruped(
       <actuator>{"".join(motors)}</actuator>
       {key if keyframe and free else ""}</mujoco>"""
     return _written(folder, "\n".join([*urdf, "</robot>"]), mjcf)
+
+
+def fused(pair: Pair) -> Pair:
+    """Takes the trunk off a quadruped's MJCF: its legs are in the world, as MuJoCo converts URDFs.
+
+    Its own shapes become the world's, and its mass is gone.
+    """
+    root = ElementTree.parse(pair.mjcf).getroot()
+    world = root.find("worldbody")
+    assert world is not None
+    trunk = world.find("body")
+    assert trunk is not None
+    world.remove(trunk)
+    for child in list(trunk):
+        if child.tag not in ("inertial", "freejoint"):
+            world.append(child)
+    for key in root.findall("keyframe"):
+        root.remove(key)
+    pair.mjcf.write_text(ElementTree.tostring(root, encoding="unicode"))
+    return pair
 
 
 BIPED_FEET = {

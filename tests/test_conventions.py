@@ -102,6 +102,31 @@ def test_all_link_frames_elsewhere_are_nothing(tmp_path: Path) -> None:
     assert compared(pair(tmp_path, mjcf, feet)).agree
 
 
+def test_frames_that_are_turned_in_a_row_and_back_after_the_last_are_nothing(
+    tmp_path: Path,
+) -> None:
+    """As the thumb of a Shadow Hand: by itself no link's frame is nearer to the other file's."""
+    links, axes = ["base", "t5", "t4", "t3", "t2", "t1"], ["z", "x", "x", "y", "y"]
+    thumb = {"base": Part("base", mass=2.0)}
+    for parent, link, axis in zip(links, links[1:], axes, strict=False):
+        thumb[link] = Part(
+            link, parent, f"joint_{link}", position=(0.0, 0.0, 0.03), com=(0.0, 0.0, 0.02),
+            axis=tuple(float(axis == name) for name in "xyz"), inertia=(1e-3,) * 3 + (0.0,) * 3,
+        )  # fmt: skip
+    mjcf, quarter = thumb, Rotation.from_rotvec([0, 0, math.pi / 2])
+    for link in links[1:5]:
+        mjcf, _ = reframed(mjcf, [], link, quarter, np.zeros(3))
+    files = write(tmp_path, urdf_text(thumb), mjcf_text(mjcf, [], free=False))
+    comparison = compared(files)
+    assert comparison.agree, comparison.differences
+    # One axis that really differs is still told, and it alone.
+    axis = tuple(Rotation.from_rotvec([0, 0, 0.1]).apply(mjcf["t3"].axis))
+    files = write(tmp_path, urdf_text(thumb), mjcf_text(changed(mjcf, "t3", axis=axis), free=False))
+    comparison = compared(files)
+    assert found(comparison) == [("axis", "joint_t3")]
+    assert "turned by 5.73 deg" in comparison.differences[0].message
+
+
 def test_the_origin_of_a_slide_is_nothing(tmp_path: Path) -> None:
     mjcf, _ = reframed(arm(), [], "rod", Rotation.identity(), np.array([0.1, -0.2, 0.05]))
     assert compared(pair(tmp_path, mjcf, urdf=arm())).agree
@@ -147,13 +172,35 @@ def test_a_zero_that_is_moved_with_its_limits_is_one_cause(tmp_path: Path, offse
     assert found(comparison) == [("zero", "knee1")]
     sign = "+" if offset > 0 else "-"
     assert lines(comparison)[0].startswith(
-        "DISAGREE: joint knee1: its zero is elsewhere, and its limits with it: q of the URDF = q "
-        f"of the MJCF {sign} {abs(offset):g} rad"
+        "ONE ROBOT, OTHER COORDINATES: joint knee1: its zero is elsewhere, and its limits with it: "
+        f"q of the URDF = q of the MJCF {sign} {abs(offset):g} rad"
     )
     # The one cause is all there is: at matched zeros the two are the same robot.
     assert comparison.complete
     assert max(comparison.deviations.values()) < 1e-9
     assert comparison.differences[0].effects["gravity"].relative > 1e-4
+
+
+def test_other_coordinates_may_be_allowed(tmp_path: Path) -> None:
+    """Then the files agree, and notes tell what a controller must know; all else still counts."""
+    mjcf = zero_elsewhere(quadruped(), "shank1", 0.3)
+    mjcf, feet = reframed(mjcf, FEET, "base", *POSES["both"])
+    files = pair(tmp_path, mjcf, feet)
+    assert sorted(found(compared(files))) == [("base frame", "base"), ("zero", "knee1")]
+    comparison = compared(files, any_coordinates=True)
+    assert comparison.agree
+    assert comparison.same_robot
+    notes = " ".join(comparison.notes)
+    assert "joint knee1: its zero is elsewhere" in notes
+    assert "q of the URDF = q of the MJCF + 0.3 rad" in notes
+    assert "the base's frame is elsewhere" in notes
+    files = pair(tmp_path, changed(mjcf, "shank1", mass=mjcf["shank1"].mass * 1.01), feet)
+    for allowed in (True, False):
+        comparison = compared(files, any_coordinates=allowed)
+        assert ("mass", "knee1") in found(comparison)
+        assert not comparison.same_robot
+        assert not comparison.agree
+        assert lines(comparison)[0].startswith("DISAGREE: ")
 
 
 def test_zeros_and_frames_together(tmp_path: Path) -> None:
@@ -197,7 +244,11 @@ def test_the_frame_of_a_free_base_elsewhere_is_one_cause(tmp_path: Path, pose: s
     mjcf, feet = reframed(quadruped(), FEET, "base", *POSES[pose])
     comparison = compared(pair(tmp_path, mjcf, feet))
     assert found(comparison) == [("base frame", "base")]
-    assert lines(comparison)[0].startswith("DISAGREE: the base's frame is elsewhere: that of the ")
+    assert lines(comparison)[0].startswith(
+        "ONE ROBOT, OTHER COORDINATES: the base's frame is elsewhere: that of the "
+    )
+    assert comparison.same_robot
+    assert not comparison.agree
     assert comparison.complete
     assert max(comparison.deviations.values()) < 1e-9
 
@@ -243,3 +294,19 @@ def test_what_only_one_joint_shows_is_no_note(tmp_path: Path) -> None:
     assert found(comparison) == [("base frame", "base")]
     assert "or the zero of the one joint on it is" in lines(comparison)[0]
     assert comparison.complete
+
+
+def test_the_limits_of_the_one_joint_on_a_base_tell_where_its_zero_is(tmp_path: Path) -> None:
+    """Those of a zero that is elsewhere are so, too: the base is mounted elsewhere, no more."""
+    bare = changed(arm(), "base", mass=0.0)
+    bare = changed(bare, "column", kind="revolute", lower=-1.0, upper=1.5)
+    mjcf, _ = reframed(bare, [], "base", *POSES["turned"])
+    comparison = compared(pair(tmp_path, mjcf, urdf=bare))
+    assert comparison.agree
+    assert len([note for note in comparison.notes if "the frame of the fixed base" in note]) == 1
+    # With the limits moved by the quarter, it is the zero, or the frame with other limits.
+    column = mjcf["column"]
+    quarter = math.pi / 2
+    moved = changed(mjcf, "column", lower=column.lower + quarter, upper=column.upper + quarter)
+    comparison = compared(pair(tmp_path, moved, urdf=bare))
+    assert not comparison.agree

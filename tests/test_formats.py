@@ -167,3 +167,19 @@ def test_names_in_a_model_are_shown(tmp_path: Path, capfd: pytest.CaptureFixture
         assert not set("\x1b\x9b\u202e") & set(text) or style == "github"
         assert "::error::forged" in text or style == "github"
         assert not any(line.lstrip().startswith("::error::forged") for line in text.splitlines())
+
+
+def test_a_table_with_long_names_loses_no_column() -> None:
+    """As on a humanoid: a narrow terminal wraps the lines, but no header or number is cut off."""
+    out = SafeConsole(highlight=False, file=io.StringIO(), width=80)
+    table = titled_table(out, "title", "joint", "torque", "simulated", "position (rad)")
+    name = "left_shoulder_pitch_joint" * 5
+    table.add_row(name, "+1.5", "+2.5", "+3.5")
+    out.print(table)
+    out.print("x" * 60 + " " + "y" * 60)
+    assert isinstance(out.file, io.StringIO)
+    lines = out.file.getvalue().splitlines()
+    assert lines[2].split() == ["joint", "torque", "simulated", "position", "(rad)"]
+    assert lines[4].split() == [name, "+1.5", "+2.5", "+3.5"]
+    # What is no table is as wide as before.
+    assert [len(line.strip()) for line in lines[5:]] == [60, 60]

@@ -28,6 +28,10 @@ from pupper_analysis.pupper.variants import model_folder
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 EXPLICIT = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
+MASS = (
+    '<inertial><mass value="1"/>'
+    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
 MESH = '<asset><mesh name="k" file="k.obj"/></asset>'
 
 
@@ -121,6 +125,27 @@ def test_harmless_oddities_are_read(tmp_path: Path) -> None:
     robot = read_urdf(path)
     assert robot.place("link", "a").line == 2
     assert pin.buildModelFromXML(robot.text, pin.JointModelFreeFlyer()).njoints == 2
+
+
+def test_a_shape_with_a_material_for_each_colour_of_its_mesh(tmp_path: Path) -> None:
+    """As in the Go2's URDF by its maker: materials weigh nothing, so the robot is not refused."""
+    colours = "".join(
+        f'<material name="{name}"><color rgba="0 0 0 1"/></material>' for name in "xy"
+    )
+    shape = '<geometry><sphere radius="1"/></geometry>'
+    path = tmp_path / "r.urdf"
+    parts = link("a", f"<visual>{colours}{shape}</visual>"), link("b", MASS)
+    path.write_text(urdf(*parts, joint("j", "a", "b", LIMIT)))
+    robot = read_urdf(path)
+    assert robot.notes == ()
+    assert [material.get("name") for material in robot.root.iter("material")] == ["x"]
+    assert mujoco.MjModel.from_xml_string(robot.text).njnt == 1
+    nameless = '<material><color rgba="0 0 0 1"/></material>'  # urdfdom leaves out its shape
+    path.write_text(urdf(link("a", f"<visual>{shape}{nameless}</visual>")))
+    assert "<material" not in read_urdf(path).text
+    # Shapes are not as harmless: which of two is meant cannot be told.
+    path.write_text(urdf(link("a", f"<visual>{shape}{shape}</visual>")))
+    assert "<geometry> more than once" in refused(lambda: read_urdf(path))
 
 
 def test_a_dangling_mimic_is_noted(tmp_path: Path) -> None:

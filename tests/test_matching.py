@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from robots import (
     FEET,
+    Files,
     Frame,
     Part,
     Parts,
@@ -415,6 +416,45 @@ def test_ambiguous_structure_is_not_guessed(tmp_path: Path) -> None:
     assert comparison.only_mjcf == ("to_left", "to_right")
 
 
+def test_sides_in_names_decide_between_turns(tmp_path: Path) -> None:
+    """As Cassie's two models: turned by half a turn about z, its legs match as well, exchanged."""
+
+    def walker(x: float, hip: str, knee: str, last: tuple[float, float, float]) -> Parts:
+        parts = {"base": quadruped()["base"]}
+        for side, y in (("left", 0.13), ("right", -0.13)):
+            names = [word.replace("*", side) for word in (hip, knee, "end_*" + hip)]
+            places, axes = [(x, y, 0.0), (0.0, 0.0, -0.3), (0.0, 0.0, -0.4)], [(1.0, 0.0, 0.0)]
+            axes += [(0.0, 1.0, 0.0), last]
+            parent = "base"
+            for name, place, axis in zip(names, places, axes, strict=True):
+                link = f"{name} link"
+                parts[link] = light(link, parent, position=place, axis=axis)
+                parts[link] = replace(parts[link], joint=name)
+                parent = link
+        return parts
+
+    def files(urdf: str, mjcf: str) -> Files:
+        one = walker(-0.05, f"abduction_{urdf}", f"flexion_{urdf}", (0.0, 1.0, 0.0))
+        two = walker(0.01, f"{mjcf}-roll", f"{mjcf}-pitch", (0.0, 0.0, 1.0))
+        return write(tmp_path, urdf_text(one, []), mjcf_text(two, []))
+
+    comparison = compared(files("*", "*"))
+    assert comparison.guessed == {
+        f"{one}_{side}": f"{side}-{two}"
+        for one, two in (("abduction", "roll"), ("flexion", "pitch"))
+        for side in ("left", "right")
+    }
+    # Names without sides leave it open, and so nothing is guessed.
+    text = files("*", "*")
+    for path, words in ((text.urdf, ("near", "far")), (text.mjcf, ("one", "two"))):
+        new = path.read_text().replace("left", words[0]).replace("right", words[1])
+        path.write_text(new)
+    with pytest.raises(
+        ModelError, match=r"--map abduction_near=[a-z]+-roll or --map abduction_near"
+    ):
+        compared(text)
+
+
 def test_each_is_to_be_the_nearest_of_the_other(tmp_path: Path) -> None:
     """A joint of the URDF alone, near a renamed one, does not take its place."""
     hip = quadruped()["thigh0"]
@@ -709,3 +749,30 @@ def test_nothing_is_changed_in_the_files_that_were_read(tmp_path: Path) -> None:
     ]
     assert len(mjcf.spec.bodies) == 10
     assert isinstance(mjcf.compile(), mujoco.MjModel)
+
+
+# ------------------------------------------------------------------------------------- fused
+
+
+def test_a_base_that_is_fused_with_the_world_has_no_mass_there(tmp_path: Path) -> None:
+    """As MuJoCo converts a URDF: all four legs are the robot's, and the base's mass is no cause."""
+    legs = mjcf_text(quadruped(), [], free=False).splitlines()
+    start = next(row for row, line in enumerate(legs) if '<body name="base"' in line)
+    end = legs.index("</worldbody>")
+    assert "<inertial" in legs[start + 1]
+    assert legs[end - 1] == "</body>"
+    fused = "\n".join([*legs[:start], *legs[start + 2 : end - 1], *legs[end:]])
+    comparison = compare_texts(tmp_path, URDF, fused)
+    assert comparison.agree, comparison.differences
+    assert set(comparison.joints) == JOINTS
+    note = next(note for note in comparison.notes if "fused with the world" in note)
+    assert "6 kg, 'base'" in note
+    # What is in the legs is still found, and the base is no part of it.
+    heavier = fused.replace('mass="0.2"', 'mass="0.3"')
+    assert heavier != fused
+    assert found(compare_texts(tmp_path, URDF, heavier)) == [("mass", "knee0")]
+    # Other things in the scene are not: they have no name of the URDF's.
+    other = '<body name="door"><joint name="hinge"/><geom size="0.1"/></body></worldbody>'
+    comparison = compare_texts(tmp_path, URDF, fused.replace("</worldbody>", other))
+    assert comparison.agree
+    assert "'door' is not part of the robot" in " ".join(comparison.notes)

@@ -152,6 +152,22 @@ def test_products_of_inertia_that_are_dropped(tmp_path: Path) -> None:
     assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF, of 9 bodies")
 
 
+@pytest.mark.parametrize("file", ["URDF", "MJCF"])
+def test_coms_that_are_left_out(file: str, tmp_path: Path) -> None:
+    """As in a URDF of a LEAP Hand: each com is its link's origin."""
+    bare = all_changed(quadruped(), com=(0.0, 0.0, 0.0))
+    urdf, mjcf = (bare, quadruped()) if file == "URDF" else (quadruped(), bare)
+    comparison = compared(write(tmp_path, urdf_text(urdf), mjcf_text(mjcf)))
+    assert comparison.complete
+    assert {kind for kind, _ in found(comparison)} == {"com"}
+    (cause,) = comparison.causes
+    assert len(cause.differences) == 9
+    said = (
+        f"DISAGREE: the coms of 9 bodies are their links' origins in the {file}, and elsewhere in"
+    )
+    assert lines(comparison)[0].startswith(said)
+
+
 def test_the_base_of_another_robot(tmp_path: Path) -> None:
     other = {"mass": 11.0, "com": (0.03, 0.0, 0.01), "inertia": (0.1, 0.2, 0.25, 0.0, 0.0, 0.0)}
     comparison = compared(pair(tmp_path, changed(quadruped(), "base", **other)))

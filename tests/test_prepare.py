@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import pickle
+import re
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
-from legged import BIPED_FEET, Pair, biped, quadruped
+from legged import BIPED_FEET, Pair, biped, fused, quadruped
 
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
@@ -71,6 +72,22 @@ def test_a_base_that_the_mjcf_holds_is_freed(tmp_path: Path) -> None:
     assert robot.floating
     said(robot, "a free joint was added")
     stands(robot)
+
+
+def test_a_base_that_was_fused_with_the_world_is_made_anew(tmp_path: Path) -> None:
+    """MuJoCo's own conversion of a URDF has no body for the root link, and loses its mass."""
+    whole = quadruped(tmp_path, keyframe="", floor=True)
+    there = load(whole)
+    robot = load(fused(whole))
+    assert "with the mass of the URDF's 'trunk' (4 kg)" in said(robot, "limbs in the world")
+    stands(robot)
+    # It is the robot that it was before, in MuJoCo too.
+    assert robot.total_mass == pytest.approx(4 + 4 * 1.1)
+    assert robot.stand_height == there.stand_height
+    body = robot.mj_model.body(robot.mj_base)
+    before = there.mj_model.body(there.mj_base)
+    assert float(body.mass[0]) == float(before.mass[0]) == 4
+    assert np.sort(body.inertia) == pytest.approx(np.sort(before.inertia), rel=1e-12)
 
 
 def test_but_not_if_it_shall_be_fixed(tmp_path: Path) -> None:
@@ -301,6 +318,84 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     place = pa.Configuration(robot, robot.neutral()).foot_positions()["FL_calf"]
     np.testing.assert_allclose(place, [0.2, 0.15, -0.4], atol=3e-4)
     stands(robot)
+
+
+def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_path: Path) -> None:
+    """As Cassie's, whose left and right legs have bits of their own."""
+    foot = '<geom type="sphere" size="0.02" pos="0 0 -0.2" contype="2" conaffinity="4"/>'
+    robot = load(quadruped(tmp_path, foot=foot))
+    assert len(robot.feet) == 4
+    stands(robot)
+
+
+def test_servos_that_let_it_fall_are_told_with_gains_that_would_not(tmp_path: Path) -> None:
+    """As a Berkeley Humanoid's, of 1 to 15 N m/rad: they stay, and a line says what would hold."""
+    pair = biped(tmp_path, damping=0.02)
+    soft = pair.mjcf.read_text().replace("<motor ", '<position kp="3" kv="0.01" ')
+    pair.mjcf.write_text(soft.replace("ctrlrange", "forcerange"))
+    robot = load(pair)
+    advice = re.search(r"let it fall over .*; --kp (\S+) --kd (\S+) would", " ".join(robot.notes))
+    assert advice, robot.notes
+    kp, kd = (np.full(robot.nu, float(word)) for word in advice.groups())
+    stand = pa.sunk_stand(robot)
+    assert pa.verify_stand(robot, stand).tilt > 0.5
+    assert pa.verify_stand(robot, stand, kp=kp, kd=kd).passed
+
+
+def test_a_foot_with_a_mesh_that_is_not_round_is_told(tmp_path: Path) -> None:
+    mesh = '<asset><mesh name="block" vertex="{}"/></asset><worldbody>'
+    corners = [(x, y, z) for x in (-0.03, 0.03) for y in (-0.02, 0.02) for z in (-0.02, 0.02)]
+    vertices = " ".join(str(value) for corner in corners for value in corner)
+    pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="block" pos="0 0 -0.2"/>')
+    text = pair.mjcf.read_text().replace("<worldbody>", mesh.format(vertices))
+    pair.mjcf.write_text(text)
+    said(load(pair), "meshes that are not round")
+    assert not any("not round" in note for note in load(quadruped(tmp_path)).notes)
+
+
+def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) -> None:
+    """Else Cassie's feet, of condim 1, would have no friction on it."""
+    pair = quadruped(tmp_path)
+    default = (
+        '<default><geom contype="0" conaffinity="0" condim="1" margin="0.01" solref="0.005 1" '
+        'type="box"/></default><worldbody>'
+    )
+    text = pair.mjcf.read_text().replace("<worldbody>", default)
+    pair.mjcf.write_text(text.replace('type="sphere"', 'type="sphere" contype="1" margin="0"'))
+    robot = load(pair)
+    plain = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom type="plane" size="0 0 1"/></worldbody></mujoco>'
+    )
+    floor = robot.mj_model.geom("floor")
+    for word in ("type", "condim", "friction", "solref", "solimp", "margin", "gap", "priority"):
+        assert getattr(floor, word).tolist() == getattr(plain.geom(0), word).tolist(), word
+    stands(robot)
+
+
+def test_a_foot_that_is_a_lying_cylinder_in_the_urdf(tmp_path: Path) -> None:
+    """As on a B2 or an M20: where the MJCF's foot is a sphere, the cylinder there is the same foot.
+
+    It is as wide as it is thick, so that it is in the ground as soon as the calf leans sideways.
+    """
+    pair = quadruped(tmp_path, keyframe="")
+    text = pair.urdf.read_text()
+    for leg in ("FL", "FR", "RL", "RR"):
+        shape = (
+            '<origin xyz="0 0 -0.2" rpy="1.5707963 0 0"/>'
+            '<geometry><cylinder radius="0.02" length="0.03"/></geometry>'
+        )
+        head = f'<link name="{leg}_calf">'
+        assert head in text
+        text = text.replace(head, f"{head}<collision>{shape}</collision>")
+    pair.urdf.write_text(text)
+    robot = load(pair)
+    said(robot, "a stand was found")
+    stands(robot)
+    pa.solve_stand(robot, pa.StandTask(roll=0.1))
+    # A longer part there is no foot: it may be no deeper in the ground than the foot.
+    pair.urdf.write_text(text.replace('length="0.03"', 'length="0.2"'))
+    with pytest.raises(pa.StanceUnreachableError, match=r"calf is .* mm in the ground"):
+        pa.solve_stand(load(pair), pa.StandTask(roll=0.1))
 
 
 def test_a_leg_of_three_joints_has_one_contact_point(tmp_path: Path) -> None:

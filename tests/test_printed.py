@@ -648,6 +648,7 @@ def test_two_models() -> None:
         urdf="a.urdf",
         mjcf="b.xml",
         agree=False,
+        same_robot=False,
         differences=(difference, limit),
         causes=(Stub(message="another unit", differences=(1,)),),
         parts=("a tail too many",),

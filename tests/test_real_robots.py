@@ -132,13 +132,12 @@ def test_mini_cheetah_has_the_base_of_another_robot() -> None:
 def test_what_else_differs_in_mini_cheetah() -> None:
     comparison = comparison_of("mini cheetah")
     assert found(comparison)[:3] == [("mass", "base"), ("com", "base"), ("inertia", "base")]
-    # 0.2 in the MJCF's default class; the URDF states none.
-    assert "damping (0.2 on 12 joints; N m s/rad) is stated by the MJCF alone" in " ".join(
-        comparison.notes
-    )
-    assert elements(comparison, "friction") == JOINTS
+    # 0.2 of each in the MJCF's default class; the URDF states none.
+    notes = " ".join(comparison.notes)
+    assert "damping (0.2 on 12 joints; N m s/rad) is stated by the MJCF alone" in notes
+    assert "dry friction (0.2 on 12 joints; N m) is stated by the MJCF alone" in notes
     assert elements(comparison, "effort") == JOINTS  # the URDF's joints have no <limit>
-    assert len(comparison.differences) == 3 + 2 * 12
+    assert len(comparison.differences) == 3 + 12
     assert {d.mjcf for d in comparison.differences if d.kind == "effort"} == {23.7, 45.43}
 
 
@@ -220,9 +219,10 @@ def test_what_else_differs_in_go2() -> None:
     np.testing.assert_allclose(foot.urdf, (0, 0, -0.213), atol=1e-12)
     np.testing.assert_allclose(foot.mjcf, (-0.002, 0, -0.213), atol=1e-12)
     assert any("damping (0.1 to 0.2989 on 12 joints" in note for note in comparison.notes)
-    assert difference(comparison, "friction", "FL_calf_joint").mjcf == 1.0151
+    note = next(note for note in comparison.notes if note.startswith("dry friction"))
+    assert "(0.1388 to 1.3573 on 12 joints; N m)" in note
     kinds = {kind for kind, _ in found(comparison)}
-    assert kinds == {"mass", "com", "inertia", "frame", "friction"}
+    assert kinds == {"mass", "com", "inertia", "frame"}
 
 
 def test_the_feet_of_go2_are_found_in_both_files() -> None:

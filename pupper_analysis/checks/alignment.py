@@ -56,16 +56,46 @@ def aligned(
     """
     # Finer than what is tolerated, lest a difference is shared out until no part of it counts.
     tolerances = finer(tolerances)
+    names = list(first.joints if only is None else only)
+    nearest = _aligned(second, first, tolerances, fixed, names, as_the_first=False)
+    if only is not None or not digits_in_all(first, nearest.values, tolerances):
+        return nearest
+    whole = _aligned(second, first, tolerances, fixed, names, as_the_first=True)
+    return _better(first, nearest, whole, tolerances)
+
+
+def _aligned(
+    second: Parameters,
+    first: Parameters,
+    tolerances: Tolerances,
+    fixed: Collection[str],
+    names: Iterable[str],
+    *,
+    as_the_first: bool,
+) -> Alignment:
+    """Puts link frames to those of another tree, each in the way that tells least about its joint.
+
+    Args:
+        second: The tree whose frames are moved.
+        first: Whose frames are kept.
+        tolerances: What counts as a difference.
+        fixed: Slides whose origin is not to be moved.
+        names: The joints whose frames are moved.
+        as_the_first: Turn each frame as the first's is at zero angles, whatever that tells.
+    """
     result, moved = second, {}
-    for name in first.joints if only is None else only:
+    for name in names:
         mine, other = first.joints[name], result.joints[name]
         if mine.parent != other.parent or mine.slides != other.slides:
             continue
         best, least = result, digits_of(first, result, name, tolerances)
         if least == 0:
             continue
+        turns = list(_turns(first, result, name))
+        if as_the_first:
+            turns, least = turns[1:2], math.inf
         shift = np.zeros(3)
-        for turn in _turns(first, result, name):
+        for turn in turns:
             turned = in_axes(result, name, turn)
             for step in _steps(first, turned, name, still=name in fixed):
                 candidate = with_origin(turned, name, step)
@@ -75,6 +105,49 @@ def aligned(
         result = best
         if shift.any():
             moved[name] = shift
+    return Alignment(result, moved)
+
+
+def _better(
+    first: Parameters, nearest: Alignment, whole: Alignment, tolerances: Tolerances
+) -> Alignment:
+    """Takes each branch from the alignment that tells less about it in all.
+
+    Where a file turns the frames of several links in a row, and back after the last, none of them
+    is nearer to the other's by itself, but all together are (the thumb of a Shadow Hand).
+    """
+    result, moved = nearest.values, dict(nearest.moved)
+    waiting = first.children(first.base)
+    while waiting:
+        name = waiting.pop()
+        one, two = nearest.values.joints[name], whole.values.joints[name]
+        if np.allclose(one.rotation, two.rotation, atol=1e-9) and np.allclose(
+            one.position, two.position, atol=1e-9
+        ):
+            waiting.extend(first.children(name))  # below it, each branch is one by itself
+            continue
+        branch = [name]
+        for known in branch:
+            branch.extend(first.children(known))
+        costs = [
+            digits_in_all(first, values, tolerances, branch)
+            for values in (nearest.values, whole.values)
+        ]
+        if costs[1] >= costs[0] - _GAIN:
+            continue
+        frames = {
+            frame: whole.values.frames[frame]
+            for frame, (owner, _) in result.frames.items()
+            if owner in branch
+        }
+        result = replace(
+            result,
+            joints={**result.joints, **{known: whole.values.joints[known] for known in branch}},
+            bodies={**result.bodies, **{known: whole.values.bodies[known] for known in branch}},
+            frames={**result.frames, **frames},
+        )
+        moved = {known: shift for known, shift in moved.items() if known not in branch}
+        moved |= {known: whole.moved[known] for known in branch if known in whole.moved}
     return Alignment(result, moved)
 
 
@@ -92,12 +165,26 @@ def digits(size: float, tolerance: float) -> float:
 
 def digits_of(one: Parameters, two: Parameters, name: str, tolerances: Tolerances) -> float:
     """Says how many digits tell the differences of a joint, its body, and what that carries."""
-    total = _of_place(one.joints[name], two.joints[name], tolerances)
-    total += digits(_angle(one.joints[name].axis, two.joints[name].axis), tolerances.axis)
-    total += digits_of_body(one.bodies[name], two.bodies[name], tolerances)
+    total = _of_joint(one, two, name, tolerances)
     for child in one.children(name):
         if two.joints[child].parent == name:
             total += _of_place(one.joints[child], two.joints[child], tolerances)
+    return total
+
+
+def digits_in_all(
+    one: Parameters, two: Parameters, tolerances: Tolerances, names: Iterable[str] | None = None
+) -> float:
+    """Says how many digits tell the differences of joints and their bodies, by default of all."""
+    joints = one.joints if names is None else names
+    return sum(_of_joint(one, two, name, tolerances) for name in joints)
+
+
+def _of_joint(one: Parameters, two: Parameters, name: str, tolerances: Tolerances) -> float:
+    """Says how many digits tell the differences of a joint, its body and its frames."""
+    total = _of_place(one.joints[name], two.joints[name], tolerances)
+    total += digits(_angle(one.joints[name].axis, two.joints[name].axis), tolerances.axis)
+    total += digits_of_body(one.bodies[name], two.bodies[name], tolerances)
     for frame in one.carried_by(name):
         owner, other = two.frames[frame]
         if owner == name:

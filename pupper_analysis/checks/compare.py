@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.checks.attribution import EXPLAINED, align, explain
-from pupper_analysis.checks.differences import Difference, Explanation
+from pupper_analysis.checks.conventions import Conventions, convention_changes
+from pupper_analysis.checks.differences import CONVENTIONS, Difference, Explanation
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
-from pupper_analysis.checks.notes import armature_notes, damping_notes
+from pupper_analysis.checks.notes import armature_notes, unstated_notes
 from pupper_analysis.checks.patterns import Cause, causes
 from pupper_analysis.checks.places import mjcf_place, path_of, shares, urdf_place
 from pupper_analysis.checks.states import check_states
 from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.checks.trees import trees
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
@@ -54,6 +56,7 @@ class Comparison(Tabular):
             difference explains, and what differences within the tolerances add up to.
         agree: Whether the models agree, within the tolerances: no difference, no joint in one file
             only, and no objection.
+        same_robot: Whether they agree, but for coordinates: joints' zeros, the base's frame.
     """
 
     urdf: str
@@ -75,6 +78,7 @@ class Comparison(Tabular):
     engines: tuple[str, ...]
     objections: tuple[str, ...]
     agree: bool
+    same_robot: bool
 
     def _columns(self) -> dict[str, list[object]]:
         names = ("kind", "element", "urdf", "mjcf", "unit", "message", "urdf_place", "mjcf_place")
@@ -91,6 +95,7 @@ def compare_models(
     feet: Sequence[str] = (),
     tolerances: Tolerances | None = None,
     strict_names: bool = False,
+    any_coordinates: bool = False,
     configurations: int = 20,
     seed: int = 0,
 ) -> Comparison:
@@ -105,8 +110,11 @@ def compare_models(
             both files have are compared.
         tolerances: What counts as a difference; by default for files of 5 to 6 digits.
         strict_names: Joints that are matched by structure, not by their name or by ``names``, are
-            a difference; otherwise `guessed` alone tells of them. So is damping that the URDF does
-            not state; otherwise a note tells of it.
+            a difference; otherwise `guessed` alone tells of them. So are damping and dry friction
+            that the URDF does not state; otherwise a note tells of them.
+        any_coordinates: Joints' zeros, moved with their limits, and a free base's frame may be
+            elsewhere: notes tell of them. By default they are differences, because qpos means
+            another pose.
         configurations: Number of random configurations of the cross-check.
         seed: Of the random numbers, 0 or more.
 
@@ -124,6 +132,8 @@ def compare_models(
     matched = match(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
+    if any_coordinates:
+        matched = _in_any_coordinates(matched)
     robot = matched.robot
     if not robot.total_mass > 0:
         problem = f"its links weigh {robot.total_mass:.6g} kg together; give them <inertial>s"
@@ -144,12 +154,10 @@ def compare_models(
         mimics=matched.mimics,
         alignment=alignment,
         conventions=matched.conventions,
-        undamped=matched.undamped,
+        undamped=matched.unstated.get("damping", ()),
     )
     names_too = matched.guessed if strict_names else {}
     differences = tuple(_placed(explanation, names_too, matched, urdf_file, mjcf_file))
-    worst = max(explanation.deviations.values())
-    left = max(explanation.left.values())
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = tuple(_objections(explanation, tolerances))
     return Comparison(
@@ -161,22 +169,31 @@ def compare_models(
         only_urdf=matched.only_urdf,
         only_mjcf=matched.only_mjcf,
         parts=matched.parts,
-        notes=(
-            *matched.notes,
-            *armature_notes(explanation),
-            *damping_notes(matched, explanation),
-        ),
+        notes=(*matched.notes, *armature_notes(explanation), *unstated_notes(matched, explanation)),
         check=check,
         differences=differences,
         causes=causes(robot, alignment.values, differences, tolerances),
         deviations=explanation.deviations,
         left=explanation.left,
-        explained=_explained(worst, left),
+        explained=_explained(max(explanation.deviations.values()), max(explanation.left.values())),
         complete=explanation.complete,
         engines=_engines(check, explanation),
         objections=objections,
         agree=not (differences or unmatched or objections),
+        same_robot=not (_mechanical(differences) or unmatched or objections),
     )
+
+
+def _in_any_coordinates(matched: Match) -> Match:
+    """Makes notes of the files' conventions of coordinates: then they are no differences."""
+    changes = convention_changes(matched.conventions, trees(matched.robot)[0])
+    notes = (*matched.notes, *(difference.message for difference, _ in changes))
+    return replace(matched, conventions=Conventions(), notes=notes)
+
+
+def _mechanical(differences: Iterable[Difference]) -> bool:
+    """Tells whether any difference is more than one of coordinates."""
+    return any(difference.kind not in CONVENTIONS for difference in differences)
 
 
 def _placed(
@@ -229,7 +246,7 @@ def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[st
         because = f" ({'; '.join(explanation.remains)})" if explanation.remains else ""
         yield f"{left[name]:.1e} of {name} is left that no difference explains{because}"
         return
-    if explanation.differences:
+    if _mechanical(explanation.differences):
         return
     # Who lets a mass differ by 1e-2 lets what follows from it differ as much.
     allowed = max(getattr(tolerances, kind) for kind in _FELT)

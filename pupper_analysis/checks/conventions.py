@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from pupper_analysis.checks.alignment import (
     aligned,
     digits,
+    digits_in_all,
     digits_of,
     digits_of_body,
     offset_of_limits,
@@ -46,8 +47,8 @@ class Conventions:
 
     Attributes:
         base: Pose of the URDF's base frame in the MJCF's; None if they are the same.
-        shown: Whether the base's body, or several joints on it, show that its frame is elsewhere;
-            else it might as well be the one joint on it.
+        shown: Whether the base's body, several joints on it, or the same limits of the one joint
+            show that its frame is elsewhere; else it might as well be that joint's zero.
         zeros: {joint: q in the URDF less q in the MJCF (rad or m)} where that is not 0.
     """
 
@@ -83,17 +84,33 @@ def conventions(
             quarter turn of its frame is taken for one even if the base has no mass to show it.
     """
     base = _base(first, second, tolerances, fixed=fixed)
+    placed = first if base is None else with_base(first, base)
+    in_place = aligned(second, placed, tolerances).values
     if base is not None:
-        first = with_base(first, base)
-    second = aligned(second, first, tolerances).values
+        # What is on the base must not have to pay for it further out.
+        as_it_is = aligned(second, first, tolerances).values
+        told = digits_in_all(first, as_it_is, tolerances)
+        if told < digits_in_all(placed, in_place, tolerances):
+            base, placed, in_place = None, first, as_it_is
+    first, second = placed, in_place
     zeros = {}
     for name, joint in first.joints.items():
         offset = _zero(first, second, name, tolerances)
         if offset and joint.parent == second.joints[name].parent:
             zeros[name] = offset
+    return Conventions(base, _shown(first, second, tolerances), zeros)
+
+
+def _shown(first: Parameters, second: Parameters, tolerances: Tolerances) -> bool:
+    """Tells whether it is the base's frame that is elsewhere, and not the zero of a joint on it."""
+    names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
-    several = len(first.children(first.base)) > 1
-    return Conventions(base, several or all(body.mass for body in bodies), zeros)
+    if len(names) > 1 or all(body.mass for body in bodies):
+        return True
+    one, two = (tree.joints[name] for tree in (first, second) for name in names)
+    # The limits would have moved with the zero; of a whole turn and more they say nothing.
+    apart = max(abs(one.lower - two.lower), abs(one.upper - two.upper))
+    return bool(one.upper - one.lower < 2 * math.pi and apart <= tolerances.limit)
 
 
 def _zero(first: Parameters, second: Parameters, name: str, tolerances: Tolerances) -> float:

@@ -50,7 +50,10 @@ ORDER = (
 )
 """All kinds: those of equal effect are listed in this order."""
 
-_STRUCTURE = ("joint", "name", "type", "parent", "base frame", "zero", "gravity")
+CONVENTIONS = ("base frame", "zero")
+"""Kinds of difference after which the two are still one robot, in other coordinates."""
+
+_STRUCTURE = ("joint", "name", "type", "parent", *CONVENTIONS, "gravity")
 _LIMITS = ("lower limit", "upper limit", "effort")
 _FELT = 1e-3  # least relative effect that goes before limits and efforts
 _SCREW = 0.01  # likewise of a body's mass

@@ -19,6 +19,7 @@ from pupper_analysis.checks.matching_mjcf import (
     delete_joint,
     drop_other_objects,
     hinges,
+    is_fused,
     mjcf_tree,
     name_all,
 )
@@ -32,6 +33,7 @@ from pupper_analysis.checks.matching_urdf import (
     links_of,
     moving_joints,
     strip_roots,
+    take_mass_of_base,
     without_shapes,
 )
 from pupper_analysis.checks.passive.mimics import Mimics, urdf_mimics
@@ -67,7 +69,8 @@ class Match:
         mimics: The joints that follow others in the URDF.
         conventions: What the URDF was given of the MJCF's: the base's frame, zeros of joints.
         parts: What one file has and the other lacks, and was taken off, in words.
-        undamped: Joints whose damping the URDF does not state, and was given the MJCF's.
+        unstated: {"damping" or "friction": joints for which the URDF does not state it, and was
+            given the MJCF's}.
     """
 
     robot: Robot
@@ -82,7 +85,7 @@ class Match:
     mimics: Mimics
     conventions: Conventions
     parts: tuple[str, ...]
-    undamped: tuple[str, ...]
+    unstated: Mapping[str, tuple[str, ...]]
 
     @cached_property
     def fixed_links(self) -> FixedLinks:
@@ -128,7 +131,7 @@ def match(
         feet: Frames, by their names in the MJCF, to be compared as feet.
         complete: Keep the URDF's shapes, and the parts that only one file has.
         tolerances: What counts as a difference.
-        strict: Damping that the URDF does not state is 0; else it is the MJCF's.
+        strict: Damping and friction that the URDF does not state are 0; else they are the MJCF's.
 
     Raises:
         ModelError: If the two have no joint in common, or one cannot be analysed.
@@ -139,7 +142,7 @@ def match(
     spec = mjcf.spec.copy()
     name_all(spec, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
-    drop_other_objects(spec, mjcf.path, {str(e.get("name")) for e in root.iter("link")}, notes)
+    drop_other_objects(spec, mjcf.path, root, notes)
     theirs, balls = hinges(spec, mjcf.path, notes)
     root = strip_roots(root, urdf.path, mjcf_tree(spec, mjcf.path), notes)
     mine, others = moving_joints(root, notes)
@@ -150,6 +153,8 @@ def match(
     found = pair_up(root, spec, (urdf.path, mjcf.path), (mine, theirs), wanted)
     pairs, guessed = found.pairs, found.guessed
     notes += found.notes
+    if is_fused(spec, pairs.values()):
+        take_mass_of_base(root, urdf.path, notes)
     only_urdf = (*others, *(name for name in mine if name not in pairs))
     partners = set(pairs.values())
     only_mjcf = (*balls, *(name for name in theirs if name not in partners))
@@ -159,19 +164,13 @@ def match(
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
     parts = [] if complete else take_off(root, spec, (urdf.path, mjcf.path), ways, pairs)
-    undamped = () if strict else _take_damping(root, spec, mjcf.path)
+    unstated = {} if strict else _take_unstated(root, spec, mjcf.path)
     frames = common_frames(root, spec, wanted)
     for foot in feet:
         if foot not in frames:
             raise UnknownNameError(urdf.path, "frame of both files (for a foot)", foot, frames)
-    description = Description(
-        name=spec.modelname,
-        urdf=etree.tostring(root, encoding="unicode"),
-        urdf_source=urdf.path,
-        mjcf=spec,
-        mjcf_source=mjcf.path,
-        feet={},
-        frames={name: frames[name] for name in (feet or frames)},
+    description = _described(
+        root, spec, (urdf, mjcf), {name: frames[name] for name in (feet or frames)}
     )
     robot, meant = _in_one_convention(root, description, tolerances or Tolerances(), notes)
     return Match(
@@ -192,7 +191,26 @@ def match(
         mimics=_with_zeros(mimics, meant),
         conventions=meant,
         parts=tuple(parts),
-        undamped=undamped,
+        unstated=unstated,
+    )
+
+
+def _described(
+    root: etree._Element,
+    spec: mujoco.MjSpec,
+    files: tuple[UrdfFile, MjcfFile],
+    frames: Mapping[str, tuple[str, str]],
+) -> Description:
+    """Describes a robot by two files that have been made alike."""
+    urdf, mjcf = files
+    return Description(
+        name=spec.modelname,
+        urdf=etree.tostring(root, encoding="unicode"),
+        urdf_source=urdf.path,
+        mjcf=spec,
+        mjcf_source=mjcf.path,
+        feet={},
+        frames=frames,
     )
 
 
@@ -243,26 +261,29 @@ def _with_zeros(mimics: Mimics, found: Conventions) -> Mimics:
     }
 
 
-def _take_damping(root: etree._Element, spec: mujoco.MjSpec, source: Path) -> tuple[str, ...]:
-    """Gives a URDF's joints that state no damping that of the MJCF's, in place; returns which."""
-    silent = {
-        str(joint.get("name")): joint
-        for joint in root.findall("joint")
-        if joint.get("type") != "fixed" and joint.find("dynamics[@damping]") is None
-    }
-    if not silent:
-        return ()
-    joints = mjcf_tree(spec, source).joints
-    given = []
-    for name, joint in silent.items():
-        if name not in joints or not joints[name].damping:
+def _take_unstated(
+    root: etree._Element, spec: mujoco.MjSpec, source: Path
+) -> dict[str, tuple[str, ...]]:
+    """Gives a URDF's joints the MJCF's damping and dry friction where it states none, in place.
+
+    Returns:
+        {``damping`` or ``friction``: the joints that were given it}.
+    """
+    theirs = mjcf_tree(spec, source).joints
+    given: dict[str, list[str]] = {"damping": [], "friction": []}
+    for joint in root.findall("joint"):
+        name, dynamics = str(joint.get("name")), joint.find("dynamics")
+        if joint.get("type") == "fixed" or name not in theirs:
             continue
-        dynamics = joint.find("dynamics")
-        if dynamics is None:
-            dynamics = etree.SubElement(joint, "dynamics")
-        dynamics.set("damping", repr(joints[name].damping))
-        given.append(name)
-    return tuple(given)
+        for word, names in given.items():
+            value = float(getattr(theirs[name], word))
+            if not value or (dynamics is not None and dynamics.get(word) is not None):
+                continue
+            if dynamics is None:
+                dynamics = etree.SubElement(joint, "dynamics")
+            dynamics.set(word, repr(value))
+            names.append(name)
+    return {word: tuple(names) for word, names in given.items()}
 
 
 def _check_names(

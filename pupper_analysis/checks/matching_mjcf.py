@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pinocchio as pin
+from lxml import etree
 
 from pupper_analysis.checks.alignment import with_base
+from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
@@ -61,14 +63,19 @@ def hinges(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> tuple[list[st
 
 
 def drop_other_objects(
-    spec: mujoco.MjSpec, source: Path, links: set[str], notes: list[str]
+    spec: mujoco.MjSpec, source: Path, urdf: etree._Element | None, notes: list[str]
 ) -> None:
     """Keeps the largest tree of joints: a scene may have loose objects besides the robot.
 
     Beside a robot on a fixed base, a table or a wall would count as part of that base, unless it
-    has the name of one of the URDF's links.
+    has the name of one of the URDF's links. So do limbs that stand in the world itself, because
+    the base was fused with it. (Without a URDF, of two versions of an MJCF, neither is known.)
     """
     kinds = mujoco.mjtObj
+    links, limbs = set[str](), set[str]()
+    if urdf is not None:
+        links = {str(link.get("name")) for link in urdf.iter("link")}
+        limbs = {body.name for body in limbs_on_the_world(spec, urdf)}
     size = {body.name: len(body.find_all(kinds.mjOBJ_JOINT)) for body in spec.worldbody.bodies}
     if not any(size.values()):
         raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")
@@ -77,9 +84,34 @@ def drop_other_objects(
     for body in list(spec.worldbody.bodies):
         names = {body.name, *(below.name for below in body.find_all(kinds.mjOBJ_BODY))}
         scenery = fixed and not body.mocap and not names & links
+        if body.name in limbs and robot.name in limbs:
+            continue
         if body.name != robot.name and (size[body.name] or scenery):
             notes.append(f"{source.name}: body {body.name!r} is not part of the robot: left out")
             spec.delete(body)
+
+
+def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco.MjsBody]:
+    """Returns the bodies of the world that move by the joints of a URDF: limbs without a base.
+
+    MuJoCo makes that of a URDF: it fuses what does not move with the world. The joints are known
+    by their names, or their names without prefixes and suffixes.
+    """
+    mine = [str(j.get("name")) for j in urdf.findall("joint") if j.get("type") != "fixed"]
+    theirs = [joint.name for joint in spec.joints]
+    known = {*mine, *without_affixes(mine, theirs, {}).values()}
+    return [
+        body
+        for body in spec.worldbody.bodies
+        if any(joint.name in known for joint in body.joints)
+        and all(joint.type != mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+    ]
+
+
+def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
+    """Tells whether the world is the base: whether one of some joints is between it and a body."""
+    there = (joint for body in spec.worldbody.bodies for joint in body.joints)
+    return any(j.name in joints and j.type != mujoco.mjtJoint.mjJNT_FREE for j in there)
 
 
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:

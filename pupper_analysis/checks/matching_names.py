@@ -35,24 +35,30 @@ def without_affixes(
 def _cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str, ...], str]:
     """Returns {what is left of a name: the name}, where that is one alone."""
     words = {name: _words(name) for name in every}
-    usual = [
-        {
-            word
-            for word, count in Counter(each[at] for each in words.values() if len(each) > 1).items()
-            if count >= max(2, 0.6 * len(every))
-        }
-        for at in (0, -1)
-    ]
+    usual = [_usual(list(words.values())), _usual([each[::-1] for each in words.values()])]
     cores: dict[tuple[str, ...], list[str]] = {}
     for name in names:
         core = words[name]
-        if len(core) > 1 and core[0] in usual[0]:
-            core = core[1:]
-        if len(core) > 1 and core[-1] in usual[1]:
-            core = core[:-1]
+        for ends in usual:  # what begins it, and then, backwards, what ends it
+            for word in ends:
+                if len(core) > 1 and core[0] == word:
+                    core = core[1:]
+            core = core[::-1]
         kept = tuple(word for word in core if word not in _EMPTY)
         cores.setdefault(kept or core, []).append(name)
     return {core: found[0] for core, found in cores.items() if len(found) == 1}
+
+
+def _usual(words: Sequence[tuple[str, ...]]) -> list[str]:
+    """Returns the words, one after the other, with which most names begin."""
+    found: list[str] = []
+    while True:
+        begun = [each for each in words if list(each[: len(found)]) == found]
+        next_ones = Counter(each[len(found)] for each in begun if len(each) > len(found) + 1)
+        word, count = next_ones.most_common(1)[0] if next_ones else ("", 0)
+        if count < max(2, 0.6 * len(words)):
+            return found
+        found.append(word)
 
 
 def _words(name: str) -> tuple[str, ...]:

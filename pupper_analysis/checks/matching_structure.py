@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,9 +26,17 @@ _NEAR = 0.25  # greatest distance of joints that may be one, relative to the rob
 def common_frames(
     root: etree._Element, spec: mujoco.MjSpec, names: Mapping[str, str]
 ) -> dict[str, tuple[str, str]]:
-    """Returns the frames of both: links on fixed joints, and sites or bodies without joints."""
+    """Returns the frames of both: links on fixed joints, and sites or bodies without joints.
+
+    A fixed base's body is none of them: where its frame is, is a convention of its own.
+    """
     places = {site.name for site in spec.sites if site.name}
-    places |= {body.name for body in spec.bodies if body.name and not list(body.joints)}
+    base = _of_base(spec)
+    places |= {
+        body.name
+        for body in spec.bodies
+        if body.name and body.name not in base and not list(body.joints)
+    }
     frames = {}
     for joint in root.findall("joint"):
         link = end_link(joint, "child")
@@ -35,6 +44,17 @@ def common_frames(
         if joint.get("type") == "fixed" and place in places:
             frames[place] = (link, place)
     return frames
+
+
+def _of_base(spec: mujoco.MjSpec) -> set[str]:
+    """Returns the bodies that stand in the world and carry joints: a fixed base's."""
+    found, waiting = set(), list(spec.worldbody.bodies)
+    while waiting:
+        body = waiting.pop()
+        if not list(body.joints) and body.find_all(mujoco.mjtObj.mjOBJ_JOINT):
+            found.add(body.name)
+            waiting += body.bodies
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +82,7 @@ def guess(
     Below the same parent, with parallel axes at zero angles, each the nearest to the other. Where
     no name is in common and the axes of the base do not match as they are, its frame may be turned
     by quarters in one of the files; if two turns match as many joints, each its own way, nothing is
-    guessed.
+    guessed, unless one of them alone pairs left with right by the joints' names.
     """
     return guess_of_trees(urdf_tree(root, urdf), mjcf_tree(spec, mjcf), pairs)
 
@@ -79,7 +99,7 @@ def guess_of_trees(one: Parameters, two: Parameters, pairs: Mapping[str, str]) -
     for turn in quarters():
         turned = with_base(one, pin.SE3(turn, np.zeros(3)))
         tried.append(_in_place(turned, two, pairs))
-    tried.sort(key=lambda item: (-len(item[0].pairs), item[1]))
+    tried.sort(key=lambda i: (-len(i[0].pairs), _exchanges_sides(i[0].pairs), i[1]))
     (best, distance) = tried[0]
     rivals = [
         other.pairs
@@ -87,6 +107,7 @@ def guess_of_trees(one: Parameters, two: Parameters, pairs: Mapping[str, str]) -
         if len(other.pairs) == len(best.pairs)
         and other.pairs != best.pairs
         and apart < 2 * distance + 1e-3
+        and not (_exchanges_sides(other.pairs) and not _exchanges_sides(best.pairs))
     ]
     if rivals and best.pairs:
         every = [best.pairs, *rivals]
@@ -96,6 +117,21 @@ def guess_of_trees(one: Parameters, two: Parameters, pairs: Mapping[str, str]) -
         }
         return Guess({}, choices)
     return best
+
+
+_SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
+
+
+def _exchanges_sides(pairs: Mapping[str, str]) -> bool:
+    """Tells whether a name that says left is paired with one that says right."""
+    sides = [
+        {_SIDES[word] for word in re.split(r"[^a-z]+", name.lower()) if word in _SIDES}
+        for pair in pairs.items()
+        for name in pair
+    ]
+    return any(
+        one and two and not one & two for one, two in zip(sides[::2], sides[1::2], strict=True)
+    )
 
 
 def _in_place(one: Parameters, two: Parameters, pairs: Mapping[str, str]) -> tuple[Guess, float]:

@@ -75,6 +75,33 @@ def strip_roots(
     return best
 
 
+def take_mass_of_base(root: etree._Element, source: Path, notes: list[str]) -> None:
+    """Takes the inertials off the base and what is fixed to it, in place.
+
+    For an MJCF whose base is the world, which has no mass: a fixed base's has no effect either.
+    """
+    waiting, masses = [str(root_link(root).get("name"))], {}
+    while waiting:
+        name = waiting.pop()
+        for link in root.findall("link"):
+            inertial = link.find("inertial") if link.get("name") == name else None
+            if inertial is not None:
+                masses[name] = float(inertial.find("mass").get("value"))
+                link.remove(inertial)
+        waiting += [
+            end_link(joint, "child")
+            for joint in root.findall("joint")
+            if joint.get("type") == "fixed" and end_link(joint, "parent") == name
+        ]
+    if any(masses.values()):
+        heaviest = max(masses, key=masses.__getitem__)
+        notes.append(
+            f"the MJCF's base is fused with the world, which has no mass; that of the URDF "
+            f"({sum(masses.values()):.4g} kg, {heaviest!r}) was left out, as of a fixed base it "
+            f"has no effect ({source.name})"
+        )
+
+
 def end_link(joint: etree._Element, tag: str) -> str:
     """Returns the link at one end of a joint: ``parent`` or ``child``."""
     return str(joint.find(tag).get("link"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from pupper_analysis.checks.differences import Effect, Explanation
 from pupper_analysis.checks.matching import Match
@@ -11,21 +11,29 @@ _VALUES = 6
 """Different values that are listed; of more, the least and the greatest."""
 
 
-def damping_notes(matched: Match, explanation: Explanation) -> list[str]:
-    """Says what the damping does that the URDF does not state."""
-    if not matched.undamped:
-        return []
+def unstated_notes(matched: Match, explanation: Explanation) -> Iterator[str]:
+    """Yields what the damping and the dry friction do that the URDF does not state."""
     model = matched.robot.pin_model
-    damping = {
-        name: float(model.damping[model.joints[model.getJointId(name)].idx_v])
-        for name in matched.undamped
-    }
-    forward = explanation.damping.get("forward dynamics", Effect(0.0, 0.0, 0.0)).relative
-    return [
-        f"damping ({_by_value(damping)}; N m s/rad) is stated by the MJCF alone, and was given to "
-        "both. A model of the URDF without it has its accelerations off by "
-        f"{forward:.2g} of their scale: add <dynamics damping=.../>; --strict makes it a difference"
-    ]
+
+    def of_joints(values: Sequence[float], word: str) -> dict[str, float]:
+        places = {n: model.joints[model.getJointId(n)].idx_v for n in matched.unstated[word]}
+        return {name: float(values[place]) for name, place in places.items()}
+
+    if matched.unstated.get("damping"):
+        damping = _by_value(of_joints(model.damping, "damping"))
+        forward = explanation.damping.get("forward dynamics", Effect(0.0, 0.0, 0.0)).relative
+        yield (
+            f"damping ({damping}; N m s/rad) is stated by the MJCF alone, and was given to both. A "
+            f"model of the URDF without it has its accelerations off by {forward:.2g} of their "
+            "scale: add <dynamics damping=.../>; --strict makes it a difference"
+        )
+    if matched.unstated.get("friction"):
+        friction = of_joints(model.friction, "friction")
+        yield (
+            f"dry friction ({_by_value(friction)}; N m) is stated by the MJCF alone, and was given "
+            "to both. In a model of the URDF without it joints move under less torque than that: "
+            "add <dynamics friction=.../>; --strict makes it a difference"
+        )
 
 
 def _by_value(values: Mapping[str, float]) -> str:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pupper_analysis.checks.alignment import aligned
 from pupper_analysis.checks.changes import changes_between
 from pupper_analysis.checks.differences import Difference
+from pupper_analysis.checks.patterns_dropped import dropped_coms, dropped_products
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import trees
 from pupper_analysis.models.parameters import Parameters
@@ -111,7 +112,7 @@ def causes(
     case = _Case(robot, first, replace(raw, gravity=first.gravity), second, keys, tolerances)
     found: list[Cause] = []
     taken: set[int] = set()
-    for look in (_angles, _exchanged, _units, _products, _inertials):
+    for look in (_angles, _exchanged, _units, _dropped, _inertials):
         for kind, message, explained in look(case):
             numbers = tuple(n for n, key in enumerate(keys) if key in explained and n not in taken)
             if len(numbers) > 1:
@@ -323,37 +324,12 @@ _OTHER = 0.1
 """How far a mass is off, at least, that is taken for another body's: not a screw more or less."""
 
 
-def _products(case: _Case) -> Found:
-    """Finds that one file has no products of inertia at all."""
-    names = [element for kind, element in case.keys if kind == "inertia"]
-    if len(names) < 2:
-        return
-    for words, one, two in (
-        ("URDF", case.first, case.second),
-        ("MJCF", case.second, case.first),
-    ):
-        lost = [n for n in names if _is_diagonal(one.bodies[n].inertia)]
-        alike = [
-            name
-            for name in lost
-            if np.allclose(
-                np.diag(one.bodies[name].inertia),
-                np.diag(two.bodies[name].inertia),
-                rtol=case.tolerances.inertia,
-            )
-        ]
-        if len(alike) > 1 and all(_is_diagonal(body.inertia) for body in one.bodies.values()):
-            yield (
-                "products",
-                f"all products of inertia are 0 in the {words}, of {len(alike)} bodies that have "
-                "some in the other file: were they dropped, or is it diaginertia for fullinertia?",
-                {("inertia", name) for name in alike},
-            )
-
-
-def _is_diagonal(inertia: Array) -> bool:
-    off = inertia - np.diag(np.diag(inertia))
-    return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
+def _dropped(case: _Case) -> Found:
+    """Finds what one file has left out of its inertials."""
+    trees_of = (("URDF", case.first, case.first), ("MJCF", case.raw, case.second))
+    for (words, own, one), (_, _, two) in (trees_of, trees_of[::-1]):
+        yield from dropped_products(words, one, two, case.keys, case.tolerances)
+        yield from dropped_coms(words, own, case.keys)
 
 
 def _inertials(case: _Case) -> Found:

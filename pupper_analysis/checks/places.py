@@ -87,7 +87,7 @@ def bodies_moving_with(model: mujoco.MjModel, body: str) -> list[tuple[str, floa
     """Returns (body, kg) of an MJCF's body, and of those with mass that are welded to it."""
     top = model.body(body).id
     welded = np.flatnonzero(model.body_weldid == model.body_weldid[top]).tolist()
-    group = [each for each in welded if each and (model.body_mass[each] > 0 or each == top)]
+    group = [each for each in welded if model.body_mass[each] > 0 or each == top]
     group.sort(key=lambda each: each != top)
     return [(str(model.body(each).name), float(model.body_mass[each])) for each in group]
 

@@ -70,6 +70,11 @@ frame_option = click.option(
     is_flag=True,
     help="Tolerate rounding errors alone (1e-9): not digits, names, or damping the URDF lacks.",
 )
+@click.option(
+    "--any-coordinates",
+    is_flag=True,
+    help="Let joints' zeros, and a free base's frame, be elsewhere: notes tell of them.",
+)
 @click.option("--all", "everything", is_flag=True, help="Print every difference.")
 @json_option
 @format_option
@@ -82,6 +87,7 @@ def crosscheck(
     feet: tuple[str, ...],
     changes: tuple[str, ...],
     strict: bool,
+    any_coordinates: bool,
     everything: bool,
     json_path: Path | None,
     style: str,
@@ -92,6 +98,9 @@ def crosscheck(
     place in both files and its effect, what is to be mended first, first, and the list is proven
     complete. Where a link's frame is does not count. Joints are matched by --map, by name, by name
     without prefixes and suffixes, and the rest by structure (which is then printed).
+
+    ONE ROBOT, OTHER COORDINATES means that only zeros of joints, or the frame of a free base, are
+    elsewhere: the same numbers are another pose. That is exit status 1, but with --any-coordinates.
 
     \b
     Examples:
@@ -121,6 +130,7 @@ def crosscheck(
         feet=feet,
         tolerances=tolerances,
         strict_names=strict,
+        any_coordinates=any_coordinates,
     )
     if style == "text":
         comparison_report.print_models(console(), comparison, everything=everything)

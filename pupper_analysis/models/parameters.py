@@ -93,7 +93,7 @@ class Parameters:
 
     def children(self, body: str) -> list[str]:
         """Returns the joints whose parent is a body."""
-        return self._children.get(body, [])
+        return list(self._children.get(body, ()))  # of its own: callers take from it
 
     @cached_property
     def _children(self) -> dict[str, list[str]]:
@@ -104,7 +104,7 @@ class Parameters:
 
     def carried_by(self, body: str) -> list[str]:
         """Returns the frames that a body carries."""
-        return self._carried.get(body, [])
+        return list(self._carried.get(body, ()))
 
     @cached_property
     def _carried(self) -> dict[str, list[str]]:

@@ -103,6 +103,24 @@ def leave_out_undeclared(root: etree._Element, notes: list[str]) -> bool:
     return bool(gone)
 
 
+def leave_out_odd_materials(root: etree._Element) -> bool:
+    """Takes out a shape's materials without a name, and all but the first, in place.
+
+    Converters write one for each colour of a mesh, where parsers read the first; urdfdom reports
+    one without a name, and leaves out its shape. A colour has no effect, so no note tells of it.
+
+    Returns:
+        Whether there was any.
+    """
+    found = False
+    for visual in root.findall("link/visual"):
+        for number, material in enumerate(visual.findall("material")):
+            if number or not material.get("name"):
+                visual.remove(material)
+                found = True
+    return found
+
+
 def distinct(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:
     """Returns the root's children of a kind by name; the names are to be distinct."""
     found: dict[str, etree._Element] = {}

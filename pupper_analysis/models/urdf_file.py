@@ -21,6 +21,7 @@ from pupper_analysis.models.urdf_checks import (
     check_joint,
     check_tree,
     distinct,
+    leave_out_odd_materials,
     leave_out_undeclared,
 )
 from pupper_analysis.models.xml import parse, to_text
@@ -132,6 +133,7 @@ def urdf_from(
         raise refusal_at(path, root, f"version {root.get('version')!r} is unknown; valid: 1.0")
     notes: list[str] = []
     rewritten = leave_out_undeclared(root, notes)
+    rewritten |= leave_out_odd_materials(root)
     materials = distinct(path, root, "material")
     links = distinct(path, root, "link")
     joints = distinct(path, root, "joint")

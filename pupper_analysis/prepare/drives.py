@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -52,12 +52,12 @@ _DAMPING_TIME = 0.05
 """kd / kp of the suggested servos (s): within the 0.02 to 0.1 s of robots' own controllers."""
 
 
-def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array]:
+def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
     Returns:
         The robot, with the stiffest servos tried if it comes to rest with none; the stiffness (nu,)
-        (N m/rad) and damping (nu,) (N m s/rad) of all its servos.
+        (N m/rad) and damping (nu,) (N m s/rad) of all its servos; and whether it comes to rest.
     """
     own = own_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
@@ -74,8 +74,29 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array]:
         kp, kd = _kept(robot, own, *_gains(robot, stand.qpos, torques, sag, parts))
         trial.mj_model.opt.timestep = timestep / parts
         if _rests(trial, stand, kp, kd):
-            return built(kp, kd, parts), kp, kd
-    return built(*first, 1), *first
+            return built(kp, kd, parts), kp, kd, True
+    return built(*first, 1), *first, False
+
+
+def advice(robot: Robot, stand: Stand) -> str | None:
+    """Says so, with gains that would hold it, if a robot falls over on servos of its own.
+
+    They are the robot's, and so they stay as they are.
+    """
+    if verify_stand(robot, stand).tilt < _UPRIGHT:
+        return None
+    own = np.array(list(own_servos(robot).values()))
+    torques = stand_statics(robot, stand).joint_torques
+    said = (
+        f"the MJCF's own servos (kp {span(own[:, 0])} N m/rad) let it fall over in the start pose"
+    )
+    for sag in _SAGS:
+        kp, kd = (
+            np.full(robot.nu, gains.min()) for gains in _gains(robot, stand.qpos, torques, sag, 1)
+        )
+        if _rests(robot, stand, kp, kd, ways=(True,)):
+            return f"{said}; --kp {kp[0]:g} --kd {kd[0]:g} would hold it, with feed-forward"
+    return f"{said}, and none that were tried hold it"
 
 
 def _kept(
@@ -87,9 +108,11 @@ def _kept(
     return both[:, 0], both[:, 1]
 
 
-def _rests(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
+def _rests(
+    robot: Robot, stand: Stand, kp: Array, kd: Array, ways: Sequence[bool] = (True, False)
+) -> bool:
     """Tells whether a robot comes to rest where it stands, with feed-forward and without."""
-    for feedforward in (True, False):
+    for feedforward in ways:
         for duration in _TRIALS:
             seen = verify_stand(
                 robot, stand, kp=kp, kd=kd, feedforward=feedforward, duration=duration
@@ -122,6 +145,12 @@ def _gains(
     wanted = np.full(robot.nu, most_torque / sag)
     kp = np.array([_two_digits(value) for value in np.minimum(wanted, most)])
     return kp, np.array([_two_digits(value) for value in _DAMPING_TIME * kp])
+
+
+def span(values: Array) -> str:
+    """Says the least and the greatest of some numbers, or the one that all are."""
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 def _two_digits(value: float) -> float:

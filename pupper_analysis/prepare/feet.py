@@ -15,6 +15,7 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest
+from pupper_analysis.robot.build import CONTACT_OF_GEOM
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.feet import limb_ends
@@ -29,12 +30,6 @@ legs: hands and heads are higher, and feet in a start pose rarely at more than a
 _NEAR = 0.02
 """A sphere whose centre is no further from a URDF's link is the foot that the link means (m)."""
 
-
-_CONTACT = (
-    *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
-    *("margin", "gap", "group"),
-)
-"""What a geom has that makes its contacts."""
 
 _SAME_PLACE = 2e-3
 """A link of the URDF that is no further away is at a foot's place (m)."""
@@ -286,7 +281,7 @@ def _touching(
         pos=point.center,
         mass=0.0,
         rgba=mesh.rgba,
-        **{what: getattr(mesh, what) for what in _CONTACT},
+        **{what: getattr(mesh, what) for what in CONTACT_OF_GEOM},
     )
     mesh.contype = mesh.conaffinity = 0
     return str(ball.name)

@@ -18,6 +18,7 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare import drives, start
+from pupper_analysis.prepare.base import free_base
 from pupper_analysis.prepare.feet import (
     Foot,
     apart_at,
@@ -169,7 +170,7 @@ def _prepared(
     name_all(spec, set(), [])
     known = start.chosen(mjcf, start.keyframes(spec), keyframe)
     if not fixed_base:
-        _free(spec, notes)
+        spec = free_base(urdf, spec, notes)
     matched = match(urdf, replace(mjcf, spec=spec), names=joints, complete=True)
     notes += [*matched.notes, *_said(matched)]
     description = replace(matched.robot.description, name=name or spec.modelname)
@@ -198,6 +199,7 @@ def _prepared(
             f"at zero angles the last joint of foot {worst} is {1e3 * apart[worst]:.0f} mm off in "
             "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
         )
+    notes += _edgy(bare, feet)
     balls = [f.name for f in feet if any(is_ball(bare.mj_model, point) for point in f.points)]
     if balls:
         notes.append(
@@ -209,24 +211,10 @@ def _prepared(
     robot = _apart(_on_feet_alone(robot, notes), notes)
     if not set(robot.joint_names) <= own_servos(robot).keys():
         robot = _driven(robot, notes)
+    else:
+        stand = start.first_stand(robot)
+        notes += filter(None, [drives.advice(robot, stand) if stand is not None else None])
     return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
-
-
-def _free(spec: mujoco.MjSpec, notes: list[str]) -> None:
-    """Frees the base of a robot with two limbs or more that the MJCF holds in the world."""
-    if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints):
-        return
-    bodies = list(spec.worldbody.bodies)
-    size = {body.name: len(body.find_all(mujoco.mjtObj.mjOBJ_JOINT)) for body in bodies}
-    base = max(bodies, key=lambda body: size[body.name], default=None)
-    if base is None or list(base.joints):
-        return
-    limbs = [
-        body for body in base.bodies if body.find_all(mujoco.mjtObj.mjOBJ_JOINT) or body.joints
-    ]
-    if len(limbs) >= 2:
-        base.add_freejoint()
-        notes.append(f"the MJCF holds {base.name!r} in the world: a free joint was added")
 
 
 def _said(matched: Match) -> Iterator[str]:
@@ -263,6 +251,24 @@ def _named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> str:
         texts.append(f"{foot.name} on {body}" + (f", {count} contact points" if count > 1 else ""))
     how = "feet" if given else "no feet were named; taken were the lowest limbs' ends"
     return f"{how}: {'; '.join(texts)}"
+
+
+def _edgy(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
+    """Says which feet touch with one point of a mesh that is not round there."""
+    model = robot.mj_model
+    mesh = mujoco.mjtGeom.mjGEOM_MESH.value
+    names = [
+        foot.name
+        for foot in feet
+        for point in foot.points
+        if len(foot.points) == 1 and not point.radius and model.geom_type[point.geom] == mesh
+    ]
+    if names:
+        yield (
+            f"feet {', '.join(names)} touch the ground with meshes that are not round: where they "
+            "touch changes as they sink in, so that forces may be off by several percent; a sphere "
+            "as collision geom would mend that"
+        )
 
 
 def _started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list[str]) -> Robot:
@@ -323,14 +329,19 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
     if stand is None:
         return robot
     own = own_servos(robot)
-    built, kp, kd = drives.driven(robot, stand)
+    built, kp, kd, rests = drives.driven(robot, stand)
     new = [index for index, name in enumerate(robot.joint_names) if name not in own]
     which = "no position servos" if not own else f"no position servos at {len(new)} joints"
     notes.append(
-        f"the MJCF has {which}: they were added, with kp {_range(kp[new])} N m/rad and kd "
-        f"{_range(kd[new])} N m s/rad, integrator implicitfast, "
+        f"the MJCF has {which}: they were added, with kp {drives.span(kp[new])} N m/rad and kd "
+        f"{drives.span(kd[new])} N m s/rad, integrator implicitfast, "
         f"{1e3 * built.mj_model.opt.timestep:g} ms"
     )
+    if not rests:
+        notes.append(
+            "with none of the servos that were tried does it come to rest in the start pose, with "
+            "feed-forward and without: give --kp and --kd, or another --keyframe"
+        )
     return built
 
 
@@ -385,8 +396,3 @@ def _apart(robot: Robot, notes: list[str]) -> Robot:
         f"bodies overlap in the start pose: {pairs}; they were kept from pushing each other apart"
     )
     return rebuilt(robot, mjcf=spec)
-
-
-def _range(values: Array) -> str:
-    low, high = float(values.min()), float(values.max())
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"

@@ -31,6 +31,8 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
     """
     causes, groups = _by_cause(comparison, everything)
     verdict = "[bold green]AGREE[/]" if comparison.agree else "[bold red]DISAGREE[/]"
+    if comparison.same_robot and not comparison.agree:
+        verdict = "[bold yellow]ONE ROBOT, OTHER COORDINATES[/]"
     first = _first(comparison, causes, groups)
     out.print(f"{verdict}: {escape(first)}", soft_wrap=True)
     _print_causes(out, comparison, causes, everything)

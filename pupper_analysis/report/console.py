@@ -20,6 +20,9 @@ WIDTH = 120
 """Least width of the output: a narrow terminal wraps its lines, but no number is cut off."""
 
 
+_UNBOUNDED = 10_000  # characters: more than any table of robots' names needs
+
+
 def escape(text: str) -> str:
     """Returns a text that holds others' names as the console shows it: no markup, one line."""
     return str(markup.escape(visible(text)))
@@ -31,6 +34,17 @@ class SafeConsole(Console):
     def render_str(self, text: str, **options: Any) -> Text:
         """Returns what is shown of a text, its own lines apart."""
         return super().render_str("\n".join(map(visible, text.split("\n"))), **options)
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Prints; a table as wide as it is, however long the names in it: no header is cut off."""
+        before, unbounded = self.width, self.options.update(max_width=_UNBOUNDED)
+        tables = [thing for thing in objects if isinstance(thing, Table)]
+        wide = [self.measure(table, options=unbounded).maximum for table in tables]
+        self.width = max(before, *wide, 0)
+        try:
+            super().print(*objects, **options)
+        finally:
+            self.width = before
 
 
 class SafeTable(Table):

@@ -303,7 +303,25 @@ def floor_of(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
     return next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
 
 
+CONTACT_OF_GEOM = (
+    *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
+    *("margin", "gap", "group"),
+)
+"""What a geom of an MJCF has that makes its contacts, and in which group it is shown."""
+
+
 def add_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom:
-    """Adds a plane at z = 0 with MuJoCo's default contact."""
-    plane = mujoco.mjtGeom.mjGEOM_PLANE
-    return spec.worldbody.add_geom(name="floor", type=plane, size=(0, 0, 0.05))
+    """Adds a plane at z = 0 with MuJoCo's default contact, that all which touches anything touches.
+
+    Shapes whose bits only let them touch each other (left legs and right ones, say) are seen to
+    touch ground, too: scenes of such robots have a floor with those bits.
+    """
+    bits = 1
+    for geom in spec.geoms:
+        bits |= int(geom.contype)
+    floor = spec.worldbody.add_geom(name="floor")
+    plain = mujoco.MjSpec().default.geom  # the MJCF's own defaults are meant for the robot
+    for word in CONTACT_OF_GEOM:
+        setattr(floor, word, getattr(plain, word))
+    floor.type, floor.size, floor.conaffinity = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05), bits
+    return floor

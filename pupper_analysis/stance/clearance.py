@@ -24,6 +24,10 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
+_AS_LARGE = 2.0
+"""A shape around a foot's centre is the foot if no point of it is further from its own centre than
+this many of the foot's radii: a calf that ends there is longer."""
+
 _SAME = 1e-6  # m: what is nearer to each other is the same place, or the same size
 
 
@@ -300,14 +304,16 @@ def _is_sole(
 ) -> bool:
     """Tells whether a shape is the foot.
 
-    If the foot is the MJCF's (``other``), the URDF's is a sphere around its centre, of any size.
+    If the foot is the MJCF's (``other``), the URDF's is a sphere around its centre, of any size, or
+    another shape there that is about as large: many files have a cylinder that lies.
     """
     away = float(np.linalg.norm(at.getTranslation() - there.getTranslation()))
-    if not isinstance(shape, coal.Sphere):
-        return False
+    sphere = isinstance(shape, coal.Sphere)
     if other:
-        return bool(away < ball.radius)
-    return bool(max(away, abs(shape.radius - ball.radius)) < _SAME)
+        shape.computeLocalAABB()
+        about = sphere or float(shape.aabb_radius) < _AS_LARGE * ball.radius
+        return bool(away < ball.radius and about)
+    return bool(sphere and max(away, abs(shape.radius - ball.radius)) < _SAME)
 
 
 def _primitives(robot: Robot) -> str:

@@ -155,6 +155,13 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
             )
     swinging = {point for foot in task.swing for point in robot.soles[foot]}
     stance_feet = tuple(foot for foot in robot.feet if foot not in swinging)
+    if len(robot.feet) < 3:
+        raise ConfigurationError(
+            "robot",
+            f"{robot.name} touches the ground at {len(robot.feet)} points alone "
+            f"({', '.join(robot.feet)}): the support polygon needs an area, of 3 round feet or a "
+            "flat one, on a leg of 5 joints or more",
+        )
     if len(stance_feet) < 3:
         raise ConfigurationError(
             "swing",

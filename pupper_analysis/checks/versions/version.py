@@ -90,7 +90,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
     notes, spec = list(file.notes), file.spec.copy()
     name_all(spec, set(), notes)
     whole = compile_spec(spec.copy(), file.path)
-    drop_other_objects(spec, file.path, set(), notes)
+    drop_other_objects(spec, file.path, None, notes)
     hinges(spec, file.path, notes)
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit

@@ -1,0 +1,101 @@
+"""Frees the base of a robot that its MJCF holds in the world."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.checks.matching_mjcf import limbs_on_the_world, mjcf_tree
+from pupper_analysis.checks.matching_names import without_affixes
+from pupper_analysis.checks.matching_places import at_zero
+from pupper_analysis.checks.matching_urdf import root_link, urdf_tree
+from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.parameters import Body, Parameters
+from pupper_analysis.models.urdf_file import UrdfFile
+
+Array = NDArray[np.float64]
+
+_FREE = mujoco.mjtJoint.mjJNT_FREE
+
+
+def free_base(urdf: UrdfFile, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.MjSpec:
+    """Returns a spec in which the base of a robot with two limbs or more is free.
+
+    Args:
+        urdf: The URDF, which has the mass of a base that was fused with the world.
+        spec: The MJCF's; it is changed.
+        notes: What was done is added.
+    """
+    if any(joint.type == _FREE for joint in spec.joints):
+        return spec
+    if len(limbs_on_the_world(spec, urdf.root)) >= 2:
+        return _unfused(urdf, spec, notes)
+    bodies = list(spec.worldbody.bodies)
+    size = {body.name: len(body.find_all(mujoco.mjtObj.mjOBJ_JOINT)) for body in bodies}
+    base = max(bodies, key=lambda body: size[body.name], default=None)
+    if base is None or list(base.joints):
+        return spec
+    limbs = [
+        body for body in base.bodies if body.find_all(mujoco.mjtObj.mjOBJ_JOINT) or body.joints
+    ]
+    if len(limbs) >= 2:
+        base.add_freejoint()
+        notes.append(f"the MJCF holds {base.name!r} in the world: a free joint was added")
+    return spec
+
+
+def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.MjSpec:
+    """Gives limbs that stand in the world a base: a body with the URDF's mass, and a free joint.
+
+    MuJoCo fuses the root link of a URDF with the world, where its mass is lost.
+    """
+    tree = urdf_tree(urdf.root, urdf.path)
+    inertial = tree.bodies[tree.base]
+    if not inertial.mass > 0:
+        return spec
+    for geom in list(spec.worldbody.geoms):
+        if geom.type in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
+            spec.delete(geom)  # ground, which does not move with the base
+    for key in list(spec.keys):
+        spec.delete(key)  # its size no longer fits
+    name = str(root_link(urdf.root).get("name"))
+    while name in {body.name for body in spec.bodies}:
+        name += "_"
+    freed = mujoco.MjSpec()
+    freed.modelname, freed.modelfiledir = spec.modelname, spec.modelfiledir
+    for word in dir(spec.option):
+        if not word.startswith("_"):
+            setattr(freed.option, word, getattr(spec.option, word))
+    base = freed.worldbody.add_body(name=name)
+    base.add_freejoint()
+    _weigh(base, inertial, _apart(tree, spec, urdf))
+    with quiet():
+        freed.attach(spec, frame=base.add_frame(), prefix="")
+    notes.append(
+        f"the MJCF has the limbs in the world, without a base: one was added, free, with the mass "
+        f"of the URDF's {name!r} ({inertial.mass:.4g} kg)"
+    )
+    return freed
+
+
+def _apart(tree: Parameters, spec: mujoco.MjSpec, urdf: UrdfFile) -> Array:
+    """Returns how far the limbs are from where the URDF has them (3,): its base is off by as much.
+
+    The frame of the world may be that of any of the links that were fused with it.
+    """
+    here, there = at_zero(tree), at_zero(mjcf_tree(spec, urdf.path))
+    names = {name: name for name in here if name in there}
+    names |= without_affixes(list(here), list(there), names)
+    first = [name for name in tree.children(tree.base) if name in names]
+    apart = [there[names[name]][0] - here[name][0] for name in first]
+    return np.asarray(np.median(apart, axis=0))
+
+
+def _weigh(body: mujoco.MjsBody, inertial: Body, apart: Array) -> None:
+    """Gives a body a mass, a com and an inertia."""
+    tensor = inertial.inertia
+    body.mass, body.explicitinertial = inertial.mass, True
+    body.ipos = inertial.com + apart
+    body.fullinertia = [tensor[place] for place in INERTIA_ENTRIES.values()]
