@@ -174,7 +174,7 @@ class UrdfBodies:
 
     def _add_shape(self, body: etree._Element, link: str, kind: str, shape: etree._Element) -> None:
         geometry = next(iter(shape.find("geometry")), None)
-        attributes = None if geometry is None else self._geometry(geometry)
+        attributes = None if geometry is None else self._geometry(geometry, kind)
         if attributes is None:
             return
         xyz, rpy = _origin(shape)
@@ -192,11 +192,11 @@ class UrdfBodies:
             material=self._material(shape) if kind == "visual" else None,
         )
 
-    def _geometry(self, geometry: etree._Element) -> dict[str, str] | None:
+    def _geometry(self, geometry: etree._Element, kind: str) -> dict[str, str] | None:
         """Returns the attributes of a geom; None if there is none for it."""
         tag = str(geometry.tag)
         if tag == "mesh":
-            name = self.meshes.name(geometry)
+            name = self.meshes.name(geometry, touches=kind == "collision")
             return None if name is None else {"type": "mesh", "mesh": name}
         if tag == "sphere":
             return {"type": "sphere", "size": str(geometry.get("radius"))}

@@ -33,6 +33,7 @@ class Meshes:
         self._left: dict[str, list[str]] = {}
         self._names: dict[tuple[Path, str], str] = {}
         self._taken: set[str] = set()
+        self._touching: set[tuple[Path, str]] = set()
 
     @property
     def notes(self) -> list[str]:
@@ -43,8 +44,13 @@ class Meshes:
             texts.append(f"{len(files)} mesh file(s) left out, {why}: {some}")
         return texts
 
-    def name(self, mesh: etree._Element) -> str | None:
-        """Returns the name of a URDF's <mesh> in the MJCF; None if it is left out."""
+    def name(self, mesh: etree._Element, *, touches: bool) -> str | None:
+        """Returns the name of a URDF's <mesh> in the MJCF; None if it is left out.
+
+        Args:
+            mesh: The element.
+            touches: Whether it is one for collisions, whose hull MuJoCo works out.
+        """
         file = str(mesh.get("filename"))
         scale = mesh.get("scale") or "1 1 1"
         path = self.urdf.resolve_mesh(file)
@@ -52,20 +58,22 @@ class Meshes:
             self._leave("for there is no such file", file)
             return None
         path = path.resolve()
-        if (path, scale) in self._names:
+        if (path, scale) in self._names and (not touches or (path, scale) in self._touching):
             return self._names[path, scale]
         if path.suffix.lower() not in _READABLE:
             made = self._made(path)
             if made is None:
                 self._leave("for neither MuJoCo nor trimesh reads them", file)
                 return None
-        problem = _refused(self.made.get(self._place(path)), path, scale)
+        problem = _refused(self.made.get(self._place(path)), path, scale, touches=touches)
         if problem is not None:
             self._leave(f"for MuJoCo refuses them ({problem})", file)
             return None
-        name = free_name(path.stem, self._taken)
-        self._names[path, scale] = name
-        return name
+        if touches:
+            self._touching.add((path, scale))
+        if (path, scale) not in self._names:
+            self._names[path, scale] = free_name(path.stem, self._taken)
+        return self._names[path, scale]
 
     def write(
         self,
@@ -132,7 +140,7 @@ class Meshes:
             files.append(file)
 
 
-def _refused(content: bytes | None, path: Path, scale: str) -> str | None:
+def _refused(content: bytes | None, path: Path, scale: str, *, touches: bool) -> str | None:
     """Returns why MuJoCo does not take a mesh; None if it does."""
     spec = mujoco.MjSpec()
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
@@ -145,7 +153,8 @@ def _refused(content: bytes | None, path: Path, scale: str) -> str | None:
         file=name if content is not None else str(path),
         scale=[float(word) for word in scale.split()],
     )
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
+    geom = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
+    geom.contype = geom.conaffinity = int(touches)
     try:
         with quiet():
             spec.compile()
