@@ -19,12 +19,12 @@ from peers import stand_peers
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import servos
-from pupper_analysis.simulation.gain_sweep import KD_GRID, KP_GRID
 from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground
 from pupper_analysis.stance.clearance import Shapes
 
 SIMULATED = 12.0  # s: until a robot that is let go rests
 SWEPT, AMPLITUDE, FREQUENCY = 4.0, 2.0, 1.2  # s, N, Hz: a cell of a gain sweep, as by default
+KP, KD = (10.0, 30.0, 60.0, 120.0), (0.5, 1.0, 2.0, 5.0)  # N m/rad, N m s/rad: sixteen cells
 SAME = 1e-12  # of two computations of one number: rounding
 
 
@@ -270,7 +270,7 @@ def _steady_state(robot: pa.Robot, stand: pa.Stand) -> Job:
 
 
 def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
-    drives = [servos(robot, kp, kd, "implicitfast") for kp in KP_GRID for kd in KD_GRID]
+    drives = [servos(robot, kp, kd, "implicitfast") for kp in KP for kd in KD]
     models = [drive.model for drive in drives]
     torques = pa.stand_statics(robot, stand).joint_torques
     starts = np.array([place_on_ground(robot, drive, stand, torques) for drive in drives])
@@ -286,13 +286,13 @@ def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
             pool.rollout(models, datas, starts, control, control_spec=FORCED)
 
     def accuracy() -> Accuracy:
-        one, other = (pa.sweep_gains(robot, stand).height_deviation for _ in range(2))
+        one, other = (pa.sweep_gains(robot, stand, kp=KP, kd=KD).height_deviation for _ in range(2))
         away = np.abs(np.nan_to_num(one, posinf=1.0) - np.nan_to_num(other, posinf=1.0)).max()
         return Accuracy(float(away), 0.0, "m between two runs")
 
     return Job(
         f"sweep_gains, {len(models)} cells of {SWEPT:g} s",
-        lambda: pa.sweep_gains(robot, stand),
+        lambda: pa.sweep_gains(robot, stand, kp=KP, kd=KD),
         accuracy,
         Rival("mujoco.rollout", bare),
         1 / 0.95,

@@ -59,7 +59,7 @@ def check_command(
       pupper-analysis check
       pupper-analysis check --update-baseline
       pupper-analysis check --config robots/pupper-analysis.toml --format github
-      pupper-analysis check --format sarif > check.sarif
+      pupper-analysis check --format sarif --json check.json
 
     \b
     Exit status: 0 nothing is new, 1 something is, or a model cannot be read, 2 bad input.
