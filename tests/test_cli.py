@@ -37,6 +37,7 @@ def test_analyze_prints_every_part_and_writes_figures_and_json(tmp_path: Path) -
         str(tmp_path / "out"),
         "--json",
         str(tmp_path / "all.json"),
+        "-v",
     )
     assert result.returncode == 0, result.stderr
     for part in (
@@ -75,12 +76,34 @@ def test_analyze_prints_every_part_and_writes_figures_and_json(tmp_path: Path) -
     assert content["variants"]["v3-heavy"]["verified"] is True
 
 
+def test_a_page_by_default_and_a_line_if_quiet(tmp_path: Path) -> None:
+    page = answer("analyze", "v3", "v3-long-leg", "--no-figures", folder=tmp_path)
+    assert page.returncode == 0
+    lines = page.stdout.splitlines()
+    assert len(lines) < 40
+    robot = pa.load_variant("v3")
+    held = pa.stand_statics(robot, pa.solve_stand(robot))
+    peak = f"{held.motor_utilisation.max():.1%} of its limit"
+    assert lines[0].startswith("VERIFIED v3: 3.170 kg; peak torque ")
+    assert lines[0].endswith(peak)
+    assert "stands 131.5 mm high, in MuJoCo 127.3 mm, without feed-forward 119.4 mm" in lines[1]
+    assert "leg_back_l_2 touches the ground" in page.stdout
+    assert "on what was assumed: -v" in page.stdout
+    assert lines[-2:] == ["2 of 2 verified", "every table: -v; every number: --json FILE"]
+    quiet = answer("analyze", "original", "--no-figures", "-q", folder=tmp_path)
+    assert quiet.stdout == "1 of 1 verified\n"
+    both = answer("analyze", "-q", "-v", folder=tmp_path)
+    assert both.returncode == 2
+    assert both.stderr == "error: -v, -q: give one of them, or none\n"
+
+
 def test_analyze_own_variant_in_another_stance(tmp_path: Path) -> None:
     result = run(
         "analyze_variant.py",
         *("--base", "v3", "--leg-scale", "1.2", "--torso-mass-scale", "1.3"),
         *("--height", "0.15", "--roll", "0.05", "--pitch", "-0.05", "--yaw", "0.1"),
         "--no-figures",
+        "--verbose",
         cwd=tmp_path,
     )
     assert result.returncode == 0, result.stderr + result.stdout
@@ -162,7 +185,8 @@ def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)
     result = CliRunner().invoke(cli.analyze, ["original", "--no-figures"])
     assert result.exit_code == 1
-    assert "FAILED original: a joint is off by" in result.stdout
+    assert "FAILED original: " in result.stdout
+    assert "failed: a joint is off by" in result.stdout
     assert "0 of 1 verified" in result.stdout
 
 

@@ -9,11 +9,13 @@ import click
 
 from pupper_analysis.cli.shared import CONTEXT, FAILED, check_outputs, json_option, write_json
 from pupper_analysis.cli.stance_options import BASE, VARIANT, derived_variant, options
+from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.stance.task import StandTask
 
 
 @click.command(
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 )
 @json_option
 @click.option("--no-figures", is_flag=True, help="Print only.")
+@click.option("-v", "--verbose", is_flag=True, help="Print every table.")
+@click.option("-q", "--quiet", is_flag=True, help="Print the last verdict only.")
 @click.option(
     "--write",
     "write_folder",
@@ -50,6 +54,8 @@ def analyze(
     output: Path,
     json_path: Path | None,
     no_figures: bool,
+    verbose: bool,
+    quiet: bool,
     write_folder: Path | None,
 ) -> None:
     """Take variants of Pupper from their two model files to a verified stand.
@@ -58,14 +64,15 @@ def analyze(
     is given by --base, --leg-scale and --torso-mass-scale.
 
     \b
-    Printed per variant: joints and what their axes really do, masses and com, the stand (PlaCo),
-    foot Jacobians, motor torques and contact forces (Pinocchio), the simulated stand and the gain
-    sweep (MuJoCo), and the cross-check of URDF and MJCF; then a table that compares the variants.
+    Printed is a verdict and two lines per variant, and a table that compares them. With -v it is
+    all: joints and what their axes really do, masses and com, the stand (PlaCo), foot Jacobians,
+    motor torques and contact forces (Pinocchio), the simulated stand and the gain sweep (MuJoCo),
+    and the cross-check of URDF and MJCF.
 
     \b
     Examples:
       pupper-analysis analyze
-      pupper-analysis analyze original long-leg --no-figures
+      pupper-analysis analyze original long-leg --no-figures -v
       pupper-analysis analyze --base v3 --leg-scale 1.2 --json v3-1.2.json
       pupper-analysis analyze v3 --height 0.12 --pitch 0.1
 
@@ -75,7 +82,10 @@ def analyze(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, variant_spec
+    from pupper_analysis.stance.task import StandTask
 
+    if verbose and quiet:
+        raise ConfigurationError("-v, -q", "give one of them, or none")
     specs = [variant_spec(name) for name in dict.fromkeys(names)]
     derived = derived_variant(base, leg_scale, torso_mass_scale)
     if derived is not None:
@@ -85,8 +95,11 @@ def analyze(
         return
     specs = specs or list(VARIANTS.values())
     check_outputs(json_path, folders=(None if no_figures else output, write_folder))
-    analyses, robots = _analyze_all(specs, height, roll, pitch, yaw)
-    _finish(specs, robots, analyses, None if no_figures else output, json_path)
+    task = StandTask(height=height, roll=roll, pitch=pitch, yaw=yaw)
+    analyses, robots = _analyze_all(specs, task, verbose=verbose, quiet=quiet)
+    _finish(specs, robots, analyses, None if no_figures else output, json_path, quiet=quiet)
+    if not (verbose or quiet):
+        click.echo("every table: -v; every number: --json FILE")
     if write_folder is not None:
         for spec in specs:
             for path in write_variant(spec, write_folder):
@@ -96,17 +109,16 @@ def analyze(
 
 
 def _analyze_all(
-    specs: list[VariantSpec], height: float | None, roll: float, pitch: float, yaw: float
+    specs: list[VariantSpec], task: StandTask, *, verbose: bool, quiet: bool
 ) -> tuple[list[Analysis], list[Robot]]:
     """Analyses the variants and prints each as it is done."""
     from pupper_analysis.analysis.robot import analyze_variant
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.report.analysis import print_analysis
     from pupper_analysis.report.console import console
+    from pupper_analysis.report.summary import print_summary
     from pupper_analysis.stance.stand import solve_stand
-    from pupper_analysis.stance.task import StandTask
 
-    task = StandTask(height=height, roll=roll, pitch=pitch, yaw=yaw)
     robots = [load_variant(spec) for spec in specs]
     for robot in robots:  # a stance out of reach is found before anything is printed
         solve_stand(robot, task)
@@ -114,7 +126,8 @@ def _analyze_all(
     analyses = []
     for robot in robots:
         analyses.append(analyze_variant(robot, task, progress=out.is_terminal))
-        print_analysis(out, analyses[-1])
+        if not quiet:
+            (print_analysis if verbose else print_summary)(out, analyses[-1])
     return analyses, robots
 
 
@@ -124,6 +137,8 @@ def _finish(
     analyses: list[Analysis],
     folder: Path | None,
     json_path: Path | None,
+    *,
+    quiet: bool,
 ) -> None:
     """Compares the variants, and writes figures and JSON."""
     from pupper_analysis.analysis.robot import leg_lengths, thigh_shape_length
@@ -143,17 +158,20 @@ def _finish(
         for spec, analysis in zip(specs, analyses, strict=True)
     ]
     out = console()
-    comparison.print_comparison(out, rows)
+    if not quiet:
+        comparison.print_comparison(out, rows)
     if folder is not None:
         for line in _draw(robots, analyses, folder):
-            out.print(escape(line))
+            if not quiet:
+                out.print(escape(line))
     if json_path is not None:
         content: dict[str, Any] = {
             "variants": {analysis.name: analysis for analysis in analyses},
             "comparison": rows,
         }
         write_json(json_path, content)
-        out.print(escape(f"results: {json_path}"))
+        if not quiet:
+            out.print(escape(f"results: {json_path}"))
     good = sum(analysis.verified for analysis in analyses)
     out.print(f"{good} of {len(analyses)} verified")
 
