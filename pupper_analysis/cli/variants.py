@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pupper_analysis.cli.shared import CONTEXT, FAILED, check_outputs, json_option, write_json
+from pupper_analysis.cli.shared import (
+    CONTEXT,
+    FAILED,
+    check_outputs,
+    json_option,
+    report_option,
+    write_json,
+    write_page,
+)
 from pupper_analysis.cli.stance_options import BASE, VARIANT, derived_variant, options
 
 if TYPE_CHECKING:
@@ -30,6 +38,7 @@ if TYPE_CHECKING:
     help="Folder for the figures; made if need be.",
 )
 @json_option
+@report_option
 @click.option("--no-figures", is_flag=True, help="Print only.")
 @click.option(
     "--write",
@@ -49,6 +58,7 @@ def analyze(
     yaw: float,
     output: Path,
     json_path: Path | None,
+    report_path: Path | None,
     no_figures: bool,
     write_folder: Path | None,
 ) -> None:
@@ -84,9 +94,9 @@ def analyze(
         _print_list(specs or list(VARIANTS.values()))
         return
     specs = specs or list(VARIANTS.values())
-    check_outputs(json_path, folders=(None if no_figures else output, write_folder))
+    check_outputs(json_path, report_path, folders=(None if no_figures else output, write_folder))
     analyses, robots = _analyze_all(specs, height, roll, pitch, yaw)
-    _finish(specs, robots, analyses, None if no_figures else output, json_path)
+    _finish(specs, robots, analyses, None if no_figures else output, json_path, report_path)
     if write_folder is not None:
         for spec in specs:
             for path in write_variant(spec, write_folder):
@@ -124,8 +134,9 @@ def _finish(
     analyses: list[Analysis],
     folder: Path | None,
     json_path: Path | None,
+    report_path: Path | None,
 ) -> None:
-    """Compares the variants, and writes figures and JSON."""
+    """Compares the variants, and writes figures, JSON and report."""
     from pupper_analysis.analysis.robot import leg_lengths, thigh_shape_length
     from pupper_analysis.pupper import comparison
     from pupper_analysis.pupper.load import load_variant
@@ -154,6 +165,9 @@ def _finish(
         }
         write_json(json_path, content)
         out.print(escape(f"results: {json_path}"))
+    if report_path is not None:
+        write_page(report_path, [*analyses, comparison.comparison_table(rows)], robots)
+        out.print(escape(f"report: {report_path}"))
     good = sum(analysis.verified for analysis in analyses)
     out.print(f"{good} of {len(analyses)} verified")
 

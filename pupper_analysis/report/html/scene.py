@@ -1,0 +1,242 @@
+"""What is drawn of a robot in three dimensions: its shapes, where they are, and what acts on it."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.analysis.robot import joint_summaries
+from pupper_analysis.report.formats import visible
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.stand import Stand
+from pupper_analysis.statics.equilibrium import GravityCompensation
+from pupper_analysis.statics.support_polygon import support_polygon
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+SHAPES = {
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): "ellipsoid",
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
+    int(mujoco.mjtGeom.mjGEOM_BOX): "box",
+    int(mujoco.mjtGeom.mjGEOM_MESH): "mesh",
+}
+
+SHOWN_GROUPS = 3
+"""MuJoCo's viewer shows the geoms of groups 0 to 2, and keeps the others for collisions."""
+
+MOST_FACES = 12_000
+"""Of all meshes of a robot together: some 150 kB of the file, so that six robots fit in 3 MB."""
+
+_COARSEST = 512  # cells along a mesh's longest side at first, when it is made coarser
+
+
+def scene_of(
+    robot: Robot,
+    stand: Stand,
+    statics: GravityCompensation | None,
+    motion: tuple[ArrayLike, ArrayLike] | None = None,
+) -> dict[str, Any]:
+    """Returns a stand as plain lists and numbers: lengths in m, in the world unless said.
+
+    Args:
+        robot: The robot.
+        stand: How it stands.
+        statics: What holds it there, if forces, torques and the com are to be shown.
+        motion: (n,) times (s) and (n, nq) configurations to step through, if there are some.
+    """
+    model = robot.mj_model
+    data = mujoco.MjData(model)
+    time, configurations = ([0.0], [stand.qpos]) if motion is None else motion
+    frames = []
+    for qpos in np.atleast_2d(np.asarray(configurations, dtype=float)):
+        robot.mj_convention.set_state(data, qpos)
+        mujoco.mj_kinematics(model, data)
+        frames.append(_short(np.concatenate([data.xpos, data.xquat], axis=1)[1:]))
+    geoms, meshes = _geoms(model)
+    points = np.array(list(stand.contact_points.values()))
+    polygon = support_polygon(points) if len(points) > 2 else points[:, :2]
+    return {
+        "bodies": _bodies(model),
+        "geoms": geoms,
+        "meshes": meshes,
+        "time": _short(np.asarray(time, dtype=float)),
+        "frames": frames,
+        "joints": _joints(robot, stand, statics),
+        "contacts": [
+            {
+                "name": visible(foot),
+                "point": _short(statics.contact_points[foot]),
+                "force": _short(force),
+            }
+            for foot, force in statics.contact_forces.items()
+        ]
+        if statics
+        else [],
+        "polygon": _short(polygon),
+        "ground": _short(points.mean(axis=0)),
+        "normal": _short(np.mean(list(stand.normals.values()), axis=0)),
+        "com": None if statics is None else _short(statics.center_of_mass),
+        "middle": _short(stand.qpos[:3]),
+        "size": float(np.ptp(points, axis=0).max() + stand.qpos[2]),
+    }
+
+
+def _short(values: Array) -> list[Any]:
+    """Returns numbers to a hundredth of a millimetre: a view shows no more."""
+    return np.round(values, 5).tolist()  # type: ignore[no-any-return]
+
+
+def _bodies(model: mujoco.MjModel) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": visible(str(model.body(body).name)),
+            "mass": round(float(model.body_mass[body]), 6),
+            "com": _short(model.body_ipos[body]),
+        }
+        for body in range(1, model.nbody)
+    ]
+
+
+def _joints(
+    robot: Robot, stand: Stand, statics: GravityCompensation | None
+) -> list[dict[str, Any]]:
+    """Returns each joint's axis, what it does, where it is and what its motor holds."""
+    model = robot.mj_model
+    positions = stand.joint_positions(robot)
+    listed = []
+    for index, (summary, limit) in enumerate(
+        zip(joint_summaries(robot), robot.effort_limits, strict=True)
+    ):
+        joint = model.joint(summary.name).id
+        listed.append(
+            {
+                "name": visible(summary.name),
+                "body": int(model.jnt_bodyid[joint]) - 1,
+                "anchor": _short(model.jnt_pos[joint]),
+                "axis": _short(model.jnt_axis[joint]),
+                "motion": summary.motion,
+                "position": round(float(positions[index]), 4),
+                "torque": None
+                if statics is None
+                else round(float(statics.joint_torques[index]), 4),
+                "limit": round(float(limit), 4) if np.isfinite(limit) else None,
+            }
+        )
+    return listed
+
+
+def _geoms(model: mujoco.MjModel) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
+    """Returns the robot's shapes, and the meshes that they have."""
+    own = [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] and int(model.geom_type[geom]) in SHAPES
+    ]
+    seen = [geom for geom in own if model.geom_group[geom] < SHOWN_GROUPS] or own
+    ids = {
+        int(model.geom_dataid[geom])
+        for geom in seen
+        if int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_MESH)
+    }
+    total = sum(int(model.mesh_facenum[mesh]) for mesh in ids)
+    share = min(1.0, MOST_FACES / max(total, 1))
+    meshes = {str(mesh): _mesh(model, mesh, share) for mesh in sorted(ids)}
+    geoms = []
+    for geom in seen:
+        shape = SHAPES[int(model.geom_type[geom])]
+        material = int(model.geom_matid[geom])
+        colour = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+        entry: dict[str, Any] = {
+            "shape": shape,
+            "body": int(model.geom_bodyid[geom]) - 1,
+            "size": _short(model.geom_size[geom]),
+            "pos": _short(model.geom_pos[geom]),
+            "quat": _short(model.geom_quat[geom]),
+            "colour": np.round(colour, 3).tolist(),
+        }
+        if shape == "mesh":
+            entry["mesh"] = str(int(model.geom_dataid[geom]))
+        geoms.append(entry)
+    return geoms, meshes
+
+
+def _mesh(model: mujoco.MjModel, mesh: int, share: float) -> dict[str, Any]:
+    """Returns a mesh with about ``share`` of its faces, in whole steps of its box's sides."""
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    start, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    vertices = np.asarray(model.mesh_vert[first : first + count], dtype=float)
+    triangles = np.asarray(model.mesh_face[start : start + faces], dtype=np.int64)
+    wanted = max(int(share * faces), 100)
+    cells = _COARSEST
+    while len(triangles) > wanted and cells > 4:
+        vertices, triangles = coarser(vertices, triangles, cells)
+        cells = int(0.75 * cells)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    span = np.where(high > low, high - low, 1.0)
+    steps = np.round((vertices - low) / span * 65535).astype("<u2")
+    return {
+        "low": _short(low),
+        "span": _short(span),
+        "vertices": base64.b64encode(steps.tobytes()).decode(),
+        "faces": base64.b64encode(triangles.astype("<u4").tobytes()).decode()
+        if len(vertices) > 65535
+        else base64.b64encode(triangles.astype("<u2").tobytes()).decode(),
+        "wide": len(vertices) > 65535,
+    }
+
+
+def coarser(vertices: Array, triangles: Integers, cells: int) -> tuple[Array, Integers]:
+    """Returns a mesh whose vertices within a cell of a grid are one.
+
+    Args:
+        vertices: (n, 3) (m).
+        triangles: (m, 3) their vertices.
+        cells: How many of them the longest side of the mesh's box has.
+
+    Returns:
+        Vertices, each the mean of those in a cell, and the triangles that have not collapsed.
+
+    Source: Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes",
+    1993: vertex clustering.
+    """
+    low = vertices.min(axis=0)
+    size = float(np.ptp(vertices, axis=0).max()) / cells
+    keys = np.floor((vertices - low) / size).astype(np.int64)
+    _, cell = np.unique(keys, axis=0, return_inverse=True)
+    cell = cell.ravel()
+    count = np.bincount(cell)
+    merged = np.column_stack([np.bincount(cell, vertices[:, axis]) / count for axis in range(3)])
+    moved = cell[triangles]
+    whole = (
+        (moved[:, 0] != moved[:, 1]) & (moved[:, 1] != moved[:, 2]) & (moved[:, 2] != moved[:, 0])
+    )
+    return merged, moved[whole]
+
+
+def shared(scenes: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Takes meshes out of scenes, where several robots have the same, and returns each once.
+
+    The scenes' own are replaced by the names under which they are returned.
+    """
+    found: dict[tuple[str, str, str], str] = {}
+    meshes: dict[str, dict[str, Any]] = {}
+    for scene in scenes.values():
+        names = {}
+        for name, mesh in scene.pop("meshes").items():
+            key = (mesh["vertices"], mesh["faces"], str(mesh["low"]) + str(mesh["span"]))
+            if key not in found:
+                found[key] = f"m{len(found)}"
+                meshes[found[key]] = mesh
+            names[name] = found[key]
+        for geom in scene["geoms"]:
+            if "mesh" in geom:
+                geom["mesh"] = names[geom["mesh"]]
+    return meshes

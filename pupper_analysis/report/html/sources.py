@@ -1,0 +1,89 @@
+"""Where a report's numbers come from: files and their lines, pages of the documentation, proofs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.places import line_of
+from pupper_analysis.models.xml import parse
+from pupper_analysis.report.html.document import Name, Text
+from pupper_analysis.report.html.words import text
+from pupper_analysis.robot.robot import Robot
+
+MOST_LETTERS = 240
+"""Of a line of a file that is quoted: three lines of the page."""
+
+
+def page(name: str, heading: str) -> Text:
+    """Returns where the documentation says how something is computed."""
+    return text("Computed as in docs/{page}, “{heading}”.", page=name, heading=Name(heading))
+
+
+def files(robot: Robot | None) -> Text:
+    """Returns which two files a robot is from."""
+    if robot is None:
+        return text("From the robot's URDF and MJCF.")
+    description = robot.description
+    names = {
+        "urdf": Name(description.urdf_source.name),
+        "mjcf": Name(description.mjcf_source.name),
+    }
+    if is_derived(robot):
+        return text("Derived from {urdf} (URDF) and {mjcf} (MJCF) by scaling.", **names)
+    return text("From {urdf} (URDF) and {mjcf} (MJCF).", **names)
+
+
+def is_derived(robot: Robot) -> bool:
+    """Whether a robot's URDF is not word by word what stands in its file."""
+    return robot.description.urdf != _text(robot.description.urdf_source)
+
+
+def joint_places(robot: Robot) -> dict[str, tuple[str, str]]:
+    """Returns {joint: its lines in URDF and MJCF}; an empty text where it is not found."""
+    lines = [
+        _joint_lines(path)
+        for path in (robot.description.urdf_source, robot.description.mjcf_source)
+    ]
+    return {name: (lines[0].get(name, ""), lines[1].get(name, "")) for name in robot.joint_names}
+
+
+def _joint_lines(path: Path) -> dict[str, str]:
+    try:
+        _, root = parse(path)
+    except ModelError:
+        return {}  # made in memory, or gone: the report has its numbers all the same
+    return {
+        str(joint.get("name")): f"{path.name}:{line_of(joint)}"
+        for joint in root.iter("joint")
+        if joint.get("name") and line_of(joint)
+    }
+
+
+def quoted(place: str | None, *paths: str) -> str:
+    """Returns the line of a file that a place names, or nothing if there is none.
+
+    Args:
+        place: ``file:line``; the file's name, or its path.
+        *paths: The files that may be meant; included ones stand beside them, or below.
+    """
+    file, _, line = (place or "").rpartition(":")
+    if not file or not line.isdigit():
+        return ""
+    candidates = [Path(file)]
+    for path in map(Path, paths):
+        candidates += [path] if path.name == Path(file).name else []
+        candidates.append(path.parent / file)
+    for candidate in candidates:
+        rows = _text(candidate).split("\n")
+        if 0 < int(line) <= len(rows) and rows[int(line) - 1].strip():
+            row = rows[int(line) - 1].strip()
+            return row if len(row) <= MOST_LETTERS else f"{row[:MOST_LETTERS]}…"
+    return ""
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    except (OSError, ValueError):
+        return ""
