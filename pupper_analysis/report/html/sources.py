@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from pupper_analysis.errors import ModelError
-from pupper_analysis.models.places import line_of
-from pupper_analysis.models.xml import parse
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.places import Place
+from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.report.html.document import Name, Text
 from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
@@ -41,23 +42,20 @@ def is_derived(robot: Robot) -> bool:
 
 def joint_places(robot: Robot) -> dict[str, tuple[str, str]]:
     """Returns {joint: its lines in URDF and MJCF}; an empty text where it is not found."""
-    lines = [
-        _joint_lines(path)
-        for path in (robot.description.urdf_source, robot.description.mjcf_source)
-    ]
-    return {name: (lines[0].get(name, ""), lines[1].get(name, "")) for name in robot.joint_names}
-
-
-def _joint_lines(path: Path) -> dict[str, str]:
+    description = robot.description
+    lines: dict[str, tuple[str, str]] = {}
     try:
-        _, root = parse(path)
+        files = read_urdf(description.urdf_source), read_mjcf(description.mjcf_source)
     except ModelError:
-        return {}  # made in memory, or gone: the report has its numbers all the same
-    return {
-        str(joint.get("name")): f"{path.name}:{line_of(joint)}"
-        for joint in root.iter("joint")
-        if joint.get("name") and line_of(joint)
-    }
+        return lines  # made in memory, or gone: the report has its numbers all the same
+    for name in robot.joint_names:
+        urdf, mjcf = (file.place("joint", name) for file in files)
+        lines[name] = (_where(urdf), _where(mjcf))
+    return lines
+
+
+def _where(place: Place) -> str:
+    return "" if place.line is None else str(place)
 
 
 def quoted(place: str | None, *paths: str) -> str:
