@@ -39,7 +39,11 @@ SHOWN = 40
 def comparison_section(comparison: Comparison) -> Section:
     """Returns what makes two files disagree."""
     causes, groups = by_cause(comparison, everything=False)
-    blocks: list[Block] = []
+    blocks: list[Block] = [
+        Lines(
+            (text("URDF: {file}", file=comparison.urdf), text("MJCF: {file}", file=comparison.mjcf))
+        )
+    ]
     for part in comparison.parts:
         blocks.append(Lines((Said(part),), "bad", text("Only in one file")))
     for cause in causes:
@@ -87,7 +91,7 @@ def _sides(comparison: Comparison, difference: Difference, title: Words, *notes:
     ):
         line = quoted(place, *paths)
         shown: Words = Name(line) if line else Name(f"{short(value)} {difference.unit}")
-        columns.append((Name(place) if place else text("not in the file"), shown))
+        columns.append((Name(_short(place)) if place else text("not in the file"), shown))
     return Sides(
         title,
         tuple(columns),
@@ -101,15 +105,15 @@ def _differences(comparison: Comparison) -> Table:
         effect = difference.weight[1]
         rows.append(
             (
-                number(order, "d"),
+                number(order, "g"),
                 word(difference.kind),
                 Name(difference.element),
                 _value(difference.urdf),
                 _value(difference.mjcf),
                 Name(difference.unit),
                 Number(f"{effect:.1e}", effect),
-                Name(difference.urdf_place or ""),
-                Name(difference.mjcf_place or ""),
+                Name(_short(difference.urdf_place)),
+                Name(_short(difference.mjcf_place)),
             )
         )
     return Table(
@@ -129,6 +133,11 @@ def _differences(comparison: Comparison) -> Table:
         (),
         (page("disagreement.md", "How to read it"),),
     )
+
+
+def _short(place: str | None) -> str:
+    """Returns a place with its file's name alone: the folders are told once."""
+    return "" if place is None else Path(place).name
 
 
 def _value(value: object) -> Cell:

@@ -12,8 +12,8 @@ from pupper_analysis.report.html.document import Name, Text
 from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
 
-MOST_LETTERS = 240
-"""Of a line of a file that is quoted: three lines of the page."""
+MOST_LETTERS, MOST_LINES = 400, 8
+"""Of an element of a file that is quoted: what stands on some lines of the page."""
 
 
 def page(name: str, heading: str) -> Text:
@@ -59,11 +59,15 @@ def _where(place: Place) -> str:
 
 
 def quoted(place: str | None, *paths: str) -> str:
-    """Returns the line of a file that a place names, or nothing if there is none.
+    """Returns what stands at a place in a file, or nothing if there is none.
 
     Args:
         place: ``file:line``; the file's name, or its path.
         *paths: The files that may be meant; included ones stand beside them, or below.
+
+    Returns:
+        The line; and those before it, back to where its element begins, as an XML reader tells the
+        line on which a tag ends.
     """
     file, _, line = (place or "").rpartition(":")
     if not file or not line.isdigit():
@@ -73,11 +77,21 @@ def quoted(place: str | None, *paths: str) -> str:
         candidates += [path] if path.name == Path(file).name else []
         candidates.append(path.parent / file)
     for candidate in candidates:
-        rows = _text(candidate).split("\n")
-        if 0 < int(line) <= len(rows) and rows[int(line) - 1].strip():
-            row = rows[int(line) - 1].strip()
-            return row if len(row) <= MOST_LETTERS else f"{row[:MOST_LETTERS]}…"
+        rows = _text(candidate).split("\n")[: int(line)]
+        if len(rows) == int(line) and rows[-1].strip():
+            return _element(rows)
     return ""
+
+
+def _element(rows: list[str]) -> str:
+    """Returns the last of some lines, and those before it that belong to the same tag."""
+    begin = len(rows) - 1
+    while begin > max(0, len(rows) - MOST_LINES) and not rows[begin].lstrip().startswith("<"):
+        begin -= 1
+    if not rows[begin].lstrip().startswith("<"):
+        begin = len(rows) - 1
+    shown = "\n".join(row.strip() for row in rows[begin:])
+    return shown if len(shown) <= MOST_LETTERS else f"{shown[:MOST_LETTERS]}…"
 
 
 def _text(path: Path) -> str:
