@@ -25,7 +25,7 @@ from pupper_analysis.report.html.document import (
     number,
     vector,
 )
-from pupper_analysis.report.html.loads import load_blocks, proof, run_rows, view_block
+from pupper_analysis.report.html.loads import load_blocks, motions_of, proof, run_rows, view_block
 from pupper_analysis.report.html.sources import files, is_derived, joint_places, page
 from pupper_analysis.report.html.words import text, word
 from pupper_analysis.robot.robot import Robot
@@ -43,7 +43,8 @@ def analysis_section(analysis: Analysis, robot: Robot | None) -> Section:
     blocks: list[Block] = []
     if analysis.failures:
         blocks.append(Lines(tuple(map(Said, analysis.failures)), "bad", text("What failed")))
-    blocks.append(view_block(robot, analysis.stand, analysis.statics))
+    runs = (analysis.verification, analysis.sagging)
+    blocks.append(view_block(robot, analysis.stand, analysis.statics, motions_of(runs)))
     blocks += _structure(analysis, robot)
     blocks.append(_stand(analysis))
     blocks += load_blocks(

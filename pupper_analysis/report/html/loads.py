@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 from pupper_analysis.report.html import plots
 from pupper_analysis.report.html.document import (
-    Array,
     Block,
     Cell,
     Column,
@@ -21,7 +20,7 @@ from pupper_analysis.report.html.document import (
     number,
     vector,
 )
-from pupper_analysis.report.html.scene import scene_of
+from pupper_analysis.report.html.scene import Motion, scene_of
 from pupper_analysis.report.html.sources import page
 from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
@@ -193,19 +192,33 @@ def view_block(
     robot: Robot | None,
     stand: Stand,
     statics: GravityCompensation | None,
-    motion: tuple[Array, Array] | None = None,
+    motions: Sequence[Motion] = (),
 ) -> Block:
     """Returns the stand in three dimensions, or that it is left out; see ``scene_of``."""
     if robot is None:
         return Lines((text("The view in three dimensions is left out: no robot was given."),))
     return View(
         text("The stand in three dimensions"),
-        scene_of(robot, stand, statics, motion),
+        scene_of(robot, stand, statics, motions),
         text(
             "Shapes, masses and joint axes are those of the MJCF; contact forces, com and support "
             "polygon are the prediction's."
         ),
     )
+
+
+def motions_of(runs: Sequence[StandVerification]) -> list[Motion]:
+    """Returns the simulated motions."""
+    return [
+        Motion(
+            text("simulated, with feed-forward")
+            if run.feedforward
+            else text("simulated, without feed-forward"),
+            run.motion_time,
+            run.motion,
+        )
+        for run in runs
+    ]
 
 
 def run_rows(runs: Sequence[StandVerification]) -> tuple[tuple[Cell, ...], ...]:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pupper_analysis.analysis.robot import joint_summaries
 from pupper_analysis.report.formats import visible
+from pupper_analysis.report.html.document import Text
+from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -35,14 +38,32 @@ SHOWN_GROUPS = 3
 MOST_FACES = 12_000
 """Of all meshes of a robot together: some 150 kB of the file, so that six robots fit in 3 MB."""
 
+MOST_FRAMES = 80
+"""Configurations of a motion: what a slider of its width can tell apart."""
+
 _COARSEST = 512  # cells along a mesh's longest side at first, when it is made coarser
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a view can step through.
+
+    Attributes:
+        name: What moves.
+        time: (n,) when (s).
+        qpos: (n, nq) how the robot is then.
+    """
+
+    name: Text
+    time: Array
+    qpos: Array
 
 
 def scene_of(
     robot: Robot,
     stand: Stand,
     statics: GravityCompensation | None,
-    motion: tuple[ArrayLike, ArrayLike] | None = None,
+    motions: Sequence[Motion] = (),
 ) -> dict[str, Any]:
     """Returns a stand as plain lists and numbers: lengths in m, in the world unless said.
 
@@ -50,16 +71,11 @@ def scene_of(
         robot: The robot.
         stand: How it stands.
         statics: What holds it there, if forces, torques and the com are to be shown.
-        motion: (n,) times (s) and (n, nq) configurations to step through, if there are some.
+        motions: What can be stepped through, beside the stand itself.
     """
     model = robot.mj_model
     data = mujoco.MjData(model)
-    time, configurations = ([0.0], [stand.qpos]) if motion is None else motion
-    frames = []
-    for qpos in np.atleast_2d(np.asarray(configurations, dtype=float)):
-        robot.mj_convention.set_state(data, qpos)
-        mujoco.mj_kinematics(model, data)
-        frames.append(_short(np.concatenate([data.xpos, data.xquat], axis=1)[1:]))
+    still = Motion(text("the stand"), np.zeros(1), stand.qpos[None])
     geoms, meshes = _geoms(model)
     points = np.array(list(stand.contact_points.values()))
     polygon = support_polygon(points) if len(points) > 2 else points[:, :2]
@@ -67,8 +83,7 @@ def scene_of(
         "bodies": _bodies(model),
         "geoms": geoms,
         "meshes": meshes,
-        "time": _short(np.asarray(time, dtype=float)),
-        "frames": frames,
+        "motions": [_frames(robot, data, motion) for motion in (still, *motions)],
         "joints": _joints(robot, stand, statics),
         "contacts": [
             {
@@ -86,6 +101,32 @@ def scene_of(
         "com": None if statics is None else _short(statics.center_of_mass),
         "middle": _short(stand.qpos[:3]),
         "size": float(np.ptp(points, axis=0).max() + stand.qpos[2]),
+    }
+
+
+def _frames(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]:
+    """Returns where the bodies are in each configuration.
+
+    ``frames`` are whole numbers of 16 bits: per configuration and body x, y, z in parts of
+    ``reach`` / 32767, then the quaternion w, x, y, z in parts of 1 / 32767.
+    """
+    finite = np.isfinite(motion.qpos).all(axis=1)
+    most = np.linspace(0, finite.sum() - 1, min(int(finite.sum()), MOST_FRAMES)).round()
+    chosen = np.flatnonzero(finite)[np.unique(most.astype(int))]
+    poses = []
+    for qpos in motion.qpos[chosen]:
+        robot.mj_convention.set_state(data, qpos)
+        mujoco.mj_kinematics(robot.mj_model, data)
+        poses.append(np.concatenate([data.xpos, data.xquat], axis=1)[1:])
+    values = np.array(poses)
+    reach = max(float(np.abs(values[..., :3]).max()), 1e-3)
+    values[..., :3] /= reach
+    return {
+        "en": motion.name.en,
+        "zh": motion.name.zh,
+        "time": _short(motion.time[chosen]),
+        "reach": reach,
+        "frames": base64.b64encode(np.round(32767 * values).astype("<i2").tobytes()).decode(),
     }
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-import numpy as np
-
 from pupper_analysis.analysis.path import PathThere
 from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.analysis.stance import Stance
@@ -25,7 +23,8 @@ from pupper_analysis.report.html.document import (
     Words,
     number,
 )
-from pupper_analysis.report.html.loads import load_blocks, proof, run_rows, view_block
+from pupper_analysis.report.html.loads import load_blocks, motions_of, proof, run_rows, view_block
+from pupper_analysis.report.html.scene import Motion
 from pupper_analysis.report.html.sources import files, page
 from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
@@ -37,7 +36,7 @@ def stance_section(stance: Stance, robot: Robot | None) -> Section:
     blocks: list[Block] = []
     if run.failures:
         blocks.append(Lines(tuple(map(Said, run.failures)), "bad", text("What failed")))
-    blocks.append(view_block(robot, stance.sunk or stance.stand, stance.statics))
+    blocks.append(view_block(robot, stance.sunk or stance.stand, stance.statics, motions_of([run])))
     blocks.append(Lines((Said(str(stance.stand.task)), files(robot), *_told(stance))))
     blocks += load_blocks(
         stance.statics,
@@ -198,16 +197,9 @@ def push_table(pushes: Sequence[PushedStance]) -> Table:
     )
 
 
-MOST_FRAMES = 120
-"""Configurations of a path that its view steps through: what a slider can tell apart."""
-
-
 def path_section(there: PathThere, robot: Robot | None) -> Section:
     """Returns the path to a stance, which its view steps through, and how it is followed."""
     path, tracking = there.path, there.tracking
-    chosen = np.unique(
-        np.linspace(0, len(path.time) - 1, min(len(path.time), MOST_FRAMES)).round().astype(int)
-    )
     time = plots.Axis(text("time"), "s", ".2f")
     feet = [
         plots.Series(Name(foot), path.time, path.loads[:, index])
@@ -249,8 +241,8 @@ def path_section(there: PathThere, robot: Robot | None) -> Section:
             feet,
         ),
     ]
-    motion = (path.time[chosen], path.qpos[chosen])
-    blocks.insert(0, view_block(robot, there.stand, None, motion))
+    motion = Motion(text("the path"), path.time, path.qpos)
+    blocks.insert(0, view_block(robot, there.stand, None, [motion]))
     if tracking.failures:
         blocks.insert(0, Lines(tuple(map(Said, tracking.failures)), "bad", text("What failed")))
     return Section(

@@ -164,6 +164,7 @@ def _interface() -> dict[str, Any]:
         "view_hint": _HINT,
         "reset": "Reset the view",
         "time": "time",
+        "motion": "motion shown",
         "joint_axes": "joint axes",
         "no_library": _NO_LIBRARY,
         "skip": "Skip to the summary",

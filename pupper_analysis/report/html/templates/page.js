@@ -12,6 +12,8 @@
     root.lang = language;
     for (const item of document.querySelectorAll("[aria-label][data-en]"))
       item.setAttribute("aria-label", chinese() ? item.dataset.zh : item.dataset.en);
+    for (const item of document.querySelectorAll("option[data-en]"))
+      item.textContent = chinese() ? item.dataset.zh : item.dataset.en;
     const button = document.getElementById("language");
     button.textContent = chinese() ? "English" : "中文";
     button.lang = chinese() ? "en" : "zh-Hans";

@@ -63,6 +63,7 @@
       this.told = stage.querySelector(".told");
       this.hint = this.told.innerHTML;
       this.data = JSON.parse(stage.querySelector("script.scene").textContent);
+      this.motion = 0;
       this.frame = 0;
       this.lit = -1;
       this.home();
@@ -244,12 +245,16 @@
     }
 
     place() {
-      this.data.frames[this.frame].forEach(([x, y, z, ...turn], index) => {
-        this.bodies[index].position.set(x, y, z);
-        this.bodies[index].quaternion.copy(quaternion(turn));
+      const motion = this.data.motions[this.motion];
+      const numbers = motion.numbers ?? (motion.numbers = new Int16Array(bytes(motion.frames)));
+      this.bodies.forEach((body, index) => {
+        const first = 7 * (this.frame * this.bodies.length + index);
+        const [x, y, z, ...turn] = Array.from(numbers.subarray(first, first + 7), (n) => n / 32767);
+        body.position.set(x, y, z).multiplyScalar(motion.reach);
+        body.quaternion.copy(quaternion(turn)).normalize();
       });
       const at = this.stage.querySelector(".at");
-      if (at) at.textContent = `${this.data.time[this.frame].toFixed(2)} s`;
+      if (at) at.textContent = `${motion.time[this.frame].toFixed(2)} s`;
     }
 
     show(input) {
@@ -399,11 +404,18 @@
         button.addEventListener("blur", off);
       }
       const slider = this.stage.querySelector(".time");
-      if (slider)
-        slider.addEventListener("input", () => {
-          this.frame = Number(slider.value);
-          if (this.renderer) { this.place(); this.draw(); }
-        });
+      const choice = this.stage.querySelector(".motion");
+      const step = () => {
+        this.frame = Number(slider.value);
+        if (this.renderer) { this.place(); this.draw(); }
+      };
+      slider?.addEventListener("input", step);
+      choice?.addEventListener("change", () => {
+        this.motion = Number(choice.value);
+        slider.max = this.data.motions[this.motion].time.length - 1;
+        slider.value = 0;
+        step();
+      });
       window.report.listeners.push(() => {
         this.light(-1, "");
         if (this.renderer) { this.build(); this.draw(); } // in the colours of the other theme
