@@ -2,35 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
 from pupper_analysis.analysis.robot import Analysis
-from pupper_analysis.report.html import plots
 from pupper_analysis.report.html.document import (
-    Array,
     Block,
     Cell,
     Column,
     Lines,
     Name,
     Number,
-    Plot,
     Said,
     Section,
     Table,
-    Text,
     Words,
     number,
     vector,
 )
-from pupper_analysis.report.html.loads import load_blocks, motions_of, proof, run_rows, view_block
+from pupper_analysis.report.html.loads import load_blocks, view_block
+from pupper_analysis.report.html.simulated import (
+    edge_note,
+    motions_of,
+    simulation_blocks,
+    sweep_blocks,
+)
 from pupper_analysis.report.html.sources import files, is_derived, joint_places, page
 from pupper_analysis.report.html.words import text, word
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.gain_sweep import GainSweep
-from pupper_analysis.simulation.verify import StandVerification
 
 
 def analysis_section(analysis: Analysis, robot: Robot | None) -> Section:
@@ -54,8 +54,8 @@ def analysis_section(analysis: Analysis, robot: Robot | None) -> Section:
         [joint.effort for joint in analysis.joints],
         {Column(text("hanging"), "N m"): analysis.hanging_torques.tolist()},
     )
-    blocks += _simulation(analysis)
-    blocks += _sweep(analysis.sweep)
+    blocks += simulation_blocks(analysis)
+    blocks += sweep_blocks(analysis.sweep)
     blocks.append(_jacobians(analysis))
     blocks.append(_check(analysis))
     return Section(
@@ -90,7 +90,7 @@ def _surprises(analysis: Analysis) -> Iterable[Words]:
         yield text("Commanded the pose alone, without feed-forward, it does not stand:")
         yield from map(Said, without.failures)
     if analysis.sweep.at_edge:
-        yield _edge(analysis.sweep)
+        yield edge_note(analysis.sweep)
     yield from map(Said, analysis.notes)
 
 
@@ -114,6 +114,18 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[Block]:
             files(robot),
         )
     )
+    yield _joints(analysis, robot)
+    yield Table(
+        text("Masses of the bodies"),
+        (Column(text("base, or joint that moves it"), left=True), Column(text("mass"), "kg")),
+        tuple((Name(name), number(mass, ".3f")) for name, mass in analysis.link_masses.items()),
+        (text("Fixed links are counted with what they are fixed to."),),
+        (files(robot), page("physics.md", "Scaling a robot")),
+    )
+
+
+def _joints(analysis: Analysis, robot: Robot | None) -> Table:
+    """Returns what each joint does and can, and where that stands in the files."""
     places = {} if robot is None else joint_places(robot)
     rows: list[tuple[Cell, ...]] = []
     for joint in analysis.joints:
@@ -142,7 +154,7 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[Block]:
     notes: list[Words] = [text("Axes at zero angles, in the base's frame.")]
     if robot is not None and is_derived(robot):
         notes.append(text("The lines are those of the files that it was derived from."))
-    yield Table(
+    return Table(
         text("Joints, in actuator order"),
         (
             Column(text("joint"), left=True),
@@ -163,13 +175,6 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[Block]:
             text("Limits from the URDF; armature, damping and friction from the MJCF."),
             page("conventions.md", "Coordinates"),
         ),
-    )
-    yield Table(
-        text("Masses of the bodies"),
-        (Column(text("base, or joint that moves it"), left=True), Column(text("mass"), "kg")),
-        tuple((Name(name), number(mass, ".3f")) for name, mass in analysis.link_masses.items()),
-        (text("Fixed links are counted with what they are fixed to."),),
-        (files(robot), page("physics.md", "Scaling a robot")),
     )
 
 
@@ -226,133 +231,6 @@ def _jacobians(analysis: Analysis) -> Block:
             text("Pinocchio's, of the URDF; the cross-check compares them with MuJoCo's."),
             page("conventions.md", "Frames and feet"),
         ),
-    )
-
-
-def _simulation(analysis: Analysis) -> Iterable[Block]:
-    run = analysis.verification
-    both = (run, analysis.sagging)
-    verdicts = tuple(text("stands") if one.passed else text("FAILED") for one in both)
-    table = Table(
-        text(
-            "MuJoCo, {seconds} s on the floating base ({integrator}, {step} ms; kp {kp} N m/rad, "
-            "kd {kd} N m s/rad)",
-            seconds=f"{run.duration:g}",
-            integrator=Name(run.integrator),
-            step=f"{1e3 * run.timestep:g}",
-            kp=_interval(run.kp),
-            kd=_interval(run.kd),
-        ),
-        (
-            Column(text("quantity"), left=True),
-            Column(text("with feed-forward")),
-            Column(text("without")),
-            Column(text("unit"), left=True),
-        ),
-        (*run_rows(both), (text("verdict"), *verdicts, Name(""))),
-        (),
-        (page("physics.md", "Position servos sag"), proof(run)),
-    )
-    yield table
-    for one, title in zip(
-        both, ("with feed-forward it fails", "without feed-forward it fails"), strict=True
-    ):
-        if one.failures:
-            yield Lines(tuple(map(Said, one.failures)), "warn", text(title))
-    yield height_plot(both, float(analysis.stand.qpos[2]))
-
-
-def height_plot(runs: Sequence[StandVerification], task: float) -> Plot:
-    """Draws the base's height over the simulated time, with feed-forward and without.
-
-    Args:
-        runs: The simulations.
-        task: The height that was asked for (m).
-    """
-    series = [
-        plots.Series(
-            text("with feed-forward") if run.feedforward else text("without"),
-            run.time,
-            1e3 * run.height,
-        )
-        for run in runs
-    ]
-    ends = np.array([runs[0].time[0], max(run.time[-1] for run in runs)])
-    series.append(plots.Series(text("task"), ends, np.full(2, 1e3 * task)))
-    return plots.line_plot(
-        text("Height of the simulated base"),
-        plots.Axis(text("time"), "s", ".2f"),
-        plots.Axis(text("base height"), "mm", ".2f"),
-        series,
-    )
-
-
-def _interval(values: Array) -> str:
-    low, high = float(values.min()), float(values.max())
-    return f"{low:g}" if low == high else f"{low:g} … {high:g}"
-
-
-def _sweep(sweep: GainSweep) -> Iterable[Block]:
-    rows: list[tuple[Cell, ...]] = []
-    for kp, row in zip(sweep.kp, sweep.height_deviation, strict=True):
-        cells: list[Cell] = [number(kp, "g")]
-        for kd, value in zip(sweep.kd, row, strict=True):
-            best = kp == sweep.best_kp and kd == sweep.best_kd
-            fell = text("fell")
-            cells.append(
-                number(value, ".4f", "best" if best else "", 1e3) if np.isfinite(value) else fell
-            )
-        rows.append(tuple(cells))
-    notes: list[Words] = [
-        text(
-            "Standard deviation of the base's height in the last of {seconds} s, under {force} N "
-            "at {frequency} Hz ({integrator}); the least is marked.",
-            seconds=f"{sweep.duration:g}",
-            force=f"{sweep.amplitude:g}",
-            frequency=f"{sweep.frequency:g}",
-            integrator=Name(sweep.integrator),
-        )
-    ]
-    if sweep.at_edge:
-        notes.append(_edge(sweep))
-    yield Table(
-        text("Height deviation by servo gains"),
-        (
-            Column(text("kp \\ kd"), "N m/rad \\ N m s/rad", left=True),
-            *(Column(Name(f"kd {kd:g}"), "mm") for kd in sweep.kd),
-        ),
-        tuple(rows),
-        tuple(notes),
-        (text("Each cell is a simulation of its own in MuJoCo."),),
-    )
-    finite = [
-        (kp, row)
-        for kp, row in zip(sweep.kp, sweep.height_deviation, strict=True)
-        if np.isfinite(row).any()
-    ]
-    if finite and len(sweep.kd) > 1:
-        yield plots.line_plot(
-            text("Height deviation by servo gains"),
-            plots.Axis(text("kd"), "N m s/rad", "g", log=bool(sweep.kd.min() > 0)),
-            plots.Axis(text("height deviation"), "mm", ".4f", log=True),
-            [
-                plots.Series(
-                    Name(f"kp {kp:g} N m/rad"), sweep.kd, _positive(1e3 * row), points=True
-                )
-                for kp, row in finite
-            ],
-        )
-
-
-def _positive(values: Array) -> Array:
-    """Returns values without those that a logarithmic axis has no place for."""
-    return np.where(values > 0, values, np.nan)
-
-
-def _edge(sweep: GainSweep) -> Text:
-    return text(
-        "The best gains lie on the edge of the grid ({edges}): better ones may be beyond.",
-        edges=", ".join(sweep.at_edge),
     )
 
 

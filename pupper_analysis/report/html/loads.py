@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 from pupper_analysis.report.html import plots
@@ -205,59 +204,3 @@ def view_block(
             "polygon are the prediction's."
         ),
     )
-
-
-def motions_of(runs: Sequence[StandVerification]) -> list[Motion]:
-    """Returns the simulated motions."""
-    return [
-        Motion(
-            text("simulated, with feed-forward")
-            if run.feedforward
-            else text("simulated, without feed-forward"),
-            run.motion_time,
-            run.motion,
-        )
-        for run in runs
-    ]
-
-
-def run_rows(runs: Sequence[StandVerification]) -> tuple[tuple[Cell, ...], ...]:
-    """Returns what simulations made of a stand: a row per quantity, a column per run."""
-    quantities: list[tuple[str, str, list[Number]]] = [
-        ("base height", "m", [number(run.base_height, ".5f") for run in runs]),
-        ("loss of height", "mm", [number(run.height_loss, ".3f", scale=1e3) for run in runs]),
-        ("of it servo sag", "mm", [number(run.servo_sag, ".3f", scale=1e3) for run in runs]),
-        (
-            "of it contact softness",
-            "mm",
-            [number(run.contact_sag, ".3f", scale=1e3) for run in runs],
-        ),
-        (
-            "deviation of height, last second (< 5 mm = stable)",
-            "mm",
-            [number(run.height_deviation, ".5f", scale=1e3) for run in runs],
-        ),
-        (
-            "drift of height, last second",
-            "mm/s",
-            [number(run.height_drift, "+.4f", scale=1e3) for run in runs],
-        ),
-        ("tilt against the task", "°", [number(math.degrees(run.tilt), ".4f") for run in runs]),
-        (
-            "foot slip",
-            "mm",
-            [number(max(run.foot_slip.values()), ".4f", scale=1e3) for run in runs],
-        ),
-        ("joint error", "rad", [number(run.joint_error, ".1e") for run in runs]),
-        (
-            "torque off prediction, of the largest",
-            "%",
-            [number(run.torque_error, ".3f", scale=100) for run in runs],
-        ),
-        (
-            "vertical foot force off prediction",
-            "%",
-            [number(run.force_error, ".3f", scale=100) for run in runs],
-        ),
-    ]
-    return tuple((text(name), *values, Name(unit)) for name, unit, values in quantities)

@@ -9,7 +9,6 @@ from pupper_analysis.analysis.path import PathThere
 from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.report.html import plots
-from pupper_analysis.report.html.analysis import height_plot
 from pupper_analysis.report.html.document import (
     Block,
     Cell,
@@ -23,8 +22,9 @@ from pupper_analysis.report.html.document import (
     Words,
     number,
 )
-from pupper_analysis.report.html.loads import load_blocks, motions_of, proof, run_rows, view_block
+from pupper_analysis.report.html.loads import load_blocks, proof, view_block
 from pupper_analysis.report.html.scene import Motion
+from pupper_analysis.report.html.simulated import height_plot, motions_of, run_rows
 from pupper_analysis.report.html.sources import files, page
 from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
