@@ -146,7 +146,8 @@ def _joints(analysis: Analysis, robot: Robot | None) -> Table:
                 )
             ),
         ]
-        rows.append((*cells, *map(Name, places[joint.name])) if places else tuple(cells))
+        where = places.get(joint.name, ("", ""))
+        rows.append((*cells, *map(Name, where)) if places else tuple(cells))
     located = (
         Column(text("line of the URDF"), left=True),
         Column(text("line of the MJCF"), left=True),

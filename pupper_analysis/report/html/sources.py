@@ -70,7 +70,7 @@ def quoted(place: str | None, *paths: str) -> str:
         line on which a tag ends.
     """
     file, _, line = (place or "").rpartition(":")
-    if not file or not line.isdigit():
+    if not file or not line.isdigit() or int(line) < 1:
         return ""
     candidates = [Path(file)]
     for path in map(Path, paths):
