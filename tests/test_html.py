@@ -208,7 +208,7 @@ def test_what_is_seen_in_a_language_is_of_that_language() -> None:
         assert not title or re.search(r"[\u4e00-\u9fff]", title), title
 
 
-SAME = {"kd", "kp \\ kd", "yourdfpy (URDF)"}
+SAME = {"kd", "kp \\ kd", "yourdfpy (URDF)", "URDF: {file}", "MJCF: {file}"}
 """What is the same in both languages: symbols and names."""
 
 
