@@ -23,8 +23,9 @@ from scipy.spatial import ConvexHull
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.pupper import comparison as variants
-from pupper_analysis.report.html import library, plots, scene, sources, words, write
+from pupper_analysis.report.html import library, plots, scene, sources, tasks, words, write
 from pupper_analysis.report.html.document import Column, Name, Said, Section, Table, View, number
+from pupper_analysis.report.html.tasks import task_text
 from pupper_analysis.simulation.push import PushRecovery
 
 HTML = ROOT / "pupper_analysis" / "report" / "html"
@@ -208,7 +209,9 @@ def test_what_is_seen_in_a_language_is_of_that_language() -> None:
         assert not title or re.search(r"[\u4e00-\u9fff]", title), title
 
 
-SAME = {"kd", "kp \\ kd", "yourdfpy (URDF)", "URDF: {file}", "MJCF: {file}"}
+SAME = {"kd", "kp \\ kd", "yourdfpy (URDF)", "URDF: {file}", "MJCF: {file}"} | {
+    "{angle} {value} deg"
+}
 """What is the same in both languages: symbols and names."""
 
 
@@ -219,7 +222,7 @@ def test_the_catalogue_is_complete_and_fills_in_the_same() -> None:
             sorted(str(p[1]) for p in Formatter().parse(t) if p[1]) for t in (english, chinese)
         ]
         assert fields[0] == fields[1], english
-        assert re.search(r"[\u4e00-\u9fff]", chinese) or english in SAME, english
+        assert re.search(r"[\u4e00-\u9fff]", chinese) or english in {*SAME, ", "}, english
         assert not re.search(r"[\u4e00-\u9fff]", english), english
         assert not re.search(r"[,;:?!](?=[\u4e00-\u9fff])", chinese), f"punctuation of {chinese}"
 
@@ -233,6 +236,7 @@ def test_no_text_in_the_catalogue_is_left_over() -> None:
     results |= {"yourdfpy (URDF)", "along x", "along y", "along z", "oblique", "oblique slide"}
     kinds = set(re.findall(r"``([\w ]+)``", str(pa.Comparison.__doc__)))
     kinds |= {"mass", "com", "inertia", "position", "rotation", "axis", "lower limit", "type"}
+    kinds |= {f"{gain} {side}" for gain in ("kp", "kd") for side in ("high", "low")}
     kinds |= {"frame", "parent", "gravity", "base frame", "zero", "armature", "mimic", "name"}
     for english in words.catalogue():
         written = json.dumps(english, ensure_ascii=False)
@@ -734,3 +738,32 @@ def test_the_template_engine_is_loaded_when_a_report_is_written() -> None:
         cwd=ROOT,
     )
     assert run.stdout.strip() == "False"
+
+
+def test_a_task_is_said_in_both_languages() -> None:
+    """In English it is the task's own sentence, and no part is missing in Chinese."""
+    task = pa.StandTask(
+        height=0.12,
+        roll=math.radians(1.5),
+        offset=(0.01, -0.02),
+        foot_offsets={"FL": (0.003, 0.004)},
+        feet={"FR": (0.1, -0.2)},
+        swing={"RL": 0.05},
+        ground=pa.Ground(slope=math.radians(6), uphill=math.radians(77), heights={"RR": 0.008}),
+        com_margin=0.009,
+        joint_margin=math.radians(11),
+        ground_clearance=0.013,
+        self_clearance=0.014,
+    )
+    said = task_text(task)
+    assert said.en == str(task)
+    number_of = re.compile(r"-?\d+\.?\d*")
+    assert number_of.findall(said.zh) == number_of.findall(said.en)
+    english = ", ".join(part.en for part in tasks._parts(task))
+    assert english == str(task)
+
+
+@pytest.mark.parametrize("com", ["inside", (0.01, 0.02)])
+def test_a_com_is_said_in_both_languages(com: str | tuple[float, float]) -> None:
+    task = pa.StandTask(height=0.1, com=com)
+    assert ", ".join(part.en for part in tasks._parts(task)) == str(task)

@@ -29,6 +29,7 @@ from pupper_analysis.report.html.simulated import (
     sweep_blocks,
 )
 from pupper_analysis.report.html.sources import files, is_derived, joint_places, page
+from pupper_analysis.report.html.tasks import task_text
 from pupper_analysis.report.html.words import text, word
 from pupper_analysis.robot.robot import Robot
 
@@ -154,7 +155,7 @@ def _joints(analysis: Analysis, robot: Robot | None) -> Table:
     )
     notes: list[Words] = [text("Axes at zero angles, in the base's frame.")]
     if robot is not None and is_derived(robot):
-        notes.append(text("The lines are those of the files that it was derived from."))
+        notes.append(text("The lines are those of the files, without the changes."))
     return Table(
         text("Joints, in actuator order"),
         (
@@ -200,7 +201,7 @@ def _stand(analysis: Analysis) -> Block:
             Column(text("unit"), left=True),
         ),
         tuple((text(name), number(value, ".1e"), Name(unit)) for name, unit, value in rows),
-        (Said(str(stand.task)),),
+        (task_text(stand.task),),
         (
             text("Solved on Pinocchio's model of the URDF, and computed anew on MuJoCo's."),
             page("stances.md", "What the simulation says"),

@@ -75,9 +75,13 @@ def scene_of(
     """
     model = robot.mj_model
     data = mujoco.MjData(model)
+    points = np.array(list(stand.contact_points.values()))
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_kinematics(model, data)
+    ends = np.concatenate([data.xpos[1:], points])
+    low, high = ends.min(axis=0), ends.max(axis=0)
     still = Motion(text("the stand"), np.zeros(1), stand.qpos[None])
     geoms, meshes = _geoms(model)
-    points = np.array(list(stand.contact_points.values()))
     polygon = support_polygon(points) if len(points) > 2 else points[:, :2]
     return {
         "bodies": _bodies(model),
@@ -88,18 +92,17 @@ def scene_of(
         "contacts": [
             {
                 "name": visible(foot),
-                "point": _short(statics.contact_points[foot]),
-                "force": _short(force),
+                "point": _short(load.centre_of_pressure),
+                "force": _short(load.force),
             }
-            for foot, force in statics.contact_forces.items()
-        ]
-        if statics
-        else [],
+            for foot, load in (statics.foot_loads if statics else {}).items()
+        ],
         "polygon": _short(polygon),
         "ground": _short(points.mean(axis=0)),
         "normal": _short(np.mean(list(stand.normals.values()), axis=0)),
         "com": None if statics is None else _short(statics.center_of_mass),
-        "middle": _short(stand.qpos[:3]),
+        "middle": _short((low + high) / 2),
+        "radius": float(np.linalg.norm(high - low) / 2),
         "size": float(np.ptp(points, axis=0).max() + stand.qpos[2]),
     }
 

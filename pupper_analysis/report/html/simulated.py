@@ -27,7 +27,7 @@ from pupper_analysis.report.html.document import (
 from pupper_analysis.report.html.loads import proof
 from pupper_analysis.report.html.scene import Motion
 from pupper_analysis.report.html.sources import page
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.html.words import joined, text, word
 from pupper_analysis.simulation.gain_sweep import GainSweep
 from pupper_analysis.simulation.verify import StandVerification
 
@@ -158,7 +158,7 @@ def edge_note(sweep: GainSweep) -> Text:
     """Says where the best gains lie on the edge of what was tried."""
     return text(
         "The best gains lie on the edge of the grid ({edges}): better ones may be beyond.",
-        edges=", ".join(sweep.at_edge),
+        edges=joined(word(edge) for edge in sweep.at_edge),
     )
 
 

@@ -8,7 +8,7 @@ from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.report.html.document import Name, Text
+from pupper_analysis.report.html.document import Name, Said, Text, Words
 from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
 
@@ -31,8 +31,13 @@ def files(robot: Robot | None) -> Text:
         "mjcf": Name(description.mjcf_source.name),
     }
     if is_derived(robot):
-        return text("Derived from {urdf} (URDF) and {mjcf} (MJCF) by scaling.", **names)
+        return text("Made from {urdf} (URDF) and {mjcf} (MJCF), with changes.", **names)
     return text("From {urdf} (URDF) and {mjcf} (MJCF).", **names)
+
+
+def source_of(robot: Robot | None) -> list[Words]:
+    """Returns which two files a robot is from, and what was assumed on loading them."""
+    return [files(robot), *map(Said, () if robot is None else robot.notes)]
 
 
 def is_derived(robot: Robot) -> bool:

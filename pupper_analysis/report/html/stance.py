@@ -25,7 +25,8 @@ from pupper_analysis.report.html.document import (
 from pupper_analysis.report.html.loads import load_blocks, proof, view_block
 from pupper_analysis.report.html.scene import Motion
 from pupper_analysis.report.html.simulated import height_plot, motions_of, run_rows
-from pupper_analysis.report.html.sources import files, page
+from pupper_analysis.report.html.sources import page, source_of
+from pupper_analysis.report.html.tasks import task_text
 from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
 
@@ -37,7 +38,7 @@ def stance_section(stance: Stance, robot: Robot | None) -> Section:
     if run.failures:
         blocks.append(Lines(tuple(map(Said, run.failures)), "bad", text("What failed")))
     blocks.append(view_block(robot, stance.sunk or stance.stand, stance.statics, motions_of([run])))
-    blocks.append(Lines((Said(str(stance.stand.task)), files(robot), *_told(stance))))
+    blocks.append(Lines((task_text(stance.stand.task), *source_of(robot), *_told(stance))))
     blocks += load_blocks(
         stance.statics,
         stance.minimum_peak,
@@ -64,7 +65,7 @@ def stance_section(stance: Stance, robot: Robot | None) -> Section:
         tuple(blocks),
         stance.passed,
         text("HOLDS") if stance.passed else text("FAILS"),
-        (Said(str(stance.stand.task)), *map(Said, run.failures), *_told(stance)),
+        (task_text(stance.stand.task), *map(Said, run.failures), *_told(stance)),
     )
 
 
@@ -157,7 +158,7 @@ def push_section(pushed: PushedStance, robot: Robot | None) -> Section:
         Name(pushed.name),
         (
             view_block(robot, pushed.stand, None),
-            Lines((Said(str(pushed.stand.task)), files(robot))),
+            Lines((task_text(pushed.stand.task), *source_of(robot))),
             table,
             push_plot([pushed]),
         ),
@@ -226,7 +227,7 @@ def path_section(there: PathThere, robot: Robot | None) -> Section:
         ),
     )
     blocks: list[Block] = [
-        Lines((Said(str(there.stand.task)), files(robot))),
+        Lines((task_text(there.stand.task), *source_of(robot))),
         table,
         plots.line_plot(
             text("Height of the base along the path"),
@@ -250,5 +251,5 @@ def path_section(there: PathThere, robot: Robot | None) -> Section:
         tuple(blocks),
         there.passed,
         text("TRACKED") if there.passed else text("FAILED"),
-        (Said(str(there.stand.task)), *map(Said, tracking.failures)),
+        (task_text(there.stand.task), *map(Said, tracking.failures)),
     )

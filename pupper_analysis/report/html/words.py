@@ -7,7 +7,7 @@ catalogue is refused.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
@@ -41,6 +41,16 @@ def text(english: str, **values: object) -> Text:
 def word(english: str) -> Text | Name:
     """Returns a word of a result's in both languages, or as it is, where the catalogue lacks it."""
     return text(english) if english in catalogue() else Name(english)
+
+
+def joined(parts: Iterable[Text | Name]) -> Text:
+    """Returns words as a list, with each language's own comma."""
+    listed = list(parts)
+    comma = text(", ")
+    return Text(
+        comma.en.join(str(_in(part, "en")) for part in listed),
+        comma.zh.join(str(_in(part, "zh")) for part in listed),
+    )
 
 
 def _in(value: object, language: str) -> object:

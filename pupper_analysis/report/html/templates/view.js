@@ -71,11 +71,11 @@
     }
 
     home() {
-      const { middle, size } = this.data;
+      const { middle, radius } = this.data;
       this.azimuth = -0.9;
       this.elevation = 0.35;
-      this.target = new THREE.Vector3(middle[0], middle[1], 0.55 * middle[2] + 0.45 * this.data.ground[2]);
-      this.distance = 2 * size;
+      this.target = vector(middle);
+      this.distance = 3.3 * radius; // a body reaches further than its frame
     }
 
     start() {
@@ -291,7 +291,7 @@
 
     zoom(factor) {
       const { size } = this.data;
-      this.distance = Math.max(0.5 * size, Math.min(12 * size, this.distance * factor));
+      this.distance = Math.max(0.5 * size, Math.min(20 * size, this.distance * factor));
       this.draw();
     }
 
