@@ -23,7 +23,7 @@ from scipy.spatial import ConvexHull
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.pupper import comparison as variants
-from pupper_analysis.report.html import library, plots, scene, sources, tasks, words, write
+from pupper_analysis.report.html import library, overlay, plots, scene, sources, tasks, words, write
 from pupper_analysis.report.html.document import Column, Name, Said, Section, Table, View, number
 from pupper_analysis.report.html.tasks import task_text
 from pupper_analysis.simulation.push import PushRecovery
@@ -406,6 +406,44 @@ def test_both_files_lines_are_side_by_side() -> None:
     rows = page.tables()["All differences, what is to be mended first, first"]
     assert (rows[0]["kind"], rows[0]["in the URDF"], rows[0]["unit"]) == ("mass", "1.625", "kg")
     assert "✗ DISAGREE" in page.shown()
+
+
+def test_the_overlay_marks_what_differs() -> None:
+    page = page_of(comparison())
+    drawn = next(json.loads(text) for text in page.strict.scripts if '"lines"' in text)
+    names = [body["name"] for body in drawn["bodies"]]
+    marked = {names[geom["body"]] for geom in drawn["geoms"] if geom["marked"]}
+    assert marked == {"base_link"}
+    told = {body["name"]: body["told"] for body in drawn["bodies"] if "told" in body}
+    assert list(told) == ["base_link"]
+    assert "mass 1.625 kg in the URDF" in told["base_link"]
+    assert {joint["told"] for joint in drawn["joints"]} == {""}
+
+
+def test_the_two_files_lie_on_each_other() -> None:
+    """Pinocchio's joints of the URDF are on MuJoCo's axes of the MJCF."""
+    urdf, mjcf = ROOT / "urdf" / "pupper_v3.urdf", ROOT / "mjcf" / "pupper_v3.xml"
+    drawn = overlay.overlay_of(pa.compare_models(urdf, mjcf))
+    assert drawn is not None
+    model = mujoco.MjModel.from_xml_path(str(mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    ends = np.array([line[1] for line in drawn["lines"]])
+    assert len(ends) == 12
+    for name in load("v3").joint_names:
+        joint = model.joint(name).id
+        away = ends - data.xanchor[joint]
+        beside = np.linalg.norm(np.cross(away, data.xaxis[joint]), axis=1)
+        assert beside.min() < 2e-5
+    feet = [geom for geom in range(model.ngeom) if model.geom_type[geom] == 2]
+    lowest = min(data.geom_xpos[foot][2] - model.geom_size[foot][0] for foot in feet)
+    assert drawn["ground"][2] == pytest.approx(lowest, abs=2e-5)
+
+
+def test_files_that_have_gone_are_not_drawn(tmp_path: Path) -> None:
+    gone = replace(comparison(), mjcf=str(tmp_path / "gone.xml"))
+    assert overlay.overlay_of(gone) is None
+    assert "The two files over each other" not in Page(written(gone)).shown()
 
 
 def test_an_element_on_several_lines_is_quoted_whole(tmp_path: Path) -> None:

@@ -25,12 +25,19 @@ from pupper_analysis.report.html.document import (
     Section,
     Sides,
     Table,
+    View,
     Words,
     number,
 )
+from pupper_analysis.report.html.overlay import overlay_of
 from pupper_analysis.report.html.sources import page, quoted
 from pupper_analysis.report.html.words import text, word
 from pupper_analysis.results import short
+
+_OVERLAY = (
+    "Shapes are the MJCF's, at zero angles; bodies with differences are coloured. Lines join the "
+    "URDF's joints, from the same root; a joint's frame may sit anywhere on its axis."
+)
 
 SHOWN = 40
 """Groups of differences whose lines are shown side by side; the table has them all."""
@@ -44,6 +51,9 @@ def comparison_section(comparison: Comparison) -> Section:
             (text("URDF: {file}", file=comparison.urdf), text("MJCF: {file}", file=comparison.mjcf))
         )
     ]
+    scene = overlay_of(comparison)
+    if scene is not None:
+        blocks.append(View(text("The two files over each other"), scene, text(_OVERLAY)))
     for part in comparison.parts:
         blocks.append(Lines((Said(part),), "bad", text("Only in one file")))
     for cause in causes:

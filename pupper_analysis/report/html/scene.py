@@ -78,13 +78,12 @@ def scene_of(
     points = np.array(list(stand.contact_points.values()))
     robot.mj_convention.set_state(data, stand.qpos)
     mujoco.mj_kinematics(model, data)
-    ends = np.concatenate([data.xpos[1:], points])
-    low, high = ends.min(axis=0), ends.max(axis=0)
+    low, high = extent_of(model, data)
     still = Motion(text("the stand"), np.zeros(1), stand.qpos[None])
-    geoms, meshes = _geoms(model)
+    geoms, meshes = geoms_of(model)
     polygon = support_polygon(points) if len(points) > 2 else points[:, :2]
     return {
-        "bodies": _bodies(model),
+        "bodies": bodies_of(model),
         "geoms": geoms,
         "meshes": meshes,
         "motions": [_frames(robot, data, motion) for motion in (still, *motions)],
@@ -92,27 +91,26 @@ def scene_of(
         "contacts": [
             {
                 "name": visible(foot),
-                "point": _short(load.centre_of_pressure),
-                "force": _short(load.force),
+                "point": short_numbers(load.centre_of_pressure),
+                "force": short_numbers(load.force),
             }
             for foot, load in (statics.foot_loads if statics else {}).items()
         ],
-        "polygon": _short(polygon),
-        "ground": _short(points.mean(axis=0)),
-        "normal": _short(np.mean(list(stand.normals.values()), axis=0)),
-        "com": None if statics is None else _short(statics.center_of_mass),
-        "middle": _short((low + high) / 2),
+        "polygon": short_numbers(polygon),
+        "ground": short_numbers(points.mean(axis=0)),
+        "normal": short_numbers(np.mean(list(stand.normals.values()), axis=0)),
+        "com": None if statics is None else short_numbers(statics.center_of_mass),
+        "middle": short_numbers((low + high) / 2),
         "radius": float(np.linalg.norm(high - low) / 2),
+        "layers": [
+            *("shapes", "axes", *(["forces"] if statics else []), "support", "masses"),
+        ],
         "size": float(np.ptp(points, axis=0).max() + stand.qpos[2]),
     }
 
 
 def _frames(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]:
-    """Returns where the bodies are in each configuration.
-
-    ``frames`` are whole numbers of 16 bits: per configuration and body x, y, z in parts of
-    ``reach`` / 32767, then the quaternion w, x, y, z in parts of 1 / 32767.
-    """
+    """Returns where the bodies are in some of the configurations."""
     finite = np.isfinite(motion.qpos).all(axis=1)
     most = np.linspace(0, finite.sum() - 1, min(int(finite.sum()), MOST_FRAMES)).round()
     chosen = np.flatnonzero(finite)[np.unique(most.astype(int))]
@@ -121,29 +119,67 @@ def _frames(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_kinematics(robot.mj_model, data)
         poses.append(np.concatenate([data.xpos, data.xquat], axis=1)[1:])
-    values = np.array(poses)
+    return packed(motion.name, motion.time[chosen], np.array(poses))
+
+
+def packed(name: Text, time: Array, poses: Array) -> dict[str, Any]:
+    """Returns poses in few letters.
+
+    Args:
+        name: What moves.
+        time: (n,) when (s).
+        poses: (n, bodies, 7) x, y, z (m) and quaternion w, x, y, z.
+
+    Returns:
+        ``frames`` are whole numbers of 16 bits: x, y, z in parts of ``reach`` / 32767, then the
+        quaternion in parts of 1 / 32767.
+    """
+    values = poses.copy()
     reach = max(float(np.abs(values[..., :3]).max()), 1e-3)
     values[..., :3] /= reach
     return {
-        "en": motion.name.en,
-        "zh": motion.name.zh,
-        "time": _short(motion.time[chosen]),
+        "en": name.en,
+        "zh": name.zh,
+        "time": short_numbers(time),
         "reach": reach,
         "frames": base64.b64encode(np.round(32767 * values).astype("<i2").tobytes()).decode(),
     }
 
 
-def _short(values: Array) -> list[Any]:
+def short_numbers(values: Array) -> list[Any]:
     """Returns numbers to a hundredth of a millimetre: a view shows no more."""
     return np.round(values, 5).tolist()  # type: ignore[no-any-return]
 
 
-def _bodies(model: mujoco.MjModel) -> list[dict[str, Any]]:
+def extent_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+    """Returns the least and the greatest x, y, z (3,) of the robot's shapes, by their boxes (m)."""
+    own = shown_geoms(model)
+    turns = np.abs(data.geom_xmat[own].reshape(-1, 3, 3))
+    centres, halves = model.geom_aabb[own, :3], model.geom_aabb[own, 3:]
+    turned = np.einsum("nij,nj->ni", data.geom_xmat[own].reshape(-1, 3, 3), centres)
+    middle, reach = data.geom_xpos[own] + turned, np.einsum("nij,nj->ni", turns, halves)
+    frames = data.xpos[1:]
+    ends = np.concatenate([middle - reach, middle + reach, frames])
+    return ends.min(axis=0), ends.max(axis=0)
+
+
+def shown_geoms(model: mujoco.MjModel) -> list[int]:
+    """Returns the robot's shapes that are shown: those that MuJoCo's viewer shows, or else all."""
+    own = [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] and int(model.geom_type[geom]) in SHAPES
+    ]
+    return [geom for geom in own if model.geom_group[geom] < SHOWN_GROUPS] or own
+
+
+def bodies_of(model: mujoco.MjModel) -> list[dict[str, Any]]:
+    """Returns the bodies but the world: names, masses (kg) and coms in their own frames (m)."""
     return [
         {
             "name": visible(str(model.body(body).name)),
             "mass": round(float(model.body_mass[body]), 6),
-            "com": _short(model.body_ipos[body]),
+            "com": short_numbers(model.body_ipos[body]),
         }
         for body in range(1, model.nbody)
     ]
@@ -164,8 +200,8 @@ def _joints(
             {
                 "name": visible(summary.name),
                 "body": int(model.jnt_bodyid[joint]) - 1,
-                "anchor": _short(model.jnt_pos[joint]),
-                "axis": _short(model.jnt_axis[joint]),
+                "anchor": short_numbers(model.jnt_pos[joint]),
+                "axis": short_numbers(model.jnt_axis[joint]),
                 "motion": summary.motion,
                 "position": round(float(positions[index]), 4),
                 "torque": None
@@ -177,14 +213,9 @@ def _joints(
     return listed
 
 
-def _geoms(model: mujoco.MjModel) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
+def geoms_of(model: mujoco.MjModel) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
     """Returns the robot's shapes, and the meshes that they have."""
-    own = [
-        geom
-        for geom in range(model.ngeom)
-        if model.geom_bodyid[geom] and int(model.geom_type[geom]) in SHAPES
-    ]
-    seen = [geom for geom in own if model.geom_group[geom] < SHOWN_GROUPS] or own
+    seen = shown_geoms(model)
     ids = {
         int(model.geom_dataid[geom])
         for geom in seen
@@ -201,9 +232,9 @@ def _geoms(model: mujoco.MjModel) -> tuple[list[dict[str, Any]], dict[str, dict[
         entry: dict[str, Any] = {
             "shape": shape,
             "body": int(model.geom_bodyid[geom]) - 1,
-            "size": _short(model.geom_size[geom]),
-            "pos": _short(model.geom_pos[geom]),
-            "quat": _short(model.geom_quat[geom]),
+            "size": short_numbers(model.geom_size[geom]),
+            "pos": short_numbers(model.geom_pos[geom]),
+            "quat": short_numbers(model.geom_quat[geom]),
             "colour": np.round(colour, 3).tolist(),
         }
         if shape == "mesh":
@@ -227,8 +258,8 @@ def _mesh(model: mujoco.MjModel, mesh: int, share: float) -> dict[str, Any]:
     span = np.where(high > low, high - low, 1.0)
     steps = np.round((vertices - low) / span * 65535).astype("<u2")
     return {
-        "low": _short(low),
-        "span": _short(span),
+        "low": short_numbers(low),
+        "span": short_numbers(span),
         "vertices": base64.b64encode(steps.tobytes()).decode(),
         "faces": base64.b64encode(triangles.astype("<u4").tobytes()).decode()
         if len(vertices) > 65535

@@ -153,6 +153,7 @@ def _interface() -> dict[str, Any]:
         "axes": text("joint axes"),
         "forces": text("contact forces"),
         "support": text("support polygon and com"),
+        "other": text("joints of the URDF"),
         "masses": text("masses of the links"),
     }
     said = {
@@ -188,6 +189,7 @@ def _spoken() -> dict[str, dict[str, str]]:
         "mass": "mass",
         "com": "com",
         "force": "force",
+        "same": "no difference",
     }
     motions = ("roll", "pitch", "yaw", "oblique", "along x", "along y", "along z", "oblique slide")
     texts = {name: text(english) for name, english in said.items()}

@@ -75,7 +75,7 @@
       this.azimuth = -0.9;
       this.elevation = 0.35;
       this.target = vector(middle);
-      this.distance = 3.3 * radius; // a body reaches further than its frame
+      this.distance = 2.8 * radius;
     }
 
     start() {
@@ -114,7 +114,7 @@
       sun.position.set(1, -1.5, 3);
       scene.add(sun);
       this.layers = {};
-      for (const name of ["shapes", "axes", "forces", "support", "masses"]) this.layers[name] = [];
+      for (const name of ["shapes", "axes", "forces", "support", "masses", "other"]) this.layers[name] = [];
       this.bodies = data.bodies.map(() => {
         const group = new THREE.Group();
         scene.add(group);
@@ -126,6 +126,7 @@
       this.addMasses();
       this.addForces();
       this.addSupport();
+      this.addLines();
       this.place();
       for (const input of this.stage.querySelectorAll("[data-layer]")) this.show(input);
     }
@@ -143,14 +144,14 @@
       for (const geom of this.data.geoms) {
         const [r, g, b, opacity] = geom.colour;
         const material = new THREE.MeshStandardMaterial({
-          color: new THREE.Color(r, g, b), roughness: 0.75, metalness: 0.05,
+          color: geom.marked ? color("--c1") : new THREE.Color(r, g, b), roughness: 0.75, metalness: 0.05,
           flatShading: geom.shape === "mesh", transparent: opacity < 1, opacity,
         });
         for (const shape of shapes(geom)) {
           const mesh = new THREE.Mesh(shape, material);
           mesh.position.set(...geom.pos);
           mesh.quaternion.copy(quaternion(geom.quat));
-          this.put("shapes", mesh, this.bodies[geom.body]);
+          this.put("shapes", mesh, this.bodies[geom.body], geom.body, geom.marked && "body");
         }
       }
     }
@@ -244,6 +245,25 @@
       this.put("support", ball, null, 0, "com");
     }
 
+    addLines() {
+      const material = new THREE.MeshBasicMaterial({ color: color("--c3"), depthTest: false });
+      const thin = 0.008 * this.data.size;
+      for (const [from, to] of (this.data.lines || []).map((line) => line.map(vector))) {
+        const ball = new THREE.Mesh(new THREE.SphereGeometry(2 * thin, 14, 10), material);
+        ball.position.copy(to);
+        ball.renderOrder = 3;
+        this.put("other", ball);
+        const along = to.clone().sub(from);
+        if (!along.length()) continue;
+        const rod = new THREE.Mesh(
+          new THREE.CylinderGeometry(thin, thin, along.length()), material);
+        rod.position.copy(from).addScaledVector(along, 0.5);
+        rod.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), along.normalize());
+        rod.renderOrder = 3;
+        this.put("other", rod);
+      }
+    }
+
     place() {
       const motion = this.data.motions[this.motion];
       const numbers = motion.numbers ?? (motion.numbers = new Int16Array(bytes(motion.frames)));
@@ -315,14 +335,17 @@
       const data = this.data;
       if (kind === "joint") {
         const joint = data.joints[index];
+        if (joint.told !== undefined) return `${joint.name}: ${joint.told || words.same}`;
         const limit = joint.limit === null ? "" : ` / ${joint.limit} N m`;
         const torque = joint.torque === null ? "" :
           `; ${words.torque} ${joint.torque.toFixed(3)} N m${limit}`;
         return `${joint.name}: ${words[joint.motion] || joint.motion}; ${words.position} ` +
           `${joint.position.toFixed(3)} rad${torque}`;
       }
-      if (kind === "body")
-        return `${data.bodies[index].name}: ${words.mass} ${data.bodies[index].mass.toFixed(3)} kg`;
+      if (kind === "body") {
+        const { name, mass, told } = data.bodies[index];
+        return `${name}: ${words.mass} ${mass.toFixed(3)} kg${told ? `; ${told}` : ""}`;
+      }
       if (kind === "com")
         return `${words.com}: (${data.com.map((value) => value.toFixed(4)).join(", ")}) m`;
       const contact = data.contacts[index];
