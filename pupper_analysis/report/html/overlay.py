@@ -47,7 +47,7 @@ def overlay_of(comparison: Comparison) -> dict[str, Any] | None:
     root = _root(comparison, model)
     turn = data.xmat[root].reshape(3, 3)
     placed = [data.xpos[root] + line @ turn.T for line in lines]
-    ends = np.concatenate([*extent_of(model, data), *placed]).reshape(-1, 3)
+    ends = np.concatenate([extent_of(model, data), *placed])
     low, high = ends.min(axis=0), ends.max(axis=0)
     radius = max(float(np.linalg.norm(high - low) / 2), 1e-3)
     poses = np.concatenate([data.xpos, data.xquat], axis=1)[None, 1:]
@@ -72,7 +72,7 @@ def overlay_of(comparison: Comparison) -> dict[str, Any] | None:
 
 
 def _urdf_lines(path: str) -> list[Array]:
-    """Returns lines (2, 3) to each joint from its parent, at zero angles, in the root's frame (m)."""
+    """Returns lines (2, 3) to each joint from its parent, at zero angles, from the root (m)."""
     model = pin.buildModelFromXML(read_urdf(path).text)
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
