@@ -534,6 +534,12 @@ def test_what_would_turn_a_line_around_is_shown_as_its_number() -> None:
     assert "\u202e" not in shown_text
 
 
+def test_half_a_letter_is_shown_as_its_number() -> None:
+    """A name that no encoding has: the file can be written all the same."""
+    found = replace(audit(), notes=("half \ud800 letter",), file="bad\udcff.urdf")
+    assert "half \\ud800 letter" in Page(written(found)).shown()
+
+
 def test_templates_do_not_read_names_as_templates() -> None:
     assert "{{ 7 * 7 }}" in Page(written(replace(audit(), notes=("{{ 7 * 7 }}",)))).shown()
 

@@ -36,8 +36,9 @@ def browser() -> Iterator[Any]:
 class Opened:
     """A report in a browser without a network, and what it complains of."""
 
-    def __init__(self, browser: Any, file: Path, **options: Any) -> None:
+    def __init__(self, browser: Any, file: Path, script: str = "", **options: Any) -> None:
         self.context = browser.new_context(offline=True, **options)
+        self.context.add_init_script(script)
         self.page = self.context.new_page()
         self.complaints: list[str] = []
         self.asked: list[str] = []
@@ -246,6 +247,18 @@ def test_it_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, scheme:
     assert light == (scheme == "light")
     one.page.locator("#theme").click()
     assert one.page.evaluate("getComputedStyle(document.body).backgroundColor") != colour
+    assert one.complaints == []
+    one.context.close()
+
+
+def test_without_webgl_it_says_so(browser: Any, file: Path) -> None:
+    none = "HTMLCanvasElement.prototype.getContext = () => null"
+    one = Opened(browser, file, script=none)
+    one.page.locator(".canvas").scroll_into_view_if_needed()
+    told = one.page.locator(".told")
+    sync_api.expect(told).to_contain_text("The browser has no WebGL")
+    one.page.get_by_role("button", name="leg_front_r_2", exact=True).focus()
+    sync_api.expect(told).to_contain_text("leg_front_r_2: roll")
     assert one.complaints == []
     one.context.close()
 

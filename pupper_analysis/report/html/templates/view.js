@@ -80,7 +80,9 @@
 
     start() {
       if (this.renderer || this.broken) return;
-      try {
+      const trial = document.createElement("canvas");
+      try { // a context is asked for first, as three.js complains where there is none
+        if (!(trial.getContext("webgl2") || trial.getContext("webgl"))) throw new Error("none");
         this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true,
           preserveDrawingBuffer: true });
       } catch (error) {
