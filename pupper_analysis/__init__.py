@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, VariantSpec
+    from pupper_analysis.report.html.write import write_report
     from pupper_analysis.results import to_json
     from pupper_analysis.robot.configuration import Configuration
     from pupper_analysis.robot.ground import Ground
@@ -139,6 +140,7 @@ _HOME = {
     "Configuration": "robot.configuration",
     "CrossCheck": "checks.engines",
     "cross_check": "checks.engines",
+    "write_report": "report.html.write",
     "write_variant": "pupper.variant_files",
     "ConfigurationError": "errors",
     "Infeasibility": "errors",
@@ -259,6 +261,7 @@ __all__ = [
     "track_path",
     "verify_stand",
     "with_payload",
+    "write_report",
     "write_variant",
 ]
 

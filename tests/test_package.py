@@ -71,6 +71,7 @@ HEAVY = (
     "shapely",
     "click",
     "rich",
+    "jinja2",
 )
 
 

@@ -14,6 +14,8 @@ from pupper_analysis.cli.shared import (
     format_option,
     json_option,
     number,
+    report_option,
+    write_page,
 )
 from pupper_analysis.errors import ConfigurationError
 
@@ -77,6 +79,7 @@ frame_option = click.option(
 )
 @click.option("--all", "everything", is_flag=True, help="Print every difference.")
 @json_option
+@report_option
 @format_option
 def crosscheck(
     urdf: Path,
@@ -90,6 +93,7 @@ def crosscheck(
     any_coordinates: bool,
     everything: bool,
     json_path: Path | None,
+    report_path: Path | None,
     style: str,
 ) -> None:
     """Find which number in which file makes a robot's URDF and MJCF disagree.
@@ -121,7 +125,7 @@ def crosscheck(
     folders = package_folders(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()
     tolerances = tolerances.changed(dict(number("tolerance", text) for text in changes))
-    check_outputs(json_path)
+    check_outputs(json_path, report_path)
     comparison = compare_models(
         urdf,
         mjcf,
@@ -138,6 +142,7 @@ def crosscheck(
         suite = f"{urdf.name} against {mjcf.name}"
         remarks, cases = comparison_report.remarks, comparison_report.cases
         click.echo(formats.for_machines(style, suite, remarks(comparison), cases(comparison)))
+    write_page(report_path, comparison)
     finish(json_path, comparison, passed=comparison.agree)
 
 
@@ -158,6 +163,7 @@ def crosscheck(
     help="The least severity that makes the exit status 1.",
 )
 @json_option
+@report_option
 @format_option
 def audit_command(
     file: Path | None,
@@ -166,6 +172,7 @@ def audit_command(
     list_rules: bool,
     fail_on: str,
     json_path: Path | None,
+    report_path: Path | None,
     style: str,
 ) -> None:
     """Find what is physically or practically wrong in one model file, URDF or MJCF.
@@ -194,7 +201,7 @@ def audit_command(
     if file is None:
         raise ConfigurationError("FILE", "give the URDF or MJCF to audit")
     folders = package_folders(packages)
-    check_outputs(json_path)
+    check_outputs(json_path, report_path)
     result = audit_model(file, packages=folders, disabled=disabled)
     if style == "text":
         audit_report.print_audit(console(), result)
@@ -203,6 +210,7 @@ def audit_command(
         remarks, cases = audit_report.remarks, audit_report.cases
         click.echo(formats.for_machines(style, suite, remarks(result), cases(result)))
     passed = audit_report.worst_rank(result) > audit_report.rank(fail_on)
+    write_page(report_path, result)
     finish(json_path, result, passed=passed)
 
 

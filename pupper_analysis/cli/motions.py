@@ -12,7 +12,9 @@ from pupper_analysis.cli.shared import (
     figure_option,
     finish,
     json_option,
+    report_option,
     working,
+    write_page,
 )
 from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
 from pupper_analysis.errors import ConfigurationError
@@ -30,6 +32,7 @@ from pupper_analysis.errors import ConfigurationError
 @click.option("--npz", type=click.Path(path_type=Path), help="Write the path's arrays here.")
 @robot_and_task
 @json_option
+@report_option
 def path(
     asked: RobotAndTask,
     name: str | None,
@@ -38,6 +41,7 @@ def path(
     csv: Path | None,
     npz: Path | None,
     json_path: Path | None,
+    report_path: Path | None,
 ) -> None:
     """Move from the nominal stand to a stance, and simulate that.
 
@@ -61,7 +65,7 @@ def path(
     if fastest != (seconds is None):
         raise ConfigurationError("--seconds, --fastest", "give one of them: how long it shall take")
     task = asked.task()
-    check_outputs(csv, npz, json_path)
+    check_outputs(csv, npz, json_path, report_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
     with working("solving the path, and simulating it"):
@@ -71,6 +75,7 @@ def path(
         result.path.to_csv(csv)
     if npz is not None:
         result.path.to_npz(npz)
+    write_page(report_path, result, [robot])
     finish(json_path, result, passed=result.passed)
 
 
@@ -83,6 +88,7 @@ def path(
 @robot_and_task
 @figure_option
 @json_option
+@report_option
 def push(
     asked: RobotAndTask,
     names: tuple[str, ...],
@@ -90,6 +96,7 @@ def push(
     resolution: float,
     figure: Path | None,
     json_path: Path | None,
+    report_path: Path | None,
 ) -> None:
     """Find the largest horizontal push, in each direction, that robots survive as they stand.
 
@@ -115,7 +122,7 @@ def push(
     from pupper_analysis.report.push import print_pushes
 
     task = asked.task()
-    check_outputs(figure, json_path)
+    check_outputs(figure, json_path, report_path)
     robots = asked.robots(names, default=tuple(VARIANTS))
     kp, kd = asked.gains(robots[0])
     with working(f"pushing {', '.join(robot.name for robot in robots)}: some ten seconds each"):
@@ -132,4 +139,5 @@ def push(
         from pupper_analysis.report.figures.push import push_figure
 
         push_figure({name: result.recovery for name, result in results.items()}, figure)
+    write_page(report_path, results, robots)
     finish(json_path, results, passed=all(result.passed for result in results.values()))

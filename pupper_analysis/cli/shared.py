@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,9 @@ from pupper_analysis.errors import ConfigurationError, OutputError
 
 if TYPE_CHECKING:
     from rich.status import Status
+
+    from pupper_analysis.report.html.write import Reported
+    from pupper_analysis.robot.robot import Robot
 
 VERIFIED, FAILED, BAD_INPUT, INTERNAL = 0, 1, 2, 3
 """Exit statuses."""
@@ -23,6 +27,12 @@ json_option = click.option(
     "json_path",
     type=click.Path(path_type=Path),
     help="Write all results here, or to -: standard output.",
+)
+report_option = click.option(
+    "--report",
+    "report_path",
+    type=click.Path(path_type=Path),
+    help="Write a page with tables, plots and a 3-D view here: one HTML file.",
 )
 figure_option = click.option("--figure", type=click.Path(path_type=Path), help="Draw it: a PNG.")
 format_option = click.option(
@@ -141,6 +151,17 @@ def write_json(path: Path | None, content: object) -> None:
     if path is not None:
         with whole_file(path) as file:
             file.write(f"{to_json(content)}\n".encode())
+
+
+def write_page(path: Path | None, results: Reported, robots: Iterable[Robot] = ()) -> None:
+    """Writes results as one HTML file, if there is a file to write to."""
+    from pupper_analysis.cli.process import go_on
+
+    go_on()
+    if path is not None:
+        from pupper_analysis.report.html.write import write_report
+
+        write_report(results, path, robots=robots)
 
 
 def finish(json_path: Path | None, content: object, *, passed: bool) -> None:

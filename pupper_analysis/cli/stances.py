@@ -14,7 +14,9 @@ from pupper_analysis.cli.shared import (
     finish,
     json_option,
     point,
+    report_option,
     working,
+    write_page,
 )
 from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
 
@@ -33,12 +35,14 @@ at_option = click.option(
 @robot_and_task
 @figure_option
 @json_option
+@report_option
 def stand(
     asked: RobotAndTask,
     name: str | None,
     minimum_stiffness: bool,
     figure: Path | None,
     json_path: Path | None,
+    report_path: Path | None,
 ) -> None:
     """Solve a stance; print joint angles, what the motors hold, and whether it lasts.
 
@@ -74,13 +78,14 @@ def stand(
     from pupper_analysis.report.stance import print_stance
 
     task = asked.task()
-    check_outputs(figure, json_path)
+    check_outputs(figure, json_path, report_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
     with working("solving the stance, and simulating it"):
         result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)
     print_stance(console(), result)
     _draw(robot, result, figure)
+    write_page(report_path, result, [robot])
     finish(json_path, result, passed=result.passed)
 
 

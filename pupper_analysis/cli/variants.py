@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pupper_analysis.cli.shared import CONTEXT, FAILED, check_outputs, json_option, write_json
+from pupper_analysis.cli.shared import (
+    CONTEXT,
+    FAILED,
+    check_outputs,
+    json_option,
+    report_option,
+    write_json,
+    write_page,
+)
 from pupper_analysis.cli.stance_options import BASE, VARIANT, derived_variant, options
 from pupper_analysis.errors import ConfigurationError
 
@@ -32,6 +40,7 @@ if TYPE_CHECKING:
     help="Folder for the figures; made if need be.",
 )
 @json_option
+@report_option
 @click.option("--no-figures", is_flag=True, help="Print only.")
 @click.option("-v", "--verbose", is_flag=True, help="Print every table.")
 @click.option("-q", "--quiet", is_flag=True, help="Print the last verdict only.")
@@ -53,6 +62,7 @@ def analyze(
     yaw: float,
     output: Path,
     json_path: Path | None,
+    report_path: Path | None,
     no_figures: bool,
     verbose: bool,
     quiet: bool,
@@ -94,12 +104,13 @@ def analyze(
         _print_list(specs or list(VARIANTS.values()))
         return
     specs = specs or list(VARIANTS.values())
-    check_outputs(json_path, folders=(None if no_figures else output, write_folder))
+    check_outputs(json_path, report_path, folders=(None if no_figures else output, write_folder))
     task = StandTask(height=height, roll=roll, pitch=pitch, yaw=yaw)
     analyses, robots = _analyze_all(specs, task, verbose=verbose, quiet=quiet)
-    _finish(specs, robots, analyses, None if no_figures else output, json_path, quiet=quiet)
+    folder = None if no_figures else output
+    _finish(specs, robots, analyses, folder, json_path, report_path, quiet=quiet)
     if not (verbose or quiet):
-        click.echo("every table: -v; every number: --json FILE")
+        click.echo("every table: -v; every number: --json FILE; a page to share: --report FILE")
     if write_folder is not None:
         for spec in specs:
             for path in write_variant(spec, write_folder):
@@ -137,10 +148,11 @@ def _finish(
     analyses: list[Analysis],
     folder: Path | None,
     json_path: Path | None,
+    report_path: Path | None,
     *,
     quiet: bool,
 ) -> None:
-    """Compares the variants, and writes figures and JSON."""
+    """Compares the variants, and writes figures, JSON and report."""
     from pupper_analysis.analysis.robot import leg_lengths, thigh_shape_length
     from pupper_analysis.pupper import comparison
     from pupper_analysis.pupper.load import load_variant
@@ -172,6 +184,10 @@ def _finish(
         write_json(json_path, content)
         if not quiet:
             out.print(escape(f"results: {json_path}"))
+    if report_path is not None:
+        write_page(report_path, [*analyses, comparison.comparison_table(rows)], robots)
+        if not quiet:
+            out.print(escape(f"report: {report_path}"))
     good = sum(analysis.verified for analysis in analyses)
     out.print(f"{good} of {len(analyses)} verified")
 

@@ -12,6 +12,8 @@ from rich.console import Console
 from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.report.console import titled_table
+from pupper_analysis.report.html.document import Cell, Column, Name, Table, number
+from pupper_analysis.report.html.words import text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -173,6 +175,44 @@ def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
     for name, values in lines:
         table.add_row(name, *values)
     out.print(table)
+
+
+def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
+    """Returns the table that compares robots, for a page: a row each, so that it can be sorted."""
+    columns = (
+        ("mass", "kg", "total_mass", ".3f", 1.0),
+        ("mass ratio", "1", "mass_ratio", ".3f", 1.0),
+        ("thigh ratio, hip to knee", "1", "thigh_ratio", ".3f", 1.0),
+        ("thigh ratio, drawn shape", "1", "thigh_shape_ratio", ".3f", 1.0),
+        ("stand height", "m", "height", ".4f", 1.0),
+        ("peak torque", "N m", "peak_torque", ".3f", 1.0),
+        ("peak utilisation", "%", "peak_utilisation", ".1f", 100.0),
+        ("servo sag", "mm", "servo_sag", ".3f", 1e3),
+        ("contact softness", "mm", "contact_sag", ".3f", 1e3),
+        ("torque off prediction", "%", "torque_error", ".3f", 100.0),
+        ("foot force off prediction", "%", "force_error", ".3f", 100.0),
+        ("best kp", "N m/rad", "best_kp", "g", 1.0),
+        ("best kd", "N m s/rad", "best_kd", "g", 1.0),
+        ("cross-check, worst", "1", "cross_check", ".1e", 1.0),
+    )
+    cells: list[tuple[Cell, ...]] = []
+    for row in rows:
+        numbers = [
+            number(getattr(row, field), form, scale=scale) for _, _, field, form, scale in columns
+        ]
+        stands = text("stands") if row.stands_without else text("FAILS")
+        verdict = text("VERIFIED") if row.verified else text("FAILED")
+        cells.append((Name(row.name), *numbers, stands, verdict))
+    return Table(
+        text("Comparison (ratios to the unscaled base model)"),
+        (
+            Column(text("variant"), left=True),
+            *(Column(text(name), unit) for name, unit, *_ in columns),
+            Column(text("without feed-forward"), left=True),
+            Column(text("verdict"), left=True),
+        ),
+        tuple(cells),
+    )
 
 
 def _or_dash(ratio: float | None) -> str:

@@ -29,11 +29,11 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
         comparison: The comparison.
         everything: Print all differences, however many.
     """
-    causes, groups = _by_cause(comparison, everything)
+    causes, groups = by_cause(comparison, everything)
     verdict = "[bold green]AGREE[/]" if comparison.agree else "[bold red]DISAGREE[/]"
     if comparison.same_robot and not comparison.agree:
         verdict = "[bold yellow]ONE ROBOT, OTHER COORDINATES[/]"
-    first = _first(comparison, causes, groups)
+    first = first_to_mend(comparison, causes, groups)
     out.print(f"{verdict}: {escape(first)}", soft_wrap=True)
     _print_causes(out, comparison, causes, everything)
     shown = groups if everything else groups[:SHOWN]
@@ -52,7 +52,7 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
     for objection in comparison.objections:
         out.print(f"[red]{escape(objection)}[/]", soft_wrap=True)
     _print_quantities(out, comparison)
-    for note in _matching_notes(comparison):
+    for note in matching_notes(comparison):
         out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
 
 
@@ -70,11 +70,11 @@ def _print_causes(
         first = comparison.differences[cause.differences[0]]
         where = f"   {first.urdf_place}   {first.mjcf_place}"
         out.print(escape(where), style="dim", soft_wrap=True)
-        does = f"   the {first.kind} of {first.element}: {_effects(first)}"
+        does = f"   the {first.kind} of {first.element}: {effects_in_words(first)}"
         out.print(escape(does), soft_wrap=True)
 
 
-def _by_cause(
+def by_cause(
     comparison: Comparison, everything: bool
 ) -> tuple[tuple[Cause, ...], list[list[Difference]]]:
     """Returns the causes, and the differences that none explains, or all, in groups."""
@@ -87,7 +87,7 @@ def _by_cause(
     return comparison.causes, _groups(rest)
 
 
-def _first(
+def first_to_mend(
     comparison: Comparison, causes: Sequence[Cause], groups: Sequence[Sequence[Difference]]
 ) -> str:
     """Returns what is to be mended first, in a line."""
@@ -104,7 +104,8 @@ def _first(
     return "they do not have the same joints"
 
 
-def _matching_notes(comparison: Comparison) -> Iterable[str]:
+def matching_notes(comparison: Comparison) -> Iterable[str]:
+    """Says how joints were matched, and what was left out."""
     yield from comparison.notes
     if comparison.guessed:
         pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
@@ -138,10 +139,11 @@ def _print_group(out: Console, number: int, group: list[Difference], everything:
     out.print(escape(f"   {first.urdf_place}   {first.mjcf_place}"), style="dim", soft_wrap=True)
     for said in first.made_of if first.kind == "mass" else ():
         out.print(escape(f"   {said}"), style="dim", soft_wrap=True)
-    out.print(f"   {_effects(first)}", soft_wrap=True, style="" if first.effects else "dim")
+    out.print(f"   {effects_in_words(first)}", soft_wrap=True, style="" if first.effects else "dim")
 
 
-def _effects(difference: Difference) -> str:
+def effects_in_words(difference: Difference) -> str:
+    """Returns what a difference does, in a line."""
     if not difference.effects:
         return "no effect on the dynamics"
     effects = ", ".join(

@@ -54,6 +54,7 @@ SOFT = 1e-4
 
 
 _SAMPLE = 0.02  # s between the states that are looked at closely
+_FRAME = 0.1  # s between those that are kept: an eye sees what it does, and results stay small
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +94,8 @@ class StandVerification(Tabular):
             predicted f and tau (N, N m).
         time: (n,) samples (s).
         height: (n,) the base's height at these (m).
+        motion_time: (m,) fewer samples (s).
+        motion: (m, nq) the configurations at these.
     """
 
     passed: bool
@@ -122,6 +125,8 @@ class StandVerification(Tabular):
     mujoco_residual: float
     time: Array
     height: Array
+    motion_time: Array
+    motion: Array
 
     def _columns(self) -> dict[str, Array]:
         return {"time": self.time, "height": self.height}
@@ -239,7 +244,7 @@ def _measured(
     tilt = monitor.turned_by(robot, stand.task.rotation(), states[-1])
     deviation = float(monitor.base_heights(robot, settled).std())
     drift = float(heights[-1] - heights[-last_second]) / (timestep * (last_second - 1))
-    step = max(1, round(_SAMPLE / timestep))
+    step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE, _FRAME))
     foot_error, residual = _backend_evaluation(robot, stand, prediction)
     return StandVerification(
         passed=True,
@@ -272,6 +277,8 @@ def _measured(
         mujoco_residual=residual,
         time=states[::step, 0].copy(),
         height=heights[::step].copy(),
+        motion_time=states[::frame, 0].copy(),
+        motion=states[::frame, 1 + robot.mj_convention.qpos_index],
     )
 
 

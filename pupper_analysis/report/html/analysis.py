@@ -1,0 +1,279 @@
+"""The section of an analysis: all that was found out about one robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from pupper_analysis.analysis.robot import Analysis
+from pupper_analysis.report.html.document import (
+    Block,
+    Cell,
+    Column,
+    Lines,
+    Name,
+    Number,
+    Said,
+    Section,
+    Table,
+    Words,
+    number,
+    vector,
+)
+from pupper_analysis.report.html.loads import load_blocks, view_block
+from pupper_analysis.report.html.simulated import (
+    edge_note,
+    motions_of,
+    simulation_blocks,
+    sweep_blocks,
+)
+from pupper_analysis.report.html.sources import files, is_derived, joint_places, page
+from pupper_analysis.report.html.tasks import task_text
+from pupper_analysis.report.html.words import text, word
+from pupper_analysis.robot.robot import Robot
+
+
+def analysis_section(analysis: Analysis, robot: Robot | None) -> Section:
+    """Returns all that was found out about one robot.
+
+    Args:
+        analysis: The analysis.
+        robot: The robot, for its view and the lines of its files; None if it is not at hand.
+    """
+    blocks: list[Block] = []
+    if analysis.failures:
+        blocks.append(Lines(tuple(map(Said, analysis.failures)), "bad", text("What failed")))
+    runs = (analysis.verification, analysis.sagging)
+    blocks.append(view_block(robot, analysis.stand, analysis.statics, motions_of(runs)))
+    blocks += _structure(analysis, robot)
+    blocks.append(_stand(analysis))
+    blocks += load_blocks(
+        analysis.statics,
+        analysis.minimum_peak,
+        analysis.verification,
+        [joint.effort for joint in analysis.joints],
+        {Column(text("hanging"), "N m"): analysis.hanging_torques.tolist()},
+    )
+    blocks += simulation_blocks(analysis)
+    blocks += sweep_blocks(analysis.sweep)
+    blocks.append(_jacobians(analysis))
+    blocks.append(_check(analysis))
+    return Section(
+        Name(analysis.name),
+        tuple(blocks),
+        analysis.verified,
+        text("VERIFIED") if analysis.verified else text("FAILED"),
+        (*map(Said, analysis.failures), *_surprises(analysis)),
+    )
+
+
+def _surprises(analysis: Analysis) -> Iterable[Words]:
+    """Says what a reader would not expect, each by the numbers of the analysis."""
+    torques = np.abs(analysis.statics.joint_torques)
+    most = int(np.argmax(torques))
+    yield text(
+        "Standing, {joint} holds {standing} N m; hanging by its base it would hold {hanging} N m.",
+        joint=Name(analysis.joints[most].name),
+        standing=f"{analysis.statics.joint_torques[most]:+.3f}",
+        hanging=f"{analysis.hanging_torques[most]:+.3f}",
+    )
+    without = analysis.sagging
+    if without.passed:
+        yield text(
+            "Commanded the pose alone, without feed-forward, it loses {loss} mm of height: "
+            "{servo} mm in the servos, {contact} mm in the soft contacts.",
+            loss=f"{1e3 * without.height_loss:.2f}",
+            servo=f"{1e3 * without.servo_sag:.2f}",
+            contact=f"{1e3 * without.contact_sag:.2f}",
+        )
+    else:
+        yield text("Commanded the pose alone, without feed-forward, it does not stand:")
+        yield from map(Said, without.failures)
+    if analysis.sweep.at_edge:
+        yield edge_note(analysis.sweep)
+    yield from map(Said, analysis.notes)
+
+
+def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[Block]:
+    yield Lines(
+        (
+            text(
+                "nq = {nq}, nv = {nv}, nu = {nu}; mass {mass} kg; com at zero angles, from the "
+                "base ({com}) m",
+                nq=analysis.nq,
+                nv=analysis.nv,
+                nu=analysis.nu,
+                mass=f"{analysis.total_mass:.3f}",
+                com=vector(analysis.center_of_mass, "+.4f"),
+            ),
+            text(
+                "thigh {thigh}, calf {calf}",
+                thigh=_millimetres(analysis.thigh_length),
+                calf=_millimetres(analysis.calf_length),
+            ),
+            files(robot),
+        )
+    )
+    yield _joints(analysis, robot)
+    yield Table(
+        text("Masses of the bodies"),
+        (Column(text("base, or joint that moves it"), left=True), Column(text("mass"), "kg")),
+        tuple((Name(name), number(mass, ".3f")) for name, mass in analysis.link_masses.items()),
+        (text("Fixed links are counted with what they are fixed to."),),
+        (files(robot), page("physics.md", "Scaling a robot")),
+    )
+
+
+def _joints(analysis: Analysis, robot: Robot | None) -> Table:
+    """Returns what each joint does and can, and where that stands in the files."""
+    places = {} if robot is None else joint_places(robot)
+    rows: list[tuple[Cell, ...]] = []
+    for joint in analysis.joints:
+        cells: list[Cell] = [
+            Name(joint.name),
+            word(joint.motion),
+            vector(joint.axis, "+.2f" if joint.motion.startswith("oblique") else "+.0f"),
+            number(joint.lower, "+.2f"),
+            number(joint.upper, "+.2f"),
+            *(
+                number(value, "g")
+                for value in (
+                    joint.effort,
+                    joint.velocity,
+                    joint.armature,
+                    joint.damping,
+                    joint.friction,
+                )
+            ),
+        ]
+        where = places.get(joint.name, ("", ""))
+        rows.append((*cells, *map(Name, where)) if places else tuple(cells))
+    located = (
+        Column(text("line of the URDF"), left=True),
+        Column(text("line of the MJCF"), left=True),
+    )
+    notes: list[Words] = [text("Axes at zero angles, in the base's frame.")]
+    if robot is not None and is_derived(robot):
+        notes.append(text("The lines are those of the files, without the changes."))
+    return Table(
+        text("Joints, in actuator order"),
+        (
+            Column(text("joint"), left=True),
+            Column(text("motion"), left=True),
+            Column(text("axis"), "1", left=True),
+            Column(text("lower limit"), "rad"),
+            Column(text("upper limit"), "rad"),
+            Column(text("effort"), "N m"),
+            Column(text("velocity"), "rad/s"),
+            Column(text("armature"), "kg m²"),
+            Column(text("damping"), "N m s/rad"),
+            Column(text("friction"), "N m"),
+            *(located if places else ()),
+        ),
+        tuple(rows),
+        (*notes, *map(Said, analysis.notes)),
+        (
+            text("Limits from the URDF; armature, damping and friction from the MJCF."),
+            page("conventions.md", "Coordinates"),
+        ),
+    )
+
+
+def _millimetres(length: float | None) -> str:
+    return "-" if length is None else f"{1e3 * length:.1f} mm"
+
+
+def _stand(analysis: Analysis) -> Block:
+    stand = analysis.stand
+    rows = (
+        ("feet off their targets, by Pinocchio", "m", stand.foot_error),
+        ("feet off their targets, by MuJoCo", "m", analysis.verification.mujoco_foot_error),
+        ("orientation of the base", "rad", stand.orientation_error),
+        ("height of the base", "m", stand.height_error),
+        ("com", "m", stand.com_error),
+    )
+    return Table(
+        text("Errors of the solved stand (PlaCo, {count} iterations)", count=stand.iterations),
+        (
+            Column(text("deviation"), left=True),
+            Column(text("value")),
+            Column(text("unit"), left=True),
+        ),
+        tuple((text(name), number(value, ".1e"), Name(unit)) for name, unit, value in rows),
+        (task_text(stand.task),),
+        (
+            text("Solved on Pinocchio's model of the URDF, and computed anew on MuJoCo's."),
+            page("stances.md", "What the simulation says"),
+        ),
+    )
+
+
+def _jacobians(analysis: Analysis) -> Block:
+    rows: list[tuple[Cell, ...]] = [
+        (
+            Name(foot),
+            *(vector(row, "+.4f") for row in jacobian.matrix),
+            vector(jacobian.singular_values, ".4f"),
+            number(jacobian.condition, ".2f"),
+        )
+        for foot, jacobian in analysis.foot_jacobians.items()
+    ]
+    return Table(
+        text("Foot Jacobians, in world axes, by the joints of the leg"),
+        (
+            Column(text("foot"), left=True),
+            *(Column(Name(f"v{axis}"), "m/rad", left=True) for axis in "xyz"),
+            Column(text("singular values"), "m/rad", left=True),
+            Column(text("condition"), "1"),
+        ),
+        tuple(rows),
+        (),
+        (
+            text("Pinocchio's, of the URDF; the cross-check compares them with MuJoCo's."),
+            page("conventions.md", "Frames and feet"),
+        ),
+    )
+
+
+def _check(analysis: Analysis) -> Block:
+    check = analysis.check
+    rows: list[tuple[Cell, ...]] = []
+    for quantity in check.quantities:
+        exact = quantity.deviation == 0
+        rows.append(
+            (
+                word(quantity.name),
+                Name("" if exact else quantity.where),
+                Name("" if exact else quantity.whose),
+                number(quantity.scale, ".3g"),
+                number(quantity.deviation, ".1e"),
+                Name(quantity.unit),
+                Number(f"{quantity.relative:.1e}", quantity.relative),
+                text("ok") if quantity.passed else text("DIFFERS"),
+            )
+        )
+    return Table(
+        text(
+            "Cross-check: URDF and MJCF, each in Pinocchio and in MuJoCo, at {count} random "
+            "configurations; tolerance {tolerance}",
+            count=check.configurations,
+            tolerance=f"{check.tolerance:g}",
+        ),
+        (
+            Column(text("quantity"), left=True),
+            Column(text("worst at"), left=True),
+            Column(text("deviation of"), left=True),
+            Column(text("scale")),
+            Column(text("deviation")),
+            Column(text("unit"), left=True),
+            Column(text("relative"), "1"),
+            Column(text("verdict"), left=True),
+        ),
+        tuple(rows),
+        tuple(map(Said, check.notes)),
+        (
+            text("Two models in two engines; kinematics also by yourdfpy."),
+            page("physics.md", "The cross-check"),
+        ),
+    )

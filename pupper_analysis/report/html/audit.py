@@ -1,0 +1,89 @@
+"""The section of an audit: what is wrong in one file, with the line where it stands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pupper_analysis.checks.audit import Audit, Finding, Severity
+from pupper_analysis.report.html.document import (
+    Block,
+    Cell,
+    Column,
+    Lines,
+    Name,
+    Number,
+    Said,
+    Section,
+    Table,
+    Text,
+)
+from pupper_analysis.report.html.sources import page, quoted
+from pupper_analysis.report.html.words import text, word
+
+_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.INFO: ""}
+
+
+def audit_section(audit: Audit) -> Section:
+    """Returns what is wrong in one file."""
+    blocks: list[Block] = []
+    if audit.findings:
+        blocks += [_findings(audit), _advice(audit.findings)]
+    if audit.notes:
+        blocks.append(Lines(tuple(map(Said, audit.notes)), "warn", text("Left out")))
+    told = [
+        text("{count} of severity {severity}", count=count, severity=word(severity))
+        for severity, count in audit.counts.items()
+    ]
+    told.append(text("by {count} rules", count=len(audit.rules_run)))
+    worst = [Said(f"{one.element}: {one.message}") for one in audit.findings[:3]]
+    return Section(
+        Name(Path(audit.file).name),
+        tuple(blocks),
+        audit.passed,
+        _verdict(audit),
+        (*told, *worst),
+    )
+
+
+def _verdict(audit: Audit) -> Text:
+    if not audit.passed:
+        return text("UNSOUND")
+    return text("SUSPECT") if audit.counts.get(Severity.WARNING) else text("SOUND")
+
+
+def _findings(audit: Audit) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for order, one in enumerate(audit.findings, start=1):
+        line = "" if one.line is None else f":{one.line}"
+        rows.append(
+            (
+                Number(str(order), order, _MARKS[one.severity]),
+                word(str(one.severity)),
+                Name(one.rule),
+                Name(one.element),
+                Said(one.message),
+                Name(f"{Path(one.file).name}{line}"),
+                Name(quoted(f"{one.file}{line}", audit.file)),
+            )
+        )
+    return Table(
+        text("Findings, the worst first"),
+        (
+            Column(text("no."), "1"),
+            Column(text("severity"), left=True),
+            Column(text("rule"), left=True),
+            Column(text("of"), left=True),
+            Column(text("finding"), left=True),
+            Column(text("line"), left=True),
+            Column(text("what stands there"), left=True),
+        ),
+        tuple(rows),
+        (),
+        (page("audit.md", "What is compared with what"),),
+    )
+
+
+def _advice(findings: tuple[Finding, ...]) -> Lines:
+    """Returns why each rule matters, and what to do, once per rule."""
+    said = {one.rule: f"{one.rule}: {one.why} {one.todo}" for one in reversed(findings)}
+    return Lines(tuple(map(Said, reversed(said.values()))), title=text("Why, and what to do"))

@@ -1,0 +1,206 @@
+"""What motors and feet hold, as tables and drawings: of an analysis and of a single stance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from pupper_analysis.report.html import plots
+from pupper_analysis.report.html.document import (
+    Block,
+    Cell,
+    Column,
+    Lines,
+    Name,
+    Number,
+    Plot,
+    Table,
+    Text,
+    View,
+    number,
+    vector,
+)
+from pupper_analysis.report.html.scene import Motion, scene_of
+from pupper_analysis.report.html.sources import page
+from pupper_analysis.report.html.words import text
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.verify import StandVerification
+from pupper_analysis.stance.stand import Stand
+from pupper_analysis.statics.equilibrium import GravityCompensation
+
+BUSY, FULL = 0.9, 1.0
+"""Motor utilisation from which it is marked: little is left for a push, or nothing."""
+
+
+def utilisation(share: float) -> Number:
+    """Returns a share of a motor's limit as a cell with a bar."""
+    mark = "bad" if share > FULL else "warn" if share > BUSY else ""
+    return Number(f"{share:.1%}", 100 * share, mark, min(share, 1.0))
+
+
+def proof(verification: StandVerification) -> Text:
+    """Returns how predicted torques and forces are verified."""
+    return text(
+        "Verified by MuJoCo's simulation of {seconds} s: torques within {torque}, vertical foot "
+        "forces within {force} of the prediction.",
+        seconds=f"{verification.duration:g}",
+        torque=f"{verification.torque_error:.2%}",
+        force=f"{verification.force_error:.2%}",
+    )
+
+
+def load_blocks(
+    statics: GravityCompensation,
+    minimum_peak: GravityCompensation,
+    verification: StandVerification,
+    limits: Sequence[float],
+    more: Mapping[Column, Sequence[float]],
+) -> list[Block]:
+    """Returns what motors and feet hold, predicted and simulated.
+
+    Args:
+        statics: Of the forces that last.
+        minimum_peak: Of least peak utilisation.
+        verification: The simulation.
+        limits: (nu,) of the motors (N m).
+        more: Further columns, {column: (nu,)}.
+    """
+    source = (
+        text("From the URDF's masses, inertias and effort limits, by Pinocchio."),
+        page("physics.md", "Standing is not hanging"),
+        proof(verification),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (
+            Name(name),
+            number(statics.joint_torques[index], "+.4f"),
+            number(limits[index], "g"),
+            utilisation(float(statics.motor_utilisation[index])),
+            number(verification.joint_torques[index], "+.4f"),
+            number(minimum_peak.joint_torques[index], "+.4f"),
+            *(number(values[index], "+.4f") for values in more.values()),
+        )
+        for index, name in enumerate(statics.joint_names)
+    ]
+    torques = Table(
+        text("Motor torques"),
+        (
+            Column(text("joint"), left=True),
+            Column(text("torque"), "N m"),
+            Column(text("limit"), "N m"),
+            Column(text("utilisation"), "%"),
+            Column(text("simulated"), "N m"),
+            Column(text("minimum peak"), "N m"),
+            *more,
+        ),
+        tuple(rows),
+        (
+            text(
+                "torque: with the least tangential forces at the feet, which last; minimum peak: "
+                "with the contact forces of least peak utilisation, {peak}.",
+                peak=f"{minimum_peak.motor_utilisation.max():.1%}",
+            ),
+        ),
+        source,
+    )
+    return [
+        torques,
+        torque_plot(statics, verification, limits),
+        *_contacts(statics, minimum_peak, verification),
+    ]
+
+
+def torque_plot(
+    statics: GravityCompensation, verification: StandVerification, limits: Sequence[float]
+) -> Plot:
+    """Draws each motor's torque, predicted and simulated, against its limit."""
+    bars = [
+        plots.Bar(
+            Name(name),
+            float(statics.joint_torques[index]),
+            float(verification.joint_torques[index]),
+            float(limits[index]),
+        )
+        for index, name in enumerate(statics.joint_names)
+    ]
+    return plots.bar_plot(
+        text("Motor torques against their limits"),
+        plots.Axis(text("torque"), "N m", "+.3f"),
+        bars,
+        ((text("predicted"), "bar"), (text("simulated"), "other"), (text("limit"), "limit")),
+    )
+
+
+def _contacts(
+    statics: GravityCompensation,
+    minimum_peak: GravityCompensation,
+    verification: StandVerification,
+) -> list[Block]:
+    flat = len(statics.foot_loads) < len(statics.contact_forces)
+    rows: list[tuple[Cell, ...]] = [
+        (
+            Name(foot),
+            *(number(value, "+.3f") for value in load.force),
+            number(load.friction_utilisation, ".1f", scale=100),
+            *(number(value, "+.3f") for value in verification.foot_forces[foot]),
+            vector(minimum_peak.foot_loads[foot].force, "+.3f"),
+        )
+        for foot, load in statics.foot_loads.items()
+    ]
+    notes = [
+        text(
+            "centre of pressure of {foot}: {place} m",
+            foot=Name(foot),
+            place=vector(load.centre_of_pressure, "+.4f"),
+        )
+        for foot, load in statics.foot_loads.items()
+        if flat
+    ]
+    margin = "-" if statics.com_margin is None else f"{1e3 * statics.com_margin:.1f} mm"
+    notes.append(
+        text(
+            "balance residual {force} N, {torque} N m (in MuJoCo's terms {mujoco}); com {margin} "
+            "inside the support polygon",
+            force=f"{statics.residual_force:.1e}",
+            torque=f"{statics.residual_torque:.1e}",
+            mujoco=f"{verification.mujoco_residual:.1e}",
+            margin=margin,
+        )
+    )
+    axes = [Column(text("force {axis}", axis=axis), "N") for axis in "xyz"]
+    simulated = [Column(text("simulated {axis}", axis=axis), "N") for axis in "xyz"]
+    table = Table(
+        text("Contact forces on the feet, in world axes"),
+        (
+            Column(text("foot"), left=True),
+            *axes,
+            Column(text("friction used"), "%"),
+            *simulated,
+            Column(text("minimum peak, x y z"), "N", left=True),
+        ),
+        tuple(rows),
+        tuple(notes),
+        (
+            page("physics.md", "What the simulator holds: minimum tangential forces"),
+            proof(verification),
+        ),
+    )
+    return [table]
+
+
+def view_block(
+    robot: Robot | None,
+    stand: Stand,
+    statics: GravityCompensation | None,
+    motions: Sequence[Motion] = (),
+) -> Block:
+    """Returns the stand in three dimensions, or that it is left out; see ``scene_of``."""
+    if robot is None:
+        return Lines((text("The view in three dimensions is left out: no robot was given."),))
+    return View(
+        text("The stand in three dimensions"),
+        scene_of(robot, stand, statics, motions),
+        text(
+            "Shapes, masses and joint axes are those of the MJCF; contact forces, com and support "
+            "polygon are the prediction's."
+        ),
+    )

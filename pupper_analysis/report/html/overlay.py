@@ -1,0 +1,125 @@
+"""Two files of a robot over each other: the MJCF's shapes, and the URDF's joints as lines."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.report.formats import visible
+from pupper_analysis.report.html.scene import bodies_of, extent_of, geoms_of, packed, short_numbers
+from pupper_analysis.report.html.words import text
+
+Array = NDArray[np.float64]
+
+
+def overlay_of(comparison: Comparison) -> dict[str, Any] | None:
+    """Returns what is drawn of two files, both at zero angles and with their roots at one place.
+
+    Args:
+        comparison: The comparison; bodies with differences are marked, and say which.
+
+    Returns:
+        The scene, in the world of the MJCF (m); None where a file has gone, or has no bodies.
+    """
+    try:
+        model = read_mjcf(comparison.mjcf).compile()
+        lines = _urdf_lines(comparison.urdf)
+    except (PupperAnalysisError, OSError, ValueError, RuntimeError):
+        return None  # the lines of both are quoted all the same
+    if model.nbody < 2:
+        return None
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    told = _told(comparison, model)
+    bodies, (geoms, meshes) = bodies_of(model), geoms_of(model)
+    for body, messages in told.items():
+        bodies[body - 1]["told"] = "; ".join(map(visible, messages))
+    for geom in geoms:
+        geom["marked"] = geom["body"] + 1 in told
+    root = _root(comparison, model)
+    turn = data.xmat[root].reshape(3, 3)
+    placed = [data.xpos[root] + line @ turn.T for line in lines]
+    ends = np.concatenate([extent_of(model, data), *placed])
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    radius = max(float(np.linalg.norm(high - low) / 2), 1e-3)
+    poses = np.concatenate([data.xpos, data.xquat], axis=1)[None, 1:]
+    middle = (low + high) / 2
+    return {
+        "bodies": bodies,
+        "geoms": geoms,
+        "meshes": meshes,
+        "motions": [packed(text("zero angles"), np.zeros(1), poses)],
+        "joints": _joints(comparison, model),
+        "contacts": [],
+        "lines": [short_numbers(line) for line in placed],
+        "polygon": [],
+        "ground": short_numbers(np.array([middle[0], middle[1], low[2]])),
+        "normal": [0.0, 0.0, 1.0],
+        "com": None,
+        "middle": short_numbers(middle),
+        "radius": radius,
+        "size": 1.3 * radius,
+        "layers": ["shapes", "axes", "other", "masses"],
+    }
+
+
+def _urdf_lines(path: str) -> list[Array]:
+    """Returns lines (2, 3) to each joint from its parent, at zero angles, from the root (m)."""
+    model = pin.buildModelFromXML(read_urdf(path).text)
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    places = [data.oMi[joint].translation.copy() for joint in range(model.njoints)]
+    return [
+        np.array([places[model.parents[joint]], places[joint]]) for joint in range(1, model.njoints)
+    ]
+
+
+def _root(comparison: Comparison, model: mujoco.MjModel) -> int:
+    """Returns the body that carries the joints that both files have."""
+    for joint in comparison.joints:
+        found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+        if found >= 0:
+            return int(model.body_rootid[model.jnt_bodyid[found]])
+    return 1
+
+
+def _told(comparison: Comparison, model: mujoco.MjModel) -> dict[int, list[str]]:
+    """Returns {body: what differs of it, or of the joint that moves it}."""
+    told: dict[int, list[str]] = {}
+    for difference in comparison.differences:
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, difference.element)
+        if joint >= 0:
+            body = int(model.jnt_bodyid[joint])
+        elif difference.element == comparison.base:
+            body = _root(comparison, model)
+        else:
+            continue
+        told.setdefault(body, []).append(difference.message)
+    return told
+
+
+def _joints(comparison: Comparison, model: mujoco.MjModel) -> list[dict[str, Any]]:
+    listed = []
+    for name in comparison.joints:
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if joint < 0:
+            continue
+        messages = [one.message for one in comparison.differences if one.element == name]
+        listed.append(
+            {
+                "name": visible(name),
+                "body": int(model.jnt_bodyid[joint]) - 1,
+                "anchor": short_numbers(model.jnt_pos[joint]),
+                "axis": short_numbers(model.jnt_axis[joint]),
+                "told": "; ".join(map(visible, messages)),
+            }
+        )
+    return listed

@@ -1,0 +1,332 @@
+"""Drawings as inline SVG: lines, bars and directions, with values that show under the pointer.
+
+A mark is a dictionary that the template writes as one element: ``tag`` names it, ``words`` is a
+text that it shows, ``points`` are places (n, 2) with one of ``labels`` each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.report.html.document import Name, Plot, Text, Words, number
+
+Array = NDArray[np.float64]
+Mark = Mapping[str, Any]
+
+WIDTH, HEIGHT = 640.0, 300.0
+LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 12.0, 44.0
+"""Of a drawing (CSS pixels): itself, and what its axes' words need around it."""
+
+MOST_POINTS = 160
+"""Points of a line: one per four pixels of its width, which is as near as a pointer can be put."""
+
+LETTER, LONGEST = 7.0, 28
+"""Width of a letter (CSS pixels), and letters of a name for which there is room beside a bar."""
+
+STYLES = 6
+"""Styles of series in the style sheet (``s0`` ...), each of its own colour, dashes and marker."""
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One line of a drawing.
+
+    Attributes:
+        name: Whose it is.
+        x: (n,) along, in the axis's unit.
+        y: (n,) up, in the axis's unit; what is not finite is left out.
+        points: Whether every point is marked.
+    """
+
+    name: Words
+    x: ArrayLike
+    y: ArrayLike
+    points: bool = False
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What an axis measures.
+
+    Attributes:
+        name: The quantity.
+        unit: Its unit.
+        form: How its values are written.
+        log: Whether it is logarithmic.
+    """
+
+    name: Words
+    unit: str
+    form: str
+    log: bool = False
+
+    def scaled(self, values: Array) -> Array:
+        """Returns values as they are drawn."""
+        return np.log10(values) if self.log else values
+
+    def label(self, value: float) -> str:
+        """Writes a value with its unit."""
+        return f"{number(value, self.form).text} {self.unit}"
+
+
+def ticks(low: float, high: float, count: int = 5) -> list[float]:
+    """Returns round values between two, about as many as asked for."""
+    span = max(high - low, 1e-12)
+    power = 10.0 ** math.floor(math.log10(span / count))
+    step = next(size * power for size in (1, 2, 5, 10) if size * power * count >= span)
+    first = math.ceil(low / step - 1e-9)
+    return [round(index * step, 12) for index in range(first, math.floor(high / step + 1e-9) + 1)]
+
+
+def line_plot(
+    title: Words, x: Axis, y: Axis, series: Sequence[Series], source: tuple[Words, ...] = ()
+) -> Plot:
+    """Draws lines over one another.
+
+    Args:
+        title: What they show.
+        x: The axis along.
+        y: The axis up.
+        series: The lines, at least one with a finite value.
+        source: Where the numbers come from.
+    """
+    lines = []
+    for one in series:
+        across, up = (np.asarray(values, dtype=float) for values in (one.x, one.y))
+        good = np.isfinite(across) & np.isfinite(up)
+        lines.append(_thinned(np.column_stack([across[good], up[good]])))
+    points = np.concatenate(lines)
+    along, upward = x.scaled(points[:, 0]), y.scaled(points[:, 1])
+    left, right = _range(along, 0.0 if not x.log else 0.03)
+    low, high = _range(upward, 0.06)
+    wide, tall = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
+
+    def place(values: Array) -> Array:
+        across = LEFT + wide * (x.scaled(values[:, 0]) - left) / (right - left)
+        up = TOP + tall * (high - y.scaled(values[:, 1])) / (high - low)
+        return np.column_stack([across, up])
+
+    marks: list[Mark] = []
+    for value in _values(x, left, right, points[:, 0]):
+        at = place(np.array([[value, points[0, 1]]]))[0, 0]
+        marks.append(_line(at, TOP, at, TOP + tall, "grid"))
+        marks.append(_text(at, TOP + tall + 16, Name(f"{value:g}"), "middle"))
+    for value in _values(y, low, high, points[:, 1]):
+        at = place(np.array([[points[0, 0], value]]))[0, 1]
+        marks.append(_line(LEFT, at, LEFT + wide, at, "grid"))
+        marks.append(_text(LEFT - 6, at + 4, Name(f"{value:g}"), "end"))
+    marks += _axes(x, y, wide, tall)
+    for index, (one, line) in enumerate(zip(series, lines, strict=True)):
+        labels = [f"{x.label(across)}, {y.label(up)}" for across, up in line]
+        marks += _series(place(line), labels, one.name, index, points=one.points)
+    legend = tuple((one.name, f"s{index % STYLES}") for index, one in enumerate(series))
+    return Plot(title, WIDTH, HEIGHT, tuple(marks), legend, source)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A bar of a bar plot.
+
+    Attributes:
+        name: Its name.
+        value: Its length, in the axis's unit.
+        other: What is marked beside it by a tick; None for nothing.
+        limit: How long it may be; None for no limit.
+    """
+
+    name: Words
+    value: float
+    other: float | None = None
+    limit: float | None = None
+
+
+def bar_plot(
+    title: Words,
+    axis: Axis,
+    bars: Sequence[Bar],
+    legend: tuple[tuple[Words, str], ...],
+    source: tuple[Words, ...] = (),
+) -> Plot:
+    """Draws bars from zero to both sides, each with its limit and with another value beside it.
+
+    Args:
+        title: What they show.
+        axis: What they measure.
+        bars: The bars, from above.
+        legend: (words, class): of ``bar``, ``other`` and ``limit``.
+        source: Where the numbers come from.
+    """
+    shown = [_shortened(bar.name) for bar in bars]
+    names, values, step = 24.0 + LETTER * max(map(_letters, shown)), 84.0, 22.0
+    wide, tall = WIDTH - names - values, step * len(bars)
+    limits = [bar.limit for bar in bars if bar.limit is not None and math.isfinite(bar.limit)]
+    reach = max([abs(bar.value) for bar in bars] + limits + [1e-9])
+    one_sided = all(bar.value >= 0 for bar in bars)
+    low = 0.0 if one_sided else -reach
+
+    def at(value: float) -> float:
+        return names + wide * (value - low) / (reach - low)
+
+    marks: list[Mark] = []
+    for value in ticks(low, reach):
+        marks.append(_line(at(value), TOP, at(value), TOP + tall, "grid"))
+        marks.append(_text(at(value), TOP + tall + 16, Name(f"{value:g}"), "middle"))
+    for index, (bar, name) in enumerate(zip(bars, shown, strict=True)):
+        middle = TOP + step * (index + 0.5)
+        start, end = sorted((at(0.0), at(bar.value)))
+        bounds = {"x": start, "y": middle - 6, "width": max(end - start, 0.5), "height": 12.0}
+        marks.append({"tag": "rect", "class": "bar", **bounds})
+        if bar.limit is not None and math.isfinite(bar.limit):
+            for side in (1.0,) if one_sided else (1.0, -1.0):
+                edge = at(side * bar.limit)
+                marks.append(_line(edge, middle - 8, edge, middle + 8, "limit"))
+        if bar.other is not None and math.isfinite(bar.other):
+            edge = at(bar.other)
+            marks.append(_line(edge, middle - 8, edge, middle + 8, "other"))
+        marks.append(_text(names - 8, middle + 4, name, "end"))
+        marks.append(_text(WIDTH - 4, middle + 4, Name(axis.label(bar.value)), "end"))
+    marks.append(_line(at(0.0), TOP, at(0.0), TOP + tall, "axis"))
+    marks.append(_text(names + wide / 2, TOP + tall + 36, axis.name, "middle", axis.unit))
+    return Plot(title, WIDTH, TOP + tall + BOTTOM, tuple(marks), legend, source)
+
+
+def direction_plot(
+    title: Words, axis: Axis, series: Sequence[Series], source: tuple[Words, ...] = ()
+) -> Plot:
+    """Draws values by direction, as seen from above: forward is up, left is left.
+
+    Args:
+        title: What they show.
+        axis: What their distances from the middle measure.
+        series: Per robot, ``x`` are the directions (rad) and ``y`` the values.
+        source: Where the numbers come from.
+    """
+    size = 420.0
+    middle = size / 2
+    reach = max(float(np.max(np.asarray(one.y, dtype=float))) for one in series) or 1.0
+    scale = (middle - 46) / reach
+
+    def place(directions: Array, values: Array) -> Array:
+        turned = np.column_stack([-np.sin(directions), -np.cos(directions)])
+        places: Array = middle + scale * values[:, None] * turned
+        return places
+
+    marks: list[Mark] = []
+    for value in ticks(0.0, reach, 4)[1:]:
+        ring = {"tag": "circle", "class": "grid", "cx": middle, "cy": middle, "r": scale * value}
+        marks.append(ring)
+        marks.append(_text(middle + 4, middle - scale * value - 3, Name(f"{value:g}"), "start"))
+    for degrees in range(0, 360, 45):
+        angle = np.array([math.radians(degrees)])
+        end = place(angle, np.array([reach]))[0]
+        marks.append(_line(middle, middle, end[0], end[1], "grid"))
+        text = place(angle, np.array([reach + 20 / scale]))[0]
+        marks.append(_text(text[0], text[1] + 4, Name(f"{degrees}°"), "middle"))
+    for index, one in enumerate(series):
+        directions, values = (np.asarray(one.x, dtype=float), np.asarray(one.y, dtype=float))
+        labels = [
+            f"{math.degrees(angle):.0f}°, {axis.label(value)}"
+            for angle, value in zip(directions, values, strict=True)
+        ]
+        places = place(directions, values)
+        marks += _series(places, labels, one.name, index, points=True, closed=True)
+    marks.append(_text(middle, size - 4, axis.name, "middle", axis.unit))
+    legend = tuple((one.name, f"s{index % STYLES}") for index, one in enumerate(series))
+    return Plot(title, size, size, tuple(marks), legend, source)
+
+
+def _letters(words: Words) -> int:
+    return max(len(words.en), len(words.zh)) if isinstance(words, Text) else len(words.text)
+
+
+def _shortened(words: Words) -> Words:
+    """Returns a name that fits beside its bar: its end, where names differ."""
+    if isinstance(words, Name) and len(words.text) > LONGEST:
+        return Name(f"…{words.text[1 - LONGEST :]}")
+    return words
+
+
+def _thinned(points: Array) -> Array:
+    """Returns at most ``MOST_POINTS`` of them, the first and the last included."""
+    if len(points) <= MOST_POINTS:
+        return points
+    kept: Array = points[
+        np.unique(np.linspace(0, len(points) - 1, MOST_POINTS).round().astype(int))
+    ]
+    return kept
+
+
+def _range(values: Array, room: float) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    span = high - low or abs(high) or 1.0
+    return low - room * span, high + room * span if high > low or room else high + span
+
+
+def _values(axis: Axis, low: float, high: float, given: Iterable[float]) -> list[float]:
+    """Returns the values to be written at an axis: of a logarithmic one those that were tried."""
+    return sorted(set(given)) if axis.log and axis.form == "g" else _round(axis, low, high)
+
+
+def _round(axis: Axis, low: float, high: float) -> list[float]:
+    if not axis.log:
+        return ticks(low, high, 6)
+    decades = range(math.floor(low), math.ceil(high) + 1)
+    every = [size * 10.0**decade for decade in decades for size in (1, 2, 3, 5)]
+    return [value for value in every if low <= math.log10(value) <= high]
+
+
+def _axes(x: Axis, y: Axis, wide: float, tall: float) -> list[Mark]:
+    up = _text(14, TOP + tall / 2, y.name, "middle", y.unit)
+    return [
+        _line(LEFT, TOP + tall, LEFT + wide, TOP + tall, "axis"),
+        _line(LEFT, TOP, LEFT, TOP + tall, "axis"),
+        _text(LEFT + wide / 2, TOP + tall + 36, x.name, "middle", x.unit),
+        {**up, "transform": f"rotate(-90 14 {TOP + tall / 2:g})"},
+    ]
+
+
+def _series(
+    places: Array,
+    labels: Sequence[str],
+    name: Words,
+    index: int,
+    *,
+    points: bool = False,
+    closed: bool = False,
+) -> list[Mark]:
+    rounded = np.round(places, 1).tolist()
+    style = f"s{index % STYLES}"
+    line: dict[str, Any] = {
+        "tag": "polygon" if closed else "polyline",
+        "class": f"series {style}",
+        "points": rounded,
+        "labels": list(labels),
+        "name": name,
+    }
+    dots = [
+        {"tag": "circle", "class": f"dot {style}", "cx": cx, "cy": cy, "r": 3.5}
+        for cx, cy in (rounded if points else [])
+    ]
+    return [line, *dots]
+
+
+def _line(x1: float, y1: float, x2: float, y2: float, style: str) -> Mark:
+    return {"tag": "line", "class": style, "x1": x1, "y1": y1, "x2": x2, "y2": y2}
+
+
+def _text(x: float, y: float, words: Words, anchor: str, unit: str = "") -> Mark:
+    return {
+        "tag": "text",
+        "class": "words",
+        "x": x,
+        "y": y,
+        "words": words,
+        "anchor": anchor,
+        "unit": unit,
+    }

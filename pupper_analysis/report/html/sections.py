@@ -1,0 +1,143 @@
+"""Which result is shown how."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+
+from pupper_analysis.analysis.path import PathThere
+from pupper_analysis.analysis.push import PushedStance
+from pupper_analysis.analysis.robot import Analysis
+from pupper_analysis.analysis.stance import Stance
+from pupper_analysis.checks.audit import Audit
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.report.html.analysis import analysis_section
+from pupper_analysis.report.html.audit import audit_section
+from pupper_analysis.report.html.comparison import comparison_section
+from pupper_analysis.report.html.document import (
+    Block,
+    Cell,
+    Column,
+    Name,
+    Said,
+    Section,
+    Table,
+    Words,
+    number,
+)
+from pupper_analysis.report.html.stance import (
+    path_section,
+    push_plot,
+    push_section,
+    push_table,
+    stance_section,
+)
+from pupper_analysis.report.html.words import text
+from pupper_analysis.results import Result, Tabular, short
+from pupper_analysis.robot.robot import Robot
+
+MOST_ROWS = 500
+"""Of a table of which nothing is known: more than anyone reads."""
+
+
+def section_of(result: Result, name: str | None, robots: Mapping[str, Robot]) -> Section:
+    """Returns what is shown of a result.
+
+    Args:
+        result: The result.
+        name: What it is called; by default as its robot, or its file.
+        robots: The robots at hand, by name.
+    """
+    if isinstance(result, Analysis):
+        return analysis_section(result, robots.get(result.name))
+    if isinstance(result, Stance):
+        return stance_section(result, robots.get(result.name))
+    if isinstance(result, PushedStance):
+        return push_section(result, robots.get(result.name))
+    if isinstance(result, PathThere):
+        return path_section(result, robots.get(result.name))
+    if isinstance(result, Comparison):
+        return comparison_section(result)
+    if isinstance(result, Audit):
+        return audit_section(result)
+    return _any(result, name or type(result).__name__)
+
+
+def overview_of(results: Sequence[Result]) -> tuple[Block, ...]:
+    """Returns what compares several results."""
+    pushes = [result for result in results if isinstance(result, PushedStance)]
+    alike = {pushed.recovery.directions.tobytes() for pushed in pushes}
+    if len(pushes) > 1 and len(alike) == 1:
+        return push_table(pushes), push_plot(pushes)
+    return ()
+
+
+def title_of(results: Sequence[object]) -> Words:
+    """Returns a page's title: what kind of result it shows."""
+    titles = {
+        Analysis: text("Analysis of robots"),
+        Stance: text("A stance"),
+        PushedStance: text("How hard robots can be pushed"),
+        PathThere: text("A path to a stance"),
+    }
+    kinds = {type(result) for result in results if isinstance(result, Result)}
+    if len(kinds) == 1:
+        (kind,) = kinds
+        first = next(result for result in results if isinstance(result, Result))
+        if isinstance(first, Comparison):
+            names = [Path(first.urdf).name, Path(first.mjcf).name]
+            return text("Cross-check of {urdf} and {mjcf}", urdf=names[0], mjcf=names[1])
+        if isinstance(first, Audit):
+            return text("Audit of {file}", file=Path(first.file).name)
+        if kind in titles:
+            return titles[kind]
+    return text("Report of pupper_analysis")
+
+
+def _any(result: Result, name: str) -> Section:
+    """Returns the fields of a result that has no page of its own, with what they mean."""
+    meanings = _meanings(type(result))
+    rows: list[tuple[Cell, ...]] = [
+        (Name(field.name), _value(getattr(result, field.name)), Said(meanings.get(field.name, "")))
+        for field in fields(result)  # type: ignore[arg-type]  # all results are dataclasses
+    ]
+    table = Table(
+        Name(type(result).__name__),
+        (
+            Column(text("field"), left=True),
+            Column(text("value")),
+            Column(text("meaning and unit"), left=True),
+        ),
+        tuple(rows),
+    )
+    blocks: list[Block] = [table]
+    if isinstance(result, Tabular):
+        columns = {key: list(values) for key, values in result._columns().items()}  # type: ignore[arg-type]
+        cells = list(zip(*columns.values(), strict=True))[:MOST_ROWS]
+        blocks.append(
+            Table(
+                text("As a table"),
+                tuple(Column(Name(key)) for key in columns),
+                tuple(tuple(map(_value, row)) for row in cells),
+                (text("Units are those of the fields."),),
+            )
+        )
+    passed = getattr(result, "passed", None)
+    verdict = None if passed is None else text("PASSED") if passed else text("FAILED")
+    return Section(Name(name), tuple(blocks), passed, verdict)
+
+
+def _value(value: object) -> Cell:
+    if isinstance(value, bool) or not isinstance(value, float | int):
+        return Name(value if isinstance(value, str) else short(value))
+    return number(float(value), ".6g")
+
+
+def _meanings(kind: type) -> dict[str, str]:
+    """Returns {field: what its docstring says of it, unit included}."""
+    said = (inspect.getdoc(kind) or "").partition("Attributes:\n")[2]
+    entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", said, flags=re.MULTILINE)
+    return {name: re.sub(r"\s+", " ", meaning) for name, meaning in entries}

@@ -1,0 +1,218 @@
+"""What simulations made of a stand: tables, drawings, and motions to step through."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from pupper_analysis.analysis.robot import Analysis
+from pupper_analysis.report.html import plots
+from pupper_analysis.report.html.document import (
+    Array,
+    Block,
+    Cell,
+    Column,
+    Lines,
+    Name,
+    Number,
+    Plot,
+    Said,
+    Table,
+    Text,
+    Words,
+    number,
+)
+from pupper_analysis.report.html.loads import proof
+from pupper_analysis.report.html.scene import Motion
+from pupper_analysis.report.html.sources import page
+from pupper_analysis.report.html.words import joined, text, word
+from pupper_analysis.simulation.gain_sweep import GainSweep
+from pupper_analysis.simulation.verify import StandVerification
+
+
+def simulation_blocks(analysis: Analysis) -> Iterable[Block]:
+    """Returns what the simulations of a stand say, with feed-forward and without."""
+    run = analysis.verification
+    both = (run, analysis.sagging)
+    verdicts = tuple(text("stands") if one.passed else text("FAILED") for one in both)
+    table = Table(
+        text(
+            "MuJoCo, {seconds} s on the floating base ({integrator}, {step} ms; kp {kp} N m/rad, "
+            "kd {kd} N m s/rad)",
+            seconds=f"{run.duration:g}",
+            integrator=Name(run.integrator),
+            step=f"{1e3 * run.timestep:g}",
+            kp=_interval(run.kp),
+            kd=_interval(run.kd),
+        ),
+        (
+            Column(text("quantity"), left=True),
+            Column(text("with feed-forward")),
+            Column(text("without")),
+            Column(text("unit"), left=True),
+        ),
+        (*run_rows(both), (text("verdict"), *verdicts, Name(""))),
+        (),
+        (page("physics.md", "Position servos sag"), proof(run)),
+    )
+    yield table
+    for one, title in zip(
+        both, ("with feed-forward it fails", "without feed-forward it fails"), strict=True
+    ):
+        if one.failures:
+            yield Lines(tuple(map(Said, one.failures)), "warn", text(title))
+    yield height_plot(both, float(analysis.stand.qpos[2]))
+
+
+def height_plot(runs: Sequence[StandVerification], task: float) -> Plot:
+    """Draws the base's height over the simulated time, with feed-forward and without.
+
+    Args:
+        runs: The simulations.
+        task: The height that was asked for (m).
+    """
+    series = [
+        plots.Series(
+            text("with feed-forward") if run.feedforward else text("without"),
+            run.time,
+            1e3 * run.height,
+        )
+        for run in runs
+    ]
+    ends = np.array([runs[0].time[0], max(run.time[-1] for run in runs)])
+    series.append(plots.Series(text("task"), ends, np.full(2, 1e3 * task)))
+    return plots.line_plot(
+        text("Height of the simulated base"),
+        plots.Axis(text("time"), "s", ".2f"),
+        plots.Axis(text("base height"), "mm", ".2f"),
+        series,
+    )
+
+
+def _interval(values: Array) -> str:
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:g} … {high:g}"
+
+
+def sweep_blocks(sweep: GainSweep) -> Iterable[Block]:
+    """Returns how steady a stand is, by servo gains."""
+    rows: list[tuple[Cell, ...]] = []
+    for kp, row in zip(sweep.kp, sweep.height_deviation, strict=True):
+        cells: list[Cell] = [number(kp, "g")]
+        for kd, value in zip(sweep.kd, row, strict=True):
+            best = kp == sweep.best_kp and kd == sweep.best_kd
+            fell = text("fell")
+            cells.append(
+                number(value, ".4f", "best" if best else "", 1e3) if np.isfinite(value) else fell
+            )
+        rows.append(tuple(cells))
+    notes: list[Words] = [
+        text(
+            "Standard deviation of the base's height in the last of {seconds} s, under {force} N "
+            "at {frequency} Hz ({integrator}); the least is marked.",
+            seconds=f"{sweep.duration:g}",
+            force=f"{sweep.amplitude:g}",
+            frequency=f"{sweep.frequency:g}",
+            integrator=Name(sweep.integrator),
+        )
+    ]
+    if sweep.at_edge:
+        notes.append(edge_note(sweep))
+    yield Table(
+        text("Height deviation by servo gains"),
+        (
+            Column(text("kp \\ kd"), "N m/rad \\ N m s/rad", left=True),
+            *(Column(Name(f"kd {kd:g}"), "mm") for kd in sweep.kd),
+        ),
+        tuple(rows),
+        tuple(notes),
+        (text("Each cell is a simulation of its own in MuJoCo."),),
+    )
+    finite = [
+        (kp, row)
+        for kp, row in zip(sweep.kp, sweep.height_deviation, strict=True)
+        if np.isfinite(row).any()
+    ]
+    if finite and len(sweep.kd) > 1:
+        yield plots.line_plot(
+            text("Height deviation by servo gains"),
+            plots.Axis(text("kd"), "N m s/rad", "g", log=bool(sweep.kd.min() > 0)),
+            plots.Axis(text("height deviation"), "mm", ".4f", log=True),
+            [
+                plots.Series(
+                    Name(f"kp {kp:g} N m/rad"), sweep.kd, _positive(1e3 * row), points=True
+                )
+                for kp, row in finite
+            ],
+        )
+
+
+def _positive(values: Array) -> Array:
+    """Returns values without those that a logarithmic axis has no place for."""
+    return np.where(values > 0, values, np.nan)
+
+
+def edge_note(sweep: GainSweep) -> Text:
+    """Says where the best gains lie on the edge of what was tried."""
+    return text(
+        "The best gains lie on the edge of the grid ({edges}): better ones may be beyond.",
+        edges=joined(word(edge) for edge in sweep.at_edge),
+    )
+
+
+def motions_of(runs: Sequence[StandVerification]) -> list[Motion]:
+    """Returns the simulated motions."""
+    return [
+        Motion(
+            text("simulated, with feed-forward")
+            if run.feedforward
+            else text("simulated, without feed-forward"),
+            run.motion_time,
+            run.motion,
+        )
+        for run in runs
+    ]
+
+
+def run_rows(runs: Sequence[StandVerification]) -> tuple[tuple[Cell, ...], ...]:
+    """Returns what simulations made of a stand: a row per quantity, a column per run."""
+    quantities: list[tuple[str, str, list[Number]]] = [
+        ("base height", "m", [number(run.base_height, ".5f") for run in runs]),
+        ("loss of height", "mm", [number(run.height_loss, ".3f", scale=1e3) for run in runs]),
+        ("of it servo sag", "mm", [number(run.servo_sag, ".3f", scale=1e3) for run in runs]),
+        (
+            "of it contact softness",
+            "mm",
+            [number(run.contact_sag, ".3f", scale=1e3) for run in runs],
+        ),
+        (
+            "deviation of height, last second (< 5 mm = stable)",
+            "mm",
+            [number(run.height_deviation, ".5f", scale=1e3) for run in runs],
+        ),
+        (
+            "drift of height, last second",
+            "mm/s",
+            [number(run.height_drift, "+.4f", scale=1e3) for run in runs],
+        ),
+        ("tilt against the task", "°", [number(math.degrees(run.tilt), ".4f") for run in runs]),
+        (
+            "foot slip",
+            "mm",
+            [number(max(run.foot_slip.values()), ".4f", scale=1e3) for run in runs],
+        ),
+        ("joint error", "rad", [number(run.joint_error, ".1e") for run in runs]),
+        (
+            "torque off prediction, of the largest",
+            "%",
+            [number(run.torque_error, ".3f", scale=100) for run in runs],
+        ),
+        (
+            "vertical foot force off prediction",
+            "%",
+            [number(run.force_error, ".3f", scale=100) for run in runs],
+        ),
+    ]
+    return tuple((text(name), *values, Name(unit)) for name, unit, values in quantities)

@@ -1,0 +1,106 @@
+"""Where a report's numbers come from: files and their lines, pages of the documentation, proofs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.places import Place
+from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.report.html.document import Name, Said, Text, Words
+from pupper_analysis.report.html.words import text
+from pupper_analysis.robot.robot import Robot
+
+MOST_LETTERS, MOST_LINES = 400, 8
+"""Of an element of a file that is quoted: what stands on some lines of the page."""
+
+
+def page(name: str, heading: str) -> Text:
+    """Returns where the documentation says how something is computed."""
+    return text("Computed as in docs/{page}, “{heading}”.", page=name, heading=Name(heading))
+
+
+def files(robot: Robot | None) -> Text:
+    """Returns which two files a robot is from."""
+    if robot is None:
+        return text("From the robot's URDF and MJCF.")
+    description = robot.description
+    names = {
+        "urdf": Name(description.urdf_source.name),
+        "mjcf": Name(description.mjcf_source.name),
+    }
+    if is_derived(robot):
+        return text("Made from {urdf} (URDF) and {mjcf} (MJCF), with changes.", **names)
+    return text("From {urdf} (URDF) and {mjcf} (MJCF).", **names)
+
+
+def source_of(robot: Robot | None) -> list[Words]:
+    """Returns which two files a robot is from, and what was assumed on loading them."""
+    return [files(robot), *map(Said, () if robot is None else robot.notes)]
+
+
+def is_derived(robot: Robot) -> bool:
+    """Whether a robot's URDF is not word by word what stands in its file."""
+    return robot.description.urdf != _text(robot.description.urdf_source)
+
+
+def joint_places(robot: Robot) -> dict[str, tuple[str, str]]:
+    """Returns {joint: its lines in URDF and MJCF}; an empty text where it is not found."""
+    description = robot.description
+    lines: dict[str, tuple[str, str]] = {}
+    try:
+        files = read_urdf(description.urdf_source), read_mjcf(description.mjcf_source)
+    except ModelError:
+        return lines  # made in memory, or gone: the report has its numbers all the same
+    for name in robot.joint_names:
+        urdf, mjcf = (file.place("joint", name) for file in files)
+        lines[name] = (_where(urdf), _where(mjcf))
+    return lines
+
+
+def _where(place: Place) -> str:
+    return "" if place.line is None else str(place)
+
+
+def quoted(place: str | None, *paths: str) -> str:
+    """Returns what stands at a place in a file, or nothing if there is none.
+
+    Args:
+        place: ``file:line``; the file's name, or its path.
+        *paths: The files that may be meant; included ones stand beside them, or below.
+
+    Returns:
+        The line; and those before it, back to where its element begins, as an XML reader tells the
+        line on which a tag ends.
+    """
+    file, _, line = (place or "").rpartition(":")
+    if not file or not line.isdigit() or int(line) < 1:
+        return ""
+    candidates = [Path(file)]
+    for path in map(Path, paths):
+        candidates += [path] if path.name == Path(file).name else []
+        candidates.append(path.parent / file)
+    for candidate in candidates:
+        rows = _text(candidate).split("\n")[: int(line)]
+        if len(rows) == int(line) and rows[-1].strip():
+            return _element(rows)
+    return ""
+
+
+def _element(rows: list[str]) -> str:
+    """Returns the last of some lines, and those before it that belong to the same tag."""
+    begin = len(rows) - 1
+    while begin > max(0, len(rows) - MOST_LINES) and not rows[begin].lstrip().startswith("<"):
+        begin -= 1
+    if not rows[begin].lstrip().startswith("<"):
+        begin = len(rows) - 1
+    shown = "\n".join(row.strip() for row in rows[begin:])
+    return shown if len(shown) <= MOST_LETTERS else f"{shown[:MOST_LETTERS]}…"
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    except (OSError, ValueError):
+        return ""

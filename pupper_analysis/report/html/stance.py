@@ -1,0 +1,255 @@
+"""The sections of a stance, of pushes, and of a path: how a robot stands, and for how long."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from pupper_analysis.analysis.path import PathThere
+from pupper_analysis.analysis.push import PushedStance
+from pupper_analysis.analysis.stance import Stance
+from pupper_analysis.report.html import plots
+from pupper_analysis.report.html.document import (
+    Block,
+    Cell,
+    Column,
+    Lines,
+    Name,
+    Plot,
+    Said,
+    Section,
+    Table,
+    Words,
+    number,
+)
+from pupper_analysis.report.html.loads import load_blocks, proof, view_block
+from pupper_analysis.report.html.scene import Motion
+from pupper_analysis.report.html.simulated import height_plot, motions_of, run_rows
+from pupper_analysis.report.html.sources import page, source_of
+from pupper_analysis.report.html.tasks import task_text
+from pupper_analysis.report.html.words import text
+from pupper_analysis.robot.robot import Robot
+
+
+def stance_section(stance: Stance, robot: Robot | None) -> Section:
+    """Returns a stance, what it costs, and whether it holds."""
+    run = stance.verification
+    blocks: list[Block] = []
+    if run.failures:
+        blocks.append(Lines(tuple(map(Said, run.failures)), "bad", text("What failed")))
+    blocks.append(view_block(robot, stance.sunk or stance.stand, stance.statics, motions_of([run])))
+    blocks.append(Lines((task_text(stance.stand.task), *source_of(robot), *_told(stance))))
+    blocks += load_blocks(
+        stance.statics,
+        stance.minimum_peak,
+        run,
+        stance.limits.tolist(),
+        {Column(text("position"), "rad"): stance.joint_positions.tolist()},
+    )
+    blocks.append(
+        Table(
+            text("MuJoCo, {seconds} s on the floating base", seconds=f"{run.duration:g}"),
+            (
+                Column(text("quantity"), left=True),
+                Column(text("with feed-forward")),
+                Column(text("unit"), left=True),
+            ),
+            run_rows([run]),
+            (),
+            (page("stances.md", "What the simulation says"), proof(run)),
+        )
+    )
+    blocks.append(height_plot([run], float((stance.sunk or stance.stand).qpos[2])))
+    return Section(
+        Name(stance.name),
+        tuple(blocks),
+        stance.passed,
+        text("HOLDS") if stance.passed else text("FAILS"),
+        (task_text(stance.stand.task), *map(Said, run.failures), *_told(stance)),
+    )
+
+
+def _told(stance: Stance) -> Iterable[Words]:
+    if stance.overloaded:
+        yield text(
+            "OVERLOADED: with the contact forces that last the motors cannot hold it: {joints}",
+            joints=Name(", ".join(stance.overloaded)),
+        )
+    settled = stance.settled
+    if settled is None:
+        yield text("Without feed-forward, no sag is predicted:")
+        yield Said(stance.unsettled)
+    else:
+        yield text(
+            "Without feed-forward it settles at {height} m: servos give {servo} mm, the ground "
+            "{contact} mm.",
+            height=f"{settled.base_height:.5f}",
+            servo=f"{1e3 * settled.servo_sag:.2f}",
+            contact=f"{1e3 * settled.contact_sag:.2f}",
+        )
+        yield from map(Said, settled.failures)
+    if stance.minimum_stiffness is not None:
+        yield text(
+            "Minimum stiffness of servos that carry it without feed-forward: {kp} N m/rad",
+            kp=f"{stance.minimum_stiffness:.2f}",
+        )
+    near, links = stance.stand.ground_clearance, stance.stand.self_clearance
+    if near is not None:
+        yield text(
+            "Lowest part but the feet: {link}, {distance} mm",
+            link=Name(near.links[0]),
+            distance=f"{1e3 * near.distance:.1f}",
+        )
+    if links is not None:
+        yield text(
+            "Nearest links: {links}, {distance} mm apart",
+            links=Name(" / ".join(links.links)),
+            distance=f"{1e3 * links.distance:.1f}",
+        )
+    if stance.sunk is None:
+        yield text(
+            "Feet sunk into MuJoCo's soft ground would be out of reach: simulated with "
+            "joints for rigid ground."
+        )
+
+
+def push_section(pushed: PushedStance, robot: Robot | None) -> Section:
+    """Returns how hard a stance can be pushed, each way."""
+    recovery = pushed.recovery
+    rows: list[tuple[Cell, ...]] = [
+        (
+            number(math.degrees(angle), ".0f"),
+            number(recovery.impulses[index], ".2f"),
+            number(recovery.velocity_steps[index], ".3f"),
+            number(recovery.tipping_estimate[index], ".2f"),
+            Said(recovery.failures[index]),
+        )
+        for index, angle in enumerate(recovery.directions)
+    ]
+    weakest = text(
+        "Weakest at {direction}°: {impulse} N s, {speed} m/s of its {mass} kg; then:",
+        direction=f"{math.degrees(recovery.weakest_direction):.0f}",
+        impulse=f"{recovery.weakest_impulse:.2f}",
+        speed=f"{recovery.weakest_impulse / recovery.mass:.2f}",
+        mass=f"{recovery.mass:.2f}",
+    )
+    table = Table(
+        text("Largest push that the stand survives"),
+        (
+            Column(text("direction"), "°"),
+            Column(text("impulse"), "N s"),
+            Column(text("step of velocity"), "m/s"),
+            Column(text("a rigid robot tips at"), "N s"),
+            Column(text("how it fails then"), left=True),
+        ),
+        tuple(rows),
+        (text("Directions about the vertical, of the base: forward 0°, left 90°."),),
+        (
+            text(
+                "Each is found by simulations in MuJoCo ({count} in all), of {seconds} s each; a "
+                "push of {resolution} N s more fails.",
+                count=recovery.rollouts,
+                seconds=f"{recovery.duration:g}",
+                resolution=f"{recovery.resolution:g}",
+            ),
+        ),
+    )
+    return Section(
+        Name(pushed.name),
+        (
+            view_block(robot, pushed.stand, None),
+            Lines((task_text(pushed.stand.task), *source_of(robot))),
+            table,
+            push_plot([pushed]),
+        ),
+        pushed.passed,
+        text("LASTS") if pushed.passed else text("FAILS"),
+        (weakest, Said(recovery.weakest_failure)),
+    )
+
+
+def push_plot(pushes: Sequence[PushedStance]) -> Plot:
+    """Draws the largest pushes by direction, of one robot or several."""
+    return plots.direction_plot(
+        text("Largest push that the stand survives, from above: forward is up"),
+        plots.Axis(text("impulse"), "N s", ".2f"),
+        [
+            plots.Series(Name(one.name), one.recovery.directions, one.recovery.impulses)
+            for one in pushes
+        ],
+    )
+
+
+def push_table(pushes: Sequence[PushedStance]) -> Table:
+    """Returns the largest pushes of several robots, with the same directions, side by side."""
+    directions = pushes[0].recovery.directions
+    rows: list[tuple[Cell, ...]] = [
+        (
+            number(math.degrees(angle), ".0f"),
+            *(number(one.recovery.impulses[index], ".2f") for one in pushes),
+        )
+        for index, angle in enumerate(directions)
+    ]
+    return Table(
+        text("Largest push that the stand survives"),
+        (Column(text("direction"), "°"), *(Column(Name(one.name), "N s") for one in pushes)),
+        tuple(rows),
+        (text("Directions about the vertical, of the base: forward 0°, left 90°."),),
+    )
+
+
+def path_section(there: PathThere, robot: Robot | None) -> Section:
+    """Returns the path to a stance, which its view steps through, and how it is followed."""
+    path, tracking = there.path, there.tracking
+    time = plots.Axis(text("time"), "s", ".2f")
+    feet = [
+        plots.Series(Name(foot), path.time, path.loads[:, index])
+        for index, foot in enumerate(path.feet)
+    ]
+    quantities = (
+        ("greatest torque of motors in motion", "%", 100 * path.peak_utilisation, ".1f"),
+        ("greatest speed of joints", "%", 100 * path.peak_speed_utilisation, ".1f"),
+        ("least com margin", "mm", 1e3 * float(path.com_margin.min()), ".1f"),
+        ("least margin of the zero-moment point", "mm", 1e3 * float(path.zmp_margin.min()), ".1f"),
+        ("in MuJoCo: torque error, of the largest", "%", 100 * tracking.torque_error, ".1f"),
+        ("in MuJoCo: joint error", "rad", tracking.joint_error, ".3f"),
+        ("in MuJoCo: error of height", "mm", 1e3 * tracking.height_error, ".1f"),
+    )
+    table = Table(
+        text("The path, and how it is followed"),
+        (
+            Column(text("quantity"), left=True),
+            Column(text("value")),
+            Column(text("unit"), left=True),
+        ),
+        tuple(
+            (text(name), number(value, form), Name(unit)) for name, unit, value, form in quantities
+        ),
+    )
+    blocks: list[Block] = [
+        Lines((task_text(there.stand.task), *source_of(robot))),
+        table,
+        plots.line_plot(
+            text("Height of the base along the path"),
+            time,
+            plots.Axis(text("base height"), "mm", ".2f"),
+            [plots.Series(text("base height"), path.time, 1e3 * path.qpos[:, 2])],
+        ),
+        plots.line_plot(
+            text("Load of the feet along the path"),
+            time,
+            plots.Axis(text("load"), "N", ".2f"),
+            feet,
+        ),
+    ]
+    motion = Motion(text("the path"), path.time, path.qpos)
+    blocks.insert(0, view_block(robot, there.stand, None, [motion]))
+    if tracking.failures:
+        blocks.insert(0, Lines(tuple(map(Said, tracking.failures)), "bad", text("What failed")))
+    return Section(
+        Name(there.name),
+        tuple(blocks),
+        there.passed,
+        text("TRACKED") if there.passed else text("FAILED"),
+        (task_text(there.stand.task), *map(Said, tracking.failures)),
+    )

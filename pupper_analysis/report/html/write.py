@@ -1,0 +1,235 @@
+"""Writes results as one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import orjson
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.files import whole_file
+from pupper_analysis.report.formats import visible
+from pupper_analysis.report.html.document import Block, Section, Table, Text, View, Words
+from pupper_analysis.report.html.library import installed_library
+from pupper_analysis.report.html.scene import shared
+from pupper_analysis.report.html.sections import overview_of, section_of, title_of
+from pupper_analysis.report.html.words import text
+from pupper_analysis.results import Result
+from pupper_analysis.robot.robot import Robot
+
+if TYPE_CHECKING:
+    import jinja2
+
+LANGUAGES = {"en": "en", "zh": "zh-Hans"}
+"""The page's languages, and their names in HTML."""
+
+_HINT = "Drag to turn, pinch or Ctrl + wheel to zoom; point at an axis, a force or the com."
+_NO_LIBRARY = "The view in three dimensions is left out: three.js was not found; install meshcat."
+
+Reportable = Result | Table
+Reported = Reportable | Mapping[str, Reportable] | Iterable[Reportable]
+"""What may be reported."""
+
+
+def write_report(
+    results: Reported,
+    path: str | Path,
+    *,
+    robots: Iterable[Robot] = (),
+    language: str = "en",
+) -> None:
+    """Writes results as one HTML file, which needs no network and nothing beside it.
+
+    Args:
+        results: One result, several, or {name: result}. Analyses, stances, pushed stances,
+            comparisons, audits and paths have pages of their own; of any other result the fields
+            are shown.
+        path: The file; ``-`` is standard output.
+        robots: The robots that the results are of, for the views in three dimensions; they are
+            found by their names.
+        language: In which it opens, ``"en"`` or ``"zh"``; it can be changed on the page.
+
+    Raises:
+        ConfigurationError: If there is no result, or the language is neither.
+        OutputError: If the file cannot be written.
+    """
+    if language not in LANGUAGES:
+        raise ConfigurationError("language", f"{language!r} is neither 'en' nor 'zh'")
+    named = _named(results)
+    if not named:
+        raise ConfigurationError("results", "there is no result to report")
+    known = {robot.name: robot for robot in robots}
+    shown = [result for _, result in named if not isinstance(result, Table)]
+    overview = (
+        *(result for _, result in named if isinstance(result, Table)),
+        *overview_of(shown),
+    )
+    sections = tuple(
+        section_of(result, name, known) for name, result in named if not isinstance(result, Table)
+    )
+    title = title_of(shown)
+    with whole_file(Path(path)) as file:
+        file.write(_page(title, sections, overview, language).encode())
+
+
+def _named(
+    results: Reported,
+) -> list[tuple[str | None, Reportable]]:
+    if isinstance(results, Result | Table):
+        return [(None, results)]
+    if isinstance(results, Mapping):
+        return list(results.items())
+    return [(None, result) for result in results]
+
+
+def _page(
+    title: Words, sections: tuple[Section, ...], overview: tuple[Block, ...], language: str
+) -> str:
+    library = installed_library()
+    scenes: dict[str, dict[str, Any]] = {}
+    sections = tuple(
+        _with_own_scenes(section, index, scenes) for index, section in enumerate(sections)
+    )
+    meshes = shared(scenes)
+    judged = [section for section in sections if section.passed is not None]
+    page: str = (
+        _environment()
+        .get_template("page.html")
+        .render(
+            title=title,
+            language=LANGUAGES[language],
+            version=_version(),
+            sections=sections,
+            overview=overview,
+            counted=_counted(judged),
+            ui=_interface(),
+            words=_spoken(),
+            library=library if scenes else None,
+            three=_as_it_is(library.script if library else ""),
+            meshes=meshes,
+            style=_part("style.css"),
+            script=_part("page.js"),
+            viewer=_part("view.js"),
+        )
+    )
+    return page
+
+
+def _with_own_scenes(section: Section, number: int, scenes: dict[str, dict[str, Any]]) -> Section:
+    """Returns a section with copies of its views' scenes, which are put into ``scenes`` too."""
+    blocks = []
+    for place, block in enumerate(section.blocks):
+        if isinstance(block, View):
+            scene = dict(block.scene)
+            scenes[f"{number}.{place}"] = scene
+            block = replace(block, scene=scene)
+        blocks.append(block)
+    return replace(section, blocks=tuple(blocks))
+
+
+def _counted(judged: list[Section]) -> Text | None:
+    if len(judged) < 2:  # of one, its own verdict says it
+        return None
+    good = sum(bool(section.passed) for section in judged)
+    return text("{good} of {count} passed.", good=good, count=len(judged))
+
+
+def _version() -> str:
+    try:
+        return version("pupper-analysis")
+    except PackageNotFoundError:
+        return ""
+
+
+def _interface() -> dict[str, Any]:
+    """Returns the words of the page itself."""
+    layers = {
+        "shapes": text("shapes"),
+        "axes": text("joint axes"),
+        "forces": text("contact forces"),
+        "support": text("support polygon and com"),
+        "other": text("joints of the URDF"),
+        "masses": text("masses of the links"),
+    }
+    said = {
+        "best": "the best",
+        "source": "Where these numbers come from",
+        "save_svg": "Save as SVG",
+        "save_png": "Save as PNG",
+        "view_label": "Robot in three dimensions: arrow keys turn it, plus and minus zoom",
+        "view_hint": _HINT,
+        "reset": "Reset the view",
+        "time": "time",
+        "motion": "motion shown",
+        "joint_axes": "joint axes",
+        "no_library": _NO_LIBRARY,
+        "skip": "Skip to the summary",
+        "theme": "Light or dark",
+        "sections": "Sections",
+        "summary": "Summary",
+        "english_only": "Sentences with a bar before them come from the results, in English alone.",
+        "made_by": "Made by pupper_analysis. Units are SI, unless a header says otherwise.",
+        "licences": "Licences of the scripts in this file",
+    }
+    return {"layers": layers, **{name: text(english) for name, english in said.items()}}
+
+
+def _spoken() -> dict[str, dict[str, str]]:
+    """Returns the words that the page's scripts say, by language."""
+    said = {
+        "no_library": _NO_LIBRARY,
+        "no_webgl": "The browser has no WebGL: the view in three dimensions is left out.",
+        "position": "position",
+        "torque": "torque",
+        "mass": "mass",
+        "com": "com",
+        "force": "force",
+        "same": "no difference",
+    }
+    motions = ("roll", "pitch", "yaw", "oblique", "along x", "along y", "along z", "oblique slide")
+    texts = {name: text(english) for name, english in said.items()}
+    texts |= {motion: text(motion) for motion in motions}
+    return {
+        language: {name: getattr(words, language) for name, words in texts.items()}
+        for language in LANGUAGES
+    }
+
+
+def _environment() -> jinja2.Environment:
+    """Returns the templates' environment: every text is escaped, and none acts."""
+    import jinja2
+    import markupsafe
+
+    def shown(value: object) -> object:
+        plain = isinstance(value, str) and not isinstance(value, markupsafe.Markup)
+        return "\n".join(map(visible, str(value).split("\n"))) if plain else value
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("pupper_analysis.report.html"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    # What is not a number becomes null, which JSON has a word for.
+    environment.policies["json.dumps_function"] = lambda value, **_: orjson.dumps(value).decode()
+    return environment
+
+
+def _part(name: str) -> object:
+    """Returns a file of the package that is put into the page as it is."""
+    part = files("pupper_analysis.report.html").joinpath("templates", name)
+    return _as_it_is(part.read_text(encoding="utf-8"))
+
+
+def _as_it_is(script: str) -> object:
+    """Returns the package's own text, or a library's, which is not escaped."""
+    import markupsafe
+
+    return markupsafe.Markup(script)

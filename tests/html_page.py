@@ -1,0 +1,93 @@
+"""Reads a report as a browser would: its elements, its tables, and whether it is well-formed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+
+from lxml import etree
+from lxml import html as lxml_html
+
+VOID = frozenset(("meta", "link", "input", "br", "img", "hr"))
+"""Elements without an end."""
+
+
+class Strict(HTMLParser):
+    """Refuses what browsers would silently mend."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.scripts: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        names = [name for name, _ in attrs]
+        assert len(names) == len(set(names)), (tag, names)
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, tag
+        assert self.open[-1] == tag, (tag, self.open[-5:], self.getpos())
+        self.open.pop()
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "script":
+            self.scripts.append(data)
+
+
+@dataclass
+class Page:
+    """A report that has been read.
+
+    Attributes:
+        text: The file's text.
+        strict: What a strict reader saw.
+        root: The tree.
+    """
+
+    text: str
+    strict: Strict = field(init=False)
+    root: etree._Element = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.strict = Strict()
+        self.strict.feed(self.text)
+        self.strict.close()
+        assert self.strict.open == []
+        self.root = lxml_html.document_fromstring(self.text.encode(), base_url=None)
+
+    def tables(self) -> dict[str, list[dict[str, str]]]:
+        """Returns {title: [{header with unit: cell} per row]}, in English."""
+        found: dict[str, list[dict[str, str]]] = {}
+        for figure in self.root.iter("figure"):
+            if figure.get("class") != "table":
+                continue
+            headers = [shown(header) for header in figure.findall(".//thead//th")]
+            rows = [
+                dict(zip(headers, (shown(cell) for cell in row), strict=True))
+                for row in figure.findall(".//tbody/tr")
+            ]
+            found.setdefault(shown(figure.find("figcaption")), rows)
+        return found
+
+    def shown(self) -> str:
+        """Returns all that is shown in English, scripts left out."""
+        return shown(self.root.find("body"))
+
+
+def shown(element: etree._Element, language: str = "en") -> str:
+    """Returns the text of an element in one language."""
+    other = "zh" if language == "en" else "en"
+
+    def walk(node: etree._Element) -> str:
+        if node.tag in ("script", "style") or other in (node.get("class") or "").split():
+            return ""
+        return (node.text or "") + "".join(walk(child) + (child.tail or "") for child in node)
+
+    return " ".join(walk(element).split())
