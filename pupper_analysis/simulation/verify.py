@@ -28,30 +28,23 @@ Array = NDArray[np.float64]
 STABLE_DEVIATION = 5e-3
 """A stand is stable if the base's height deviates by less than this in the last second (m)."""
 
-
 JOINT_TOLERANCE = 1e-3
 """Joint error that a verified stand may have with feed-forward (rad)."""
-
 
 FORCE_TOLERANCE = 1e-2
 """Relative error that a verified stand's torques and foot forces may have with feed-forward."""
 
-
 LIGHT = 0.05
 """Share of the weight below which a foot's force is not what its error is measured by."""
-
 
 ANOTHER_ROBOT = 1e-3
 """Share of the weight by which MuJoCo's balance may be off; 1e-6 is what rounded files leave."""
 
-
 SETTLED_DRIFT = 5e-4
 """A base whose height changes faster than this in the last second has not settled (m/s)."""
 
-
 SOFT = 1e-4
 """Ground into which feet sink deeper than their stand has them by this is soft (m)."""
-
 
 _SAMPLE = 0.02  # s between the states that are looked at closely
 _FRAME = 0.1  # s between those that are kept: an eye sees what it does, and results stay small
