@@ -240,3 +240,17 @@ class NotSettlingError(PupperAnalysisError):
     def __init__(self, change: float, problem: str) -> None:
         self.change = change
         super().__init__(problem)
+
+
+class StudyError(PupperAnalysisError):
+    """A study cannot be run, gone on with or read.
+
+    Attributes:
+        folder: Its folder.
+        problem: What is wrong, and what would help.
+    """
+
+    def __init__(self, folder: str | PathLike[str], problem: str) -> None:
+        self.folder = str(folder)
+        self.problem = problem
+        super().__init__(f"study {self.folder}: {problem}")
