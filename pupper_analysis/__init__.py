@@ -35,11 +35,13 @@ if TYPE_CHECKING:
         PupperAnalysisError,
         StanceUnreachableError,
         StaticsInfeasibleError,
+        StudyError,
         UnknownNameError,
         VariantError,
     )
     from pupper_analysis.prepare.load import load_robot
     from pupper_analysis.pupper.load import load_variant
+    from pupper_analysis.pupper.studies import Study
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, VariantSpec
     from pupper_analysis.results import to_json
@@ -75,6 +77,8 @@ if TYPE_CHECKING:
         gravity_compensation,
     )
     from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
+    from pupper_analysis.study.study import read_study
+    from pupper_analysis.study.variables import grid, log_uniform, normal, uniform, values
     from pupper_analysis.sync.models import Sync, sync_models
 
 __version__ = "0.1.0"
@@ -152,6 +156,14 @@ _HOME = {
     "GravityCompensation": "statics.equilibrium",
     "ForceDistribution": "statics.equilibrium",
     "gravity_compensation": "statics.equilibrium",
+    "Study": "pupper.studies",
+    "StudyError": "errors",
+    "read_study": "study.study",
+    "grid": "study.variables",
+    "log_uniform": "study.variables",
+    "normal": "study.variables",
+    "uniform": "study.variables",
+    "values": "study.variables",
     "Sync": "sync.models",
     "sync_models": "sync.models",
     "VARIANTS": "pupper.variants",
@@ -199,6 +211,8 @@ __all__ = [
     "StaticsInfeasibleError",
     "SteadyState",
     "SteadyStateBand",
+    "Study",
+    "StudyError",
     "Sync",
     "Tolerances",
     "UnknownNameError",
@@ -212,14 +226,18 @@ __all__ = [
     "cross_check",
     "fastest_path",
     "gravity_compensation",
+    "grid",
     "inverse_dynamics",
     "load_robot",
     "load_variant",
+    "log_uniform",
     "minimum_stiffness",
+    "normal",
     "payload_limit",
     "payload_trial",
     "push_recovery",
     "reachable_heights",
+    "read_study",
     "solve_stand",
     "stance_path",
     "stand_statics",
@@ -230,6 +248,8 @@ __all__ = [
     "sync_models",
     "to_json",
     "track_path",
+    "uniform",
+    "values",
     "verify_stand",
     "with_payload",
     "write_variant",

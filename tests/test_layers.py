@@ -22,7 +22,7 @@ ROOMS = (
     ("checks",),
     ("sync",),
     ("prepare",),
-    ("analysis",),
+    ("analysis", "study"),
     ("report",),
     ("pupper",),
     ("cli",),

@@ -259,5 +259,3 @@ def _reason(error: BaseException) -> str:
     if isinstance(error, PupperAnalysisError):
         return str(error)
     return f"{type(error).__name__}: {error}"
-
-

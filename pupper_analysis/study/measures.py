@@ -131,9 +131,7 @@ _ALL = (
         lambda d: d.rest.base_height,
         "height of the base at rest on its servos, without feed-forward (m)",
     ),
-    Measure(
-        "sag", lambda d: d.rest.height_loss, "height lost at rest, in servos and ground (m)"
-    ),
+    Measure("sag", lambda d: d.rest.height_loss, "height lost at rest, in servos and ground (m)"),
     Measure("servo_sag", lambda d: d.rest.servo_sag, "the part of it lost in the servos (m)"),
     Measure("contact_sag", lambda d: d.rest.contact_sag, "the part lost in the ground (m)"),
     Measure("stiffness", lambda d: d.rest.stiffness, "least eigenvalue at rest (rad^2/s^2)"),
@@ -166,7 +164,10 @@ _ALL = (
         for direction, unit in (("height", "m"), ("roll", "rad"), ("pitch", "rad"), ("yaw", "rad"))
     ),
     Measure(
-        "verified", lambda d: d.simulated.passed, "whether MuJoCo confirms the stand", simulates=True
+        "verified",
+        lambda d: d.simulated.passed,
+        "whether MuJoCo confirms the stand",
+        simulates=True,
     ),
     Measure(
         "simulated_height",

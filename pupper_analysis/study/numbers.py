@@ -148,9 +148,7 @@ def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
     return built
 
 
-def _scale_urdf(
-    root: etree._Element, robot: Robot, kind: str, joint: str, factor: float
-) -> None:
+def _scale_urdf(root: etree._Element, robot: Robot, kind: str, joint: str, factor: float) -> None:
     if kind in BODIES:
         for link in _fixed_to(root, _links(root).get(joint, robot.base)):
             inertial = next(one for one in root.iter("link") if one.get("name") == link).find(
@@ -191,9 +189,7 @@ def _fixed_to(root: etree._Element, link: str) -> Iterator[str]:
             yield from _fixed_to(root, str(_child(joint, "child").get("link")))
 
 
-def _scale_mjcf(
-    spec: mujoco.MjSpec, robot: Robot, kind: str, joint: str, factor: float
-) -> None:
+def _scale_mjcf(spec: mujoco.MjSpec, robot: Robot, kind: str, joint: str, factor: float) -> None:
     if kind in BODIES:
         name = _bodies(robot)[joint] if joint else robot.mj_base
         for body in _welded_to(spec.body(name)):
@@ -324,8 +320,8 @@ def with_gains(
 def plain(description: Description) -> Description:
     """Returns a description without what is only looked at: it moves and touches alike.
 
-    Shapes that touch nothing go, where the body's mass is not theirs; and so do meshes, textures
-    and materials that nothing uses then. Models of many meshes compile several times as fast.
+    Shapes that touch nothing go, where the body's mass is not theirs; and so do meshes that
+    nothing uses then, and textures. Models of many meshes compile several times as fast.
     """
     spec = description.mjcf.copy()
     kept = {geom for geom, _ in description.foot_geoms.values()}
@@ -335,19 +331,16 @@ def plain(description: Description) -> Description:
         pairs = any(geom.name in (pair.geomname1, pair.geomname2) for pair in spec.pairs)
         if not touches and not pairs and geom.name not in kept and _weightless(geom):
             spec.delete(geom)
-        elif geom.material:
-            geom.material = ""
     used = {geom.meshname for geom in spec.geoms}
     for mesh in list(spec.meshes):
         if mesh.name not in used:
             spec.delete(mesh)
-    users = {*(m.material for m in (*spec.skins, *spec.flexes, *spec.tendons, *spec.sites))} - {""}
-    if not users:
-        for element in (*spec.materials, *spec.textures):
-            spec.delete(element)
+    for material in spec.materials:  # which default classes may name: they stay
+        material.textures = [""] * len(material.textures)
+    for texture in list(spec.textures):
+        spec.delete(texture)
     return replace(description, mjcf=spec)
 
 
 def _weightless(geom: mujoco.MjsGeom) -> bool:
     return bool(geom.parent.name == "world" or geom.parent.explicitinertial or geom.mass == 0)
-

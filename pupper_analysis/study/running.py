@@ -197,7 +197,9 @@ class Run:
         self.tell(self._timed())
         return self.progress
 
-    def _missing(self, blocks: Iterable[tuple[list[str], Array]]) -> Iterator[tuple[list[str], Array]]:
+    def _missing(
+        self, blocks: Iterable[tuple[list[str], Array]]
+    ) -> Iterator[tuple[list[str], Array]]:
         """Yields what is not there, block by block, designs of one robot beside each other."""
         done = self.store.designs()
         for names, numbers in blocks:

@@ -69,10 +69,10 @@ class Sampling:
             for start in range(0, self.product, BLOCK):
                 numbers = np.arange(start, min(start + BLOCK, self.product))
                 index = np.unravel_index(numbers, sizes) if sizes else ()
-                levels = [np.array(column.levels) for column in columns]
-                yield np.column_stack(
-                    [level[at] for level, at in zip(levels, index, strict=True)]
-                ).reshape(len(numbers), len(columns))
+                block = np.zeros((len(numbers), len(columns)))
+                for place, (column, at) in enumerate(zip(columns, index, strict=True)):
+                    block[:, place] = np.array(column.levels)[at]
+                yield block
             return
         from scipy.stats import qmc
 

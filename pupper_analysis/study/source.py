@@ -67,7 +67,9 @@ class Pair:
         known = ("urdf", "mjcf", "feet", "name", "joints", "keyframe")
         unknown = [name for name in options if name not in known]
         if unknown or not {"urdf", "mjcf"} <= set(options):
-            problem = f"{dict(options)!r}: give urdf and mjcf, and if need be {', '.join(known[2:])}"
+            problem = (
+                f"{dict(options)!r}: give urdf and mjcf, and if need be {', '.join(known[2:])}"
+            )
             raise ConfigurationError("robot", problem)
         robot = load_robot(**options)
         if not robot.floating or not robot.feet:

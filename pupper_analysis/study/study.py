@@ -91,10 +91,11 @@ class Study:
         check_type("stand", stand, StandTask | None)
         self.source = self._source(robot)
         self.variables = {str(name): variable(str(name), given) for name, given in vary.items()}
+        self.task = stand or StandTask()
+        self._check_variables()
         self.sampling = Sampling(self.variables, samples, seed)
         self.measures = tuple(measure_of(one) for one in measure)
         self._given = tuple(measure)
-        self.task = stand or StandTask()
         self.point = tuple(point_on_base(payload_point).tolist())
         self.time_limit = None if time_limit is None else finite("time_limit", time_limit)
         if self.time_limit is not None and self.time_limit <= 0:
@@ -105,7 +106,6 @@ class Study:
         twice = next((name for name in named if named.count(name) > 1), None)
         if twice is not None:
             raise ConfigurationError("measure", f"{twice!r} is there twice")
-        self._check_variables()
 
     def _source(self, robot: Any) -> Source:
         """Returns the source of a robot that is given in one of several ways."""
@@ -145,7 +145,9 @@ class Study:
         parts = {
             "robot": digest_of(self.base.description),
             "source": repr(self.source.asked()) if self.source.scales else "",
-            "stand": {field.name: repr(getattr(self.task, field.name)) for field in fields(self.task)},
+            "stand": {
+                field.name: repr(getattr(self.task, field.name)) for field in fields(self.task)
+            },
             "point": self.point,
             "measures": sorted(fingerprint(one) for one in self.measures),
             "versions": versions(),
@@ -325,8 +327,11 @@ def _ordered(frame: pd.DataFrame, order: Mapping[str, int]) -> pd.DataFrame:
     placed = kept.assign(_at=kept["design"].map(order)).sort_values("_at").drop(columns="_at")
     ends = [name for name in ("failure", "reason") if name in placed]
     front = [name for name in placed.columns if name not in ends]
-    return placed[[*front, *ends]].dropna(axis="columns", how="all").reset_index(drop=True).pipe(
-        lambda table: table.assign(**{end: None for end in ends if end not in table})
+    return (
+        placed[[*front, *ends]]
+        .dropna(axis="columns", how="all")
+        .reset_index(drop=True)
+        .pipe(lambda table: table.assign(**{end: None for end in ends if end not in table}))
     )
 
 
