@@ -4,6 +4,7 @@ import ctypes
 import os
 import signal
 import time
+from pathlib import Path
 
 import pupper_analysis as pa
 
@@ -42,10 +43,10 @@ def hangs(robot: pa.Robot, stand: pa.Stand) -> float:
 
 
 def crashes_once(robot: pa.Robot, stand: pa.Stand) -> float:
-    marker = os.environ["STUDY_MARKER"]
-    if heavy(robot) and not os.path.exists(marker):
-        with open(marker, "w"):
-            os.kill(os.getpid(), signal.SIGKILL)
+    marker = Path(os.environ["STUDY_MARKER"])
+    if heavy(robot) and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
     return 1.0
 
 

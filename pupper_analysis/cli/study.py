@@ -13,8 +13,8 @@ import click
 from pupper_analysis.cli.shared import CONTEXT, check_outputs, finish, json_option
 
 if TYPE_CHECKING:
-    from pupper_analysis.pupper.studies import Study
     from pupper_analysis.study.running import Progress
+    from pupper_analysis.study.study import Study
 
 
 @click.command("study", context_settings=CONTEXT, short_help="Measure thousands of designs.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from pupper_analysis.pupper.variant_files import describe
@@ -36,7 +36,8 @@ class Variants:
         Raises:
             VariantError: If a scale is not a finite positive number, or nothing can be made so.
         """
-        spec = replace(self.spec, name="", **scales) if scales else self.spec
+        wanted = {**self.scales, **scales}
+        spec = VariantSpec(self.spec.base, wanted["leg_scale"], wanted["torso_mass_scale"])
         depth = BASES[spec.base].foot_depth(spec.leg_scale)
         return build_robot(plain(describe(spec)), foot_depth=depth)
 

@@ -161,9 +161,12 @@ def task_of(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
     changes: dict[str, Any] = {
         name: numbers[name] for name in ("height", "roll", "pitch", "yaw") if name in numbers
     }
-    ground = {name: numbers[name] for name in ("slope", "uphill") if name in numbers}
-    if ground:
-        changes["ground"] = replace(task.ground, **ground)
+    if "slope" in numbers or "uphill" in numbers:
+        changes["ground"] = replace(
+            task.ground,
+            slope=numbers.get("slope", task.ground.slope),
+            uphill=numbers.get("uphill", task.ground.uphill),
+        )
     if "offset_x" in numbers or "offset_y" in numbers:
         x, y = task.offset or (0.0, 0.0)
         changes["offset"] = (numbers.get("offset_x", x), numbers.get("offset_y", y))

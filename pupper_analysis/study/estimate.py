@@ -42,13 +42,16 @@ class Estimate(Result):
 def estimate(study: Study, folder: Path) -> Estimate:
     """Times some designs of a study's first block, in this process; nothing is written."""
     done = Store(folder).designs() if (folder / "shards").is_dir() else np.zeros(0, np.uint64)
-    there, names, numbers = 0, [], np.zeros((0, len(study.variables)))
+    there, numbers = 0, np.zeros((0, len(study.variables)))
+    names: list[str] = []
     for block_names, block in study.designs():
         there += int(np.isin(keys(block_names), done).sum())
         if not names:
             names, numbers = block_names, block
     chosen = np.unique(np.linspace(0, len(names) - 1, TIMED).astype(int))
-    work, seconds, failures = study.work(), [], []
+    work = study.work()
+    seconds: list[float] = []
+    failures: list[str] = []
     for index in (chosen[0], *chosen):
         chunk = Chunk(work, (names[index],), (tuple(numbers[index].tolist()),))
         found = measured(chunk)

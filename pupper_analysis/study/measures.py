@@ -252,7 +252,7 @@ class OfRobotAndStand:
     def fingerprint(self) -> str:
         """Returns its name and a hash of its text, which tells that it has changed."""
         try:
-            text = inspect.getsource(self.function)  # type: ignore[arg-type]
+            text = inspect.getsource(self.function)
         except (OSError, TypeError):
             text = ""
         return f"{self.place} {hashlib.sha256(text.encode()).hexdigest()[:16]}"

@@ -79,7 +79,7 @@ def joints_of(robot: Robot, named: Named) -> tuple[str, ...]:
     Raises:
         UnknownNameError: If none match; the message lists the names.
     """
-    names = {joint: (joint,) for joint in robot.joint_names}
+    names: dict[str, tuple[str, ...]] = {joint: (joint,) for joint in robot.joint_names}
     if named.kind in BODIES:
         links, bodies = _links(parse_text(robot.description.urdf)), _bodies(robot)
         names = {"": (robot.base, robot.mj_base)}

@@ -17,6 +17,7 @@ from concurrent.futures import (
     wait,
 )
 from dataclasses import dataclass, field
+from multiprocessing.process import BaseProcess
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,10 @@ TRIES = 2
 """A design that ends its worker, alone in it, is tried so often, as the machine may be to blame."""
 
 SLACK = 5.0
-"""s beyond the time limit until a worker must be gone."""
+"""s in which a process that has ended must be gone."""
+
+EXIT_LIMIT = 1
+"""What ``faulthandler`` ends a process with; one that is killed has the signal, negative."""
 
 
 @dataclass(frozen=True)
@@ -130,11 +134,21 @@ class Crew:
             self._executor = ProcessPoolExecutor(self.workers, context, initializer=begin)
         return self._executor
 
+    def _processes(self) -> list[BaseProcess]:
+        return list((getattr(self._executor, "_processes", None) or {}).values())
+
+    def gave_up(self) -> bool:
+        """Whether a process that was begun here has ended itself, as the time limit does it."""
+        if self._given is not None:
+            return False
+        for process in self._processes():
+            process.join(SLACK)
+        return any(process.exitcode == EXIT_LIMIT for process in self._processes())
+
     def end(self) -> None:
         """Ends the processes that were begun here."""
         if self._given is None and self._executor is not None:
-            pool = self._executor
-            processes = list((getattr(pool, "_processes", None) or {}).values())
+            pool, processes = self._executor, self._processes()
             pool.shutdown(wait=False, cancel_futures=True)
             for process in processes:
                 process.terminate()
@@ -270,14 +284,14 @@ class Run:
             raise
         except (Exception, CancelledError) as error:
             if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":
-                self._blame(chunk, time.monotonic() - begun)
+                self._blame(crew, chunk, time.monotonic() - begun)
                 if isinstance(error, BrokenExecutor):
                     self._lost(crew, error)
                 return
             raise StudyError(
                 self.store.folder,
-                f"the workers are lost ({type(error).__name__}: {error}); what was done is kept: run "
-                "it again, and it goes on from there",
+                f"the workers are lost ({type(error).__name__}: {error}); what was done is kept: "
+                "run it again, and it goes on from there",
             ) from error
         self.progress.work += found.seconds
         self._keep(found.rows)
@@ -291,8 +305,9 @@ class Run:
             problem = "its executor is broken by a worker that ended; run it again to go on"
             raise StudyError(self.store.folder, problem) from error
         crew.end()
+        crew.check()  # that the time of the next design is not that of its worker's start
 
-    def _blame(self, chunk: Chunk, seconds: float) -> None:
+    def _blame(self, crew: Crew, chunk: Chunk, seconds: float) -> None:
         """Tries the designs of a chunk whose worker ended again, alone; or marks the one it was."""
         (name, *others) = chunk.names
         alone = not others and not self._flying
@@ -301,7 +316,8 @@ class Run:
             return
         self._tries[name] += 1
         limit = self.settings.limit
-        slow = limit is not None and seconds >= limit
+        # Of a given executor it is not known how long the worker had been at it, nor how it ended.
+        slow = limit is not None and seconds >= limit and crew.gave_up()
         if self._tries[name] < TRIES and not slow:
             self._suspects.append(chunk)
             return
@@ -309,7 +325,7 @@ class Run:
         reason = (
             f"it took longer than {limit:g} s"
             if slow
-            else f"it ended its worker's process, {TRIES} times"
+            else "it ended its worker's process, or took longer than its time limit"
         )
         failed = {"failure": "timed out" if slow else "crashed", "reason": reason}
         self._keep(({"design": name, **values, **failed},))

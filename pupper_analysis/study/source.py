@@ -109,7 +109,7 @@ def digest_of(description: Description) -> str:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Feeds a value to a hash, with where it begins and ends; paths of this machine are left out."""
+    """Feeds a value to a hash, with where it begins and ends; folders are left out."""
     if isinstance(value, Mapping):
         for key in sorted(value, key=str):
             if key != "folder":

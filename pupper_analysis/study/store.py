@@ -1,4 +1,4 @@
-"""A study's folder: what was asked, results in shards that are there whole or not at all, a lock."""
+"""A study's folder: what was asked, shards that are there whole or not at all, and a lock."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ FORMAT = 1
 _README = """\
 # A study
 
-`study.json` says what was asked, with the versions and the hash of the robot's files. `shards/` has
-the results, as Parquet: one row per design, with its hash, its numbers, what was measured, and, of a
-design that failed, why. From Python:
+`study.json` says what was asked, with the versions and a hash of the robot's files. `shards/` has
+the results, as Parquet: one row per design, with its hash, its numbers, what was measured, and why,
+if it failed. From Python:
 
     import pupper_analysis as pa
     table = pa.read_study("FOLDER")
@@ -169,8 +169,8 @@ class Store:
         if not tables:
             return pd.DataFrame({"design": pd.Series(dtype=str)})
         joined = pa.concat_tables(tables, promote_options="default")
-        frame = joined.to_pandas().drop_duplicates("design").sort_values("design")
-        return frame.reset_index(drop=True)
+        frame: pd.DataFrame = joined.to_pandas().drop_duplicates("design")
+        return frame.sort_values("design").reset_index(drop=True)
 
     def _tables(self, columns: list[str] | None) -> Iterator[Any]:
         import pyarrow as pa

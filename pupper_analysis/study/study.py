@@ -118,9 +118,9 @@ class Study:
         raise ConfigurationError("robot", problem)
 
     def _check_variables(self) -> None:
-        if "offset_x" in self.variables or "offset_y" in self.variables:
-            if self.task.com != "centre":
-                raise ConfigurationError("vary['offset_x']", "give an offset, or a com, not both")
+        offset = next((name for name in ("offset_x", "offset_y") if name in self.variables), None)
+        if offset is not None and self.task.com != "centre":
+            raise ConfigurationError(f"vary[{offset!r}]", "give an offset, or a com, not both")
         for name, one in self.variables.items():
             check_name(name, self.source)
             check_range(name, *one.range)
@@ -131,8 +131,8 @@ class Study:
         if servos:
             from pupper_analysis.robot.servos import gains
 
-            one = {name: 1.0 if name in self.variables else None for name in SERVOS}
-            gains(self.base, one["kp"], one["kd"])
+            given = {name: 1.0 if name in self.variables else None for name in SERVOS}
+            gains(self.base, given["kp"], given["kd"])
 
     @cached_property
     def base(self) -> Robot:
@@ -300,7 +300,7 @@ class Study:
         """
         needed("pandas")
         store = Store(Path(folder))
-        order = {}
+        order: dict[str, int] = {}
         for names, _ in self.designs():
             for name in names:
                 order.setdefault(name, len(order))
@@ -368,12 +368,13 @@ def _tuples(stand: Mapping[str, Any]) -> dict[str, Any]:
     """Returns a stance's values as Python has them: points are tuples, the ground is a Ground."""
     from pupper_analysis.robot.ground import Ground
 
-    found = {
+    found: dict[str, Any] = {
         name: tuple(value) if name in ("offset", "com") and isinstance(value, list) else value
         for name, value in stand.items()
     }
-    if isinstance(found.get("ground"), Mapping):
-        found["ground"] = Ground(**found["ground"])
+    ground = found.get("ground")
+    if isinstance(ground, Mapping):
+        found["ground"] = Ground(**ground)
     return found
 
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import finite
+from pupper_analysis.arguments import check_type, finite
 from pupper_analysis.errors import ConfigurationError
 
 Array = NDArray[np.float64]
@@ -159,8 +158,7 @@ def grid(low: float, high: float, count: int) -> Grid:
         ConfigurationError: If they are none.
     """
     first, last = _ordered("grid", low, high)
-    if isinstance(count, bool) or not isinstance(count, Integral):
-        raise ConfigurationError("grid", f"{count!r} is not a whole number of values")
+    check_type("count", count, int)
     if not 2 <= count <= MOST_LEVELS:
         problem = f"{count} values between {first:g} and {last:g}; give 2 to {MOST_LEVELS}"
         raise ConfigurationError("grid", problem)
@@ -173,8 +171,7 @@ def values(numbers: Sequence[float]) -> Values:
     Raises:
         ConfigurationError: If it is empty, or a value is no finite number or there twice.
     """
-    if isinstance(numbers, str) or not isinstance(numbers, Sequence | np.ndarray):
-        raise ConfigurationError("values", f"{numbers!r} is not a list of numbers")
+    check_type("values", numbers, Sequence[float])
     listed = tuple(finite("values", value) for value in numbers)
     if not 1 <= len(listed) <= MOST_LEVELS:
         raise ConfigurationError("values", f"{len(listed)} of them; give 1 to {MOST_LEVELS}")
@@ -216,7 +213,7 @@ def normal(mean: float, deviation: float) -> Normal:
     return Normal(finite("normal", mean), spread)
 
 
-KINDS = {
+KINDS: Mapping[str, Callable[..., Variable]] = {
     "grid": grid,
     "values": lambda *numbers: values(numbers),
     "uniform": uniform,
@@ -245,8 +242,10 @@ def variable(name: str, given: object) -> Variable:
                 known = ", ".join(KINDS)
                 raise ConfigurationError("kind", f"{dict(given)!r} is not {{kind: [numbers]}}, "
                                          f"with one of the kinds {known}")  # fmt: skip
-            return KINDS[kind](*numbers)  # type: ignore[operator]
-        return values(given if isinstance(given, Sequence | np.ndarray) else [given])  # type: ignore[list-item]
+            return KINDS[kind](*numbers)
+        if isinstance(given, Sequence | np.ndarray):
+            return values(given)  # type: ignore[arg-type]
+        return values([given])  # type: ignore[list-item]
     except ConfigurationError as error:
         raise ConfigurationError(f"vary[{name!r}]", str(error)) from error
     except TypeError as error:
