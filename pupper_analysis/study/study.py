@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import pickle
 import tomllib
@@ -25,7 +26,7 @@ from pupper_analysis.study.design import check_name, check_range
 from pupper_analysis.study.measures import Function, asked, fingerprint, measure_of
 from pupper_analysis.study.numbers import SERVOS, Named, joints_of
 from pupper_analysis.study.running import Progress, Run, Settings
-from pupper_analysis.study.sampling import Sampling
+from pupper_analysis.study.sampling import BLOCK, Sampling
 from pupper_analysis.study.source import Pair, Source, digest_of
 from pupper_analysis.study.store import Store, needed
 from pupper_analysis.study.variables import Variable, variable
@@ -96,6 +97,7 @@ class Study:
         self.sampling = Sampling(self.variables, samples, seed)
         self.measures = tuple(measure_of(one) for one in measure)
         self._given = tuple(measure)
+        self._points: Array | None = None
         self.point = tuple(point_on_base(payload_point).tolist())
         self.time_limit = None if time_limit is None else finite("time_limit", time_limit)
         if self.time_limit is not None and self.time_limit <= 0:
@@ -156,11 +158,21 @@ class Study:
         return hashlib.sha256(data).hexdigest()
 
     def __len__(self) -> int:
-        return len(self.sampling)
+        return len(self.sampling) if self._points is None else len(self._points)
+
+    def at(self, points: Array) -> Study:
+        """Returns the same study with other designs: points (n, variables)."""
+        other = copy.copy(self)
+        other._points = points
+        return other
 
     def designs(self) -> Iterator[tuple[list[str], Array]]:
         """Yields designs block by block: their hashes, and their numbers (n, variables)."""
-        for block in self.sampling.blocks():
+        blocks = self.sampling.blocks()
+        if self._points is not None:
+            count = -(-len(self._points) // BLOCK)
+            blocks = iter(np.array_split(self._points, count)) if count else iter(())
+        for block in blocks:
             yield names_of(self.digest, tuple(self.variables), block), block
 
     def work(self) -> bytes:
