@@ -196,7 +196,7 @@ def sag_derivatives(
             for side in sides
         )
         moved = -np.linalg.solve(derivative, (more - less) / (2 * step))[: robot.nv]
-        shift = (sides[0].stand.qpos[:2] - sides[1].stand.qpos[:2]) / (2 * step)
+        shift = np.array(sides[0].stand.qpos - sides[1].stand.qpos, float)[:2] / (2 * step)
         found[name] = _sag(Configuration(robot, rest.qpos), stand, moved, shift)
     return found
 

@@ -107,7 +107,7 @@ def sobol_indices(
 
     names = list(study.variables)
     problem = {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
-    seed = study.sampling.seed % 2**32
+    seed = study.sampling.seed % 2**31 + 1  # SALib takes 0 for none
     shares = scheme.sample(problem, samples, calc_second_order=False, seed=seed)
     points = at_shares(study.variables, np.asarray(shares, dtype=float))
     chosen = study.at(points)
@@ -123,9 +123,10 @@ def sobol_indices(
         if lost:
             reasons = ", ".join(map(str, table["failure"].dropna().unique()))
             raise ConfigurationError(
-                "vary", f"{lost} of {len(values)} designs have no {measure} ({reasons}); narrow the "
-                "spreads: indices need all of the scheme's designs"
-            )  # fmt: skip
+                "vary",
+                f"{lost} of {len(values)} designs have no {measure} ({reasons}); narrow the "
+                "spreads: indices need all of the scheme's designs",
+            )
         index = analysis.analyze(problem, values, calc_second_order=False, seed=seed)
         found[measure] = SobolIndices(
             measure,

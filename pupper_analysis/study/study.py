@@ -35,6 +35,8 @@ from pupper_analysis.study.worker import Work, versions
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pupper_analysis.study.search import Optimum
+
 Array = NDArray[np.float64]
 
 KEYS = ("robot", "vary", "samples", "seed", "measure", "stand", "payload_point", "time_limit")
@@ -166,6 +168,13 @@ class Study:
         other._points = points
         return other
 
+    def varying(self, variables: Mapping[str, Variable]) -> Study:
+        """Returns the same study with other values of its variables."""
+        other = copy.copy(self)
+        other.variables = dict(variables)
+        other.sampling = Sampling(variables, self.sampling.samples, self.sampling.seed)
+        return other
+
     def designs(self) -> Iterator[tuple[list[str], Array]]:
         """Yields designs block by block: their hashes, and their numbers (n, variables)."""
         blocks = self.sampling.blocks()
@@ -281,6 +290,18 @@ class Study:
         """
         self.execute(folder, executor=executor, workers=workers, progress=progress)
         return self.table(folder)
+
+    def optimise(self, folder: str | Path, **options: Any) -> Optimum:
+        """Searches the study's ranges for the designs that are best: see ``search.optimise``.
+
+        Args:
+            folder: Where results are kept.
+            options: ``minimise``, ``maximise``: columns; ``subject_to``: {column: (least,
+                greatest)}; ``trials``; and ``executor``, ``workers``, ``progress`` as in ``run``.
+        """
+        from pupper_analysis.study.search import optimise
+
+        return optimise(self, folder, **options)
 
     def execute(
         self,
