@@ -173,19 +173,23 @@ def test_derivatives_that_are_not_there_are_refused() -> None:
 
 
 def test_sobols_indices_of_a_known_function(tmp_path: Path, thread: Executor) -> None:
-    """total_mass is linear in payload and torso: shares are those of the variances, exactly."""
-    vary = {"payload": pa.uniform(0.0, 0.4), "mass:base_link": pa.normal(1.0, 0.05)}
-    study = pa.Study("v3", vary, ["total_mass"], samples=4)
-    found = sobol_indices(study, tmp_path, ["total_mass"], samples=64, executor=thread)
-    light, heavy = (pa.load_variant(pa.VariantSpec("v3", 1.0, s)).total_mass for s in (1.0, 2.0))
-    parts = {"payload": 0.4**2 / 12, "mass:base_link": ((heavy - light) * 0.05) ** 2}
-    for name, part in parts.items():
-        share = part / sum(parts.values())
-        assert found["total_mass"].first[name] == pytest.approx(share, abs=0.02)
-        assert found["total_mass"].total[name] == pytest.approx(share, abs=0.02)
-    assert found["total_mass"].designs == 64 * 4
-    again = sobol_indices(study, tmp_path, ["total_mass"], samples=64, executor=thread)
-    assert again == found
+    """Of a product of independent factors, in closed form; together they make a share of it."""
+    vary = {"kp": pa.uniform(2.0, 8.0), "kd": pa.uniform(0.1, 0.9)}
+    study = pa.Study("v3", vary, [study_measures.product_of_gains], samples=4)
+    (found,) = sobol_indices(
+        study, tmp_path, ["product_of_gains"], samples=256, executor=thread
+    ).values()
+    mean, var = {"kp": 5.0, "kd": 0.5}, {"kp": 6.0**2 / 12, "kd": 0.8**2 / 12}
+    alone = {"kp": var["kp"] * mean["kd"] ** 2, "kd": var["kd"] * mean["kp"] ** 2}
+    both = var["kp"] * var["kd"]
+    whole = sum(alone.values()) + both
+    for name in vary:
+        assert found.first[name] == pytest.approx(alone[name] / whole, abs=0.02)
+        assert found.total[name] == pytest.approx((alone[name] + both) / whole, abs=0.02)
+    assert both / whole > 0.06
+    assert found.designs == 256 * 4
+    again = sobol_indices(study, tmp_path, ["product_of_gains"], samples=256, executor=thread)
+    assert again == {"product_of_gains": found}
 
 
 @pytest.mark.slow
@@ -264,20 +268,21 @@ def test_spreads_are_narrowed_about_their_means() -> None:
 
 
 def test_the_tightest_tolerance_is_the_quantile(tmp_path: Path, thread: Executor) -> None:
-    """Servos of a normal stiffness: the robot stays up above the least one, k.
+    """Motors of a normal strength, and stiff servos: it stands above the least strength, k.
 
     With a mean m and a share p the deviation s must satisfy m - z_p s = k.
     """
     robot = pa.load_variant("v3")
-    least = pa.minimum_stiffness(robot, pa.solve_stand(robot), tolerance=1e-3)
+    least = float(pa.stand_statics(robot, pa.solve_stand(robot)).motor_utilisation.max())
     mean, wide = 1.3 * least, 0.5 * least
-    base = pa.Study("v3", {"kp": pa.normal(mean, wide)}, ["stands", "utilisation"], samples=64)
+    vary = {"effort:*": pa.normal(mean, wide), "kp": [500.0]}
+    base = pa.Study("v3", vary, ["stands", "utilisation"], samples=64)
     found = tightest_tolerance(base, tmp_path, wanted=0.9, resolution=0.05, executor=thread)
     spread = (mean - least) / stats.norm.ppf(0.9)
     assert 0.4 < spread / wide < 0.5
     assert found.scale == pytest.approx(spread / wide, abs=0.08)
     assert found.chance.probability >= 0.9
-    assert found.spreads["kp"]["normal"] == pytest.approx([mean, wide * found.scale])
+    assert found.spreads["effort:*"]["normal"] == pytest.approx([mean, wide * found.scale])
     with pytest.raises(pa.ConfigurationError, match="take 100 or more"):
         tightest_tolerance(base, tmp_path, wanted=0.99)
 

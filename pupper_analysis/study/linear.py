@@ -196,8 +196,9 @@ def sag_derivatives(
             for side in sides
         )
         moved = -np.linalg.solve(derivative, (more - less) / (2 * step))[: robot.nv]
-        shift = np.array(sides[0].stand.qpos - sides[1].stand.qpos, float)[:2] / (2 * step)
-        found[name] = _sag(Configuration(robot, rest.qpos), stand, moved, shift)
+        shift = (sides[0].stand.qpos - sides[1].stand.qpos)[:2] / (2 * step)
+        at_rest = Configuration(robot, rest.qpos)
+        found[name] = _sag(at_rest, stand, moved, np.asarray(shift, dtype=np.float64))
     return found
 
 
