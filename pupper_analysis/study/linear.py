@@ -195,10 +195,10 @@ def sag_derivatives(
             Equilibrium(side.robot, side.stand, None, "pinned").residual(rest.qpos, forces)
             for side in sides
         )
-        moved = -np.linalg.solve(derivative, (more - less) / (2 * step))[: robot.nv]
+        moved = -np.array(np.linalg.solve(derivative, (more - less) / (2 * step)), float)
         shift = (sides[0].stand.qpos - sides[1].stand.qpos)[:2] / (2 * step)
         at_rest = Configuration(robot, rest.qpos)
-        found[name] = _sag(at_rest, stand, moved, np.asarray(shift, dtype=np.float64))
+        found[name] = _sag(at_rest, stand, moved[: robot.nv], shift)
     return found
 
 
