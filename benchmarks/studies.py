@@ -131,12 +131,13 @@ def efficiency() -> None:
 
 def overhead() -> None:
     """What the parent spends on a design, and its memory, for 1e3 to 1e5 designs."""
-    for count in (1_000, 10_000, 100_000):
+    for count in (1_000, 10_000, 30_000):
         code = (
             "import time, sys, tempfile; sys.path.insert(0, sys.argv[2])\n"
             "import studies, pupper_analysis as pa\n"
             "if __name__ == '__main__':\n"
-            "    study = pa.Study('v3', {'kp': pa.grid(5.0, 20.0, int(sys.argv[1]))}, ['com_margin'])\n"
+            "    study = pa.Study('v3', {'kp': pa.grid(5.0, 20.0, int(sys.argv[1]))},\n"
+            "                     ['com_margin'])\n"
             "    folder = tempfile.mkdtemp()\n"
             "    begun = time.process_time(); study.work(); study.digest\n"
             "    begun = time.process_time(); done = study.execute(folder, workers=1)\n"

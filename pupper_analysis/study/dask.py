@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from concurrent.futures import Executor
@@ -38,5 +39,11 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[tuple[Execut
             )
     except (OSError, ValueError) as error:
         raise StudyError(scheduler or "-", f"Dask's scheduler does not answer: {error}") from error
-    with client:
-        yield client.get_executor(), str(client.dashboard_link or "")
+    logger = logging.getLogger("distributed")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)  # what is lost is said in one line, by an error
+    try:
+        with client:
+            yield client.get_executor(), str(client.dashboard_link or "")
+    finally:
+        logger.setLevel(before)

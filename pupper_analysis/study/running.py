@@ -290,7 +290,7 @@ class Run:
                 return
             raise StudyError(
                 self.store.folder,
-                f"the workers are lost ({type(error).__name__}: {error}); what was done is kept: "
+                f"the workers are lost ({type(error).__name__}); what was done is kept: "
                 "run it again, and it goes on from there",
             ) from error
         self.progress.work += found.seconds
