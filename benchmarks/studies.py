@@ -4,6 +4,7 @@
     python benchmarks/studies.py simulated 500     # with a simulation each
     python benchmarks/studies.py efficiency        # 1 and 2 processes, and Dask, 100 ms a design
     python benchmarks/studies.py overhead          # of a design that costs nothing; memory
+    python benchmarks/studies.py finding           # how large v3 may be, with a figure
     python benchmarks/studies.py kills 20          # of the parent, a worker, Dask's scheduler
 
 Designs of ``efficiency`` sleep: how well the engine keeps workers busy is then measured, whatever
@@ -153,6 +154,34 @@ def overhead() -> None:
             subprocess.run([sys.executable, str(script), str(count), here], check=True)
 
 
+def finding() -> None:
+    """How long legs and how heavy a torso do v3's motors (3 N m) and servos (5 N m/rad) bear?"""
+    from pupper_analysis.report.figures.study import pareto_figure
+
+    vary = {"leg_scale": pa.grid(0.8, 1.6, 9), "torso_mass_scale": pa.grid(1.0, 6.0, 21)}
+    measures = ["peak_utilisation", "rest_utilisation", "sag", "stands", "total_mass"]
+    with tempfile.TemporaryDirectory() as folder:
+        table = pa.Study("v3", {**vary, "kp": [5.0, 10.0]}, measures).run(folder, workers=2)
+    strong = table["peak_utilisation"] < 1
+    stands = table[strong & (table["stands"] == 1)]
+    print(f"{len(table)} designs; the motors hold {strong.sum()}, the servos {len(stands)}")
+    print(f"peak utilisation of those that stand: up to {stands['peak_utilisation'].max():.2f}")
+    heaviest = stands.groupby(["kp", "leg_scale"])["torso_mass_scale"].max()
+    print(heaviest.unstack(0).to_string())
+    pareto_figure(
+        stands,
+        {"leg_scale": "max", "total_mass": "max"},
+        Path(__file__).parents[1] / "docs" / "study_front.png",
+        by="kp",
+        title="The longest legs and the heaviest v3 that stay up on their servos",
+        labels={
+            "leg_scale": "length of the legs / v3's",
+            "total_mass": "mass of the robot (kg)",
+            "kp": "kp (N m/rad)",
+        },
+    )
+
+
 VICTIM = """
 import sys
 sys.path.insert(0, {here!r})
@@ -269,9 +298,12 @@ def kills(count: int, kinds: tuple[str, ...]) -> None:
         print(f"{kind}: {good} of {count} are the same afterwards")
 
 
+WHAT = ("speed", "simulated", "efficiency", "overhead", "kills", "finding")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["speed", "simulated", "efficiency", "overhead", "kills"])
+    parser.add_argument("what", choices=list(WHAT))
     parser.add_argument("count", nargs="?", type=int)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--kind", choices=["parent", "worker", "scheduler"])
@@ -280,10 +312,8 @@ def main() -> None:
         speed(given.count or 1000, given.workers)
     elif given.what == "simulated":
         simulated(given.count or 100, given.workers)
-    elif given.what == "efficiency":
-        efficiency()
-    elif given.what == "overhead":
-        overhead()
+    elif given.what in ("efficiency", "overhead", "finding"):
+        {"efficiency": efficiency, "overhead": overhead, "finding": finding}[given.what]()
     else:
         kinds = (given.kind,) if given.kind else ("parent", "worker", "scheduler")
         kills(given.count or 3, kinds)

@@ -48,6 +48,7 @@ MOST_LINES = 2000
 """In parallel coordinates: evenly drawn of more designs."""
 
 _FAILED = (RED, ORANGE, GREY, BLACK, SKY, "#CC79A7", "#F0E442")
+_FRONTS = (BLUE, RED, GREEN, ORANGE, SKY, BLACK)
 _OUT = "0.93"  # grey of what is not known
 
 
@@ -189,6 +190,7 @@ def pareto_figure(
     objectives: Mapping[str, str],
     path: str | Path,
     *,
+    by: str | None = None,
     title: str | None = None,
     labels: Mapping[str, str] | None = None,
 ) -> None:
@@ -198,6 +200,7 @@ def pareto_figure(
         table: Of a study.
         objectives: {column: ``"min"`` or ``"max"``}, two of them.
         path: The PNG to write.
+        by: A column; each of its values has a front of its own.
         title: Over the figure.
         labels: {column: what the axis says}.
 
@@ -207,20 +210,23 @@ def pareto_figure(
     """
     if len(objectives) != 2:
         raise ConfigurationError("objectives", f"{len(objectives)} of them; a figure shows two")
-    front = pareto_front(table, objectives)
+    _check(table, *((by,) if by else ()))
     x, y = objectives
     labels = {name: f"{name} ({sense})" for name, sense in objectives.items()} | dict(labels or {})
     figure, axes = figure_of(title or f"Designs worth building: {x} against {y}")
-    axes.scatter(table[x], table[y], s=5, color=SKY, alpha=0.5, linewidths=0)
-    axes.plot(front[x], front[y], "o-", color=BLUE, markersize=3.5, linewidth=1.2)
+    handles = []
+    groups: list[tuple[str, pd.DataFrame]] = [("", table)]
+    if by is not None:
+        values = sorted(table[by].dropna().unique())
+        groups = [(f"{labels.get(by, by)} {v:g}: ", table[table[by] == v]) for v in values]
+    for index, (said, part) in enumerate(groups):
+        colour, front = _FRONTS[index % len(_FRONTS)], pareto_front(part, objectives)
+        axes.scatter(part[x], part[y], s=4, color=colour, alpha=0.35, linewidths=0)
+        axes.plot(front[x], front[y], "o-", color=colour, markersize=3.5, linewidth=1.2)
+        label = f"{said}no other design beats these"
+        handles.append(Line2D([], [], color=colour, marker="o", markersize=3.5, label=label))
     _label(axes, labels[x], labels[y])
-    put_legend(
-        figure,
-        [
-            Line2D([], [], color=SKY, marker="o", linestyle="", markersize=3, label="designs"),
-            Line2D([], [], color=BLUE, marker="o", markersize=3.5, label="no other beats these"),
-        ],
-    )
+    put_legend(figure, handles)
     save(figure, path)
 
 
