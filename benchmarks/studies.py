@@ -165,7 +165,7 @@ def finding() -> None:
     strong = table["peak_utilisation"] < 1
     stands = table[strong & (table["stands"] == 1)]
     print(f"{len(table)} designs; the motors hold {strong.sum()}, the servos {len(stands)}")
-    print(f"peak utilisation of those that stand: up to {stands['peak_utilisation'].max():.2f}")
+    print(stands.groupby("kp")[["peak_utilisation", "rest_utilisation", "sag"]].max().to_string())
     heaviest = stands.groupby(["kp", "leg_scale"])["torso_mass_scale"].max()
     print(heaviest.unstack(0).to_string())
     pareto_figure(

@@ -77,7 +77,7 @@ if TYPE_CHECKING:
         gravity_compensation,
     )
     from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
-    from pupper_analysis.study.study import read_study
+    from pupper_analysis.study.table import read_study
     from pupper_analysis.study.variables import grid, log_uniform, normal, uniform, values
     from pupper_analysis.sync.models import Sync, sync_models
 
@@ -158,7 +158,7 @@ _HOME = {
     "gravity_compensation": "statics.equilibrium",
     "Study": "pupper.studies",
     "StudyError": "errors",
-    "read_study": "study.study",
+    "read_study": "study.table",
     "grid": "study.variables",
     "log_uniform": "study.variables",
     "normal": "study.variables",

@@ -91,6 +91,8 @@ def test_a_command_runs(command: str, tmp_path: Path) -> None:
     urdf, mjcf = pa.write_variant("heavy", tmp_path / "written")
     (tmp_path / "robot.urdf").write_bytes(urdf.read_bytes())
     (tmp_path / "robot.xml").write_bytes(mjcf.read_bytes())
+    for example in (ROOT / "examples").glob("*.toml"):
+        (tmp_path / example.name).write_bytes(example.read_bytes())
     arguments = shlex.split(command.replace("FILE", "robot.urdf"))[1:]
     result = answer(*arguments, folder=tmp_path)
     assert result.returncode == 0, result.stderr + result.stdout

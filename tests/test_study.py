@@ -18,7 +18,7 @@ from pupper_analysis.study.design import Maker
 from pupper_analysis.study.measures import MEASURES
 from pupper_analysis.study.numbers import plain, scaled, with_friction, with_gains
 from pupper_analysis.study.sampling import BLOCK, Sampling
-from pupper_analysis.study.study import names_of
+from pupper_analysis.study.table import names_of
 from pupper_analysis.study.variables import variable
 
 V3 = {

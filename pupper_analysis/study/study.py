@@ -18,7 +18,7 @@ import orjson
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type, finite
-from pupper_analysis.errors import ConfigurationError, StudyError
+from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.payload import point_on_base
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.task import StandTask
@@ -29,6 +29,7 @@ from pupper_analysis.study.running import Progress, Run, Settings
 from pupper_analysis.study.sampling import BLOCK, Sampling
 from pupper_analysis.study.source import Pair, Source, digest_of
 from pupper_analysis.study.store import Store, needed
+from pupper_analysis.study.table import names_of, ordered
 from pupper_analysis.study.variables import Variable, variable
 from pupper_analysis.study.worker import Work, versions
 
@@ -320,7 +321,9 @@ class Study:
         needed("pyarrow")
         store = Store(Path(folder))
         with store.locked():
-            store.write_asked({"study": self.asked(), "digest": self.digest, **_provenance()})
+            store.write_asked(
+                {"study": self.asked(), "digest": self.digest, "versions": versions()}
+            )
             settings = Settings(self.work(), tuple(self.variables), self.time_limit)
             run = Run(settings, store, len(self), progress or (lambda _: None))
             return run.all(self.designs(), executor, workers)
@@ -337,64 +340,7 @@ class Study:
         for names, _ in self.designs():
             for name in names:
                 order.setdefault(name, len(order))
-        return _ordered(store.table(), order)
-
-
-def names_of(digest: str, variables: Sequence[str], block: Array) -> list[str]:
-    """Returns the hashes of designs (n, variables): of all that their results depend on.
-
-    The order in which a study names its variables does not count.
-    """
-    order = sorted(range(len(variables)), key=lambda index: variables[index])
-    head = "\0".join([digest, *(variables[index] for index in order)]).encode()
-    rows = np.ascontiguousarray(block[:, order] + 0.0, dtype="<f8")  # 0.0: -0.0 is the same number
-    return [hashlib.sha256(head + row.tobytes()).hexdigest()[:32] for row in rows]
-
-
-def _provenance() -> dict[str, Any]:
-    return {"versions": versions()}
-
-
-def _ordered(frame: pd.DataFrame, order: Mapping[str, int]) -> pd.DataFrame:
-    kept = frame[frame["design"].isin(order.keys())]
-    placed = kept.assign(_at=kept["design"].map(order)).sort_values("_at").drop(columns="_at")
-    ends = [name for name in ("failure", "reason") if name in placed]
-    front = [name for name in placed.columns if name not in ends]
-    return (
-        placed[[*front, *ends]]
-        .dropna(axis="columns", how="all")
-        .reset_index(drop=True)
-        .pipe(lambda table: table.assign(**{end: None for end in ends if end not in table}))
-    )
-
-
-def read_study(folder: str | Path, *, everything: bool = False) -> pd.DataFrame:
-    """Reads the results in a study's folder.
-
-    Args:
-        folder: The folder.
-        everything: Also the designs of what was asked before, in the order of their hashes.
-
-    Returns:
-        One row per design, as ``Study.run`` returns it; those that are there.
-
-    Raises:
-        StudyError: If it is no study's folder, or damaged.
-    """
-    check_type("folder", folder, str | Path)
-    needed("pandas")
-    store = Store(Path(folder))
-    stored = store.asked()
-    if everything:
-        return store.table()
-    study = stored["study"]
-    variables = {name: variable(name, given) for name, given in study["vary"].items()}
-    sampling = Sampling(variables, study.get("samples"), study["seed"])
-    order: dict[str, int] = {}
-    for block in sampling.blocks():
-        for name in names_of(stored["digest"], tuple(variables), block):
-            order.setdefault(name, len(order))
-    return _ordered(store.table(), order)
+        return ordered(store.table(), order)
 
 
 def _tuples(stand: Mapping[str, Any]) -> dict[str, Any]:
@@ -409,6 +355,3 @@ def _tuples(stand: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(ground, Mapping):
         found["ground"] = Ground(**ground)
     return found
-
-
-__all__ = ["Study", "StudyError", "Variable", "read_study"]
