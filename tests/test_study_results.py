@@ -267,6 +267,7 @@ def test_spreads_are_narrowed_about_their_means() -> None:
     assert study.variables["slope"] == pa.values([0.0, 0.1])
 
 
+@pytest.mark.slow
 def test_the_tightest_tolerance_is_the_quantile(tmp_path: Path, thread: Executor) -> None:
     """Motors of a normal strength, and stiff servos: it stands above the least strength, k.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import shutil
@@ -15,6 +16,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import legged
 import pandas as pd
 import pytest
 import study_measures
@@ -23,6 +25,7 @@ from conftest import ROOT, load, run_command
 import pupper_analysis as pa
 from pupper_analysis.errors import OutputError
 from pupper_analysis.study import running, store
+from pupper_analysis.study.design import Maker
 from pupper_analysis.study.running import Progress
 from pupper_analysis.study.worker import Chunk
 
@@ -204,6 +207,42 @@ def test_what_comes_twice_is_done_once(tmp_path: Path, threads: Executor) -> Non
     assert len(table) == table["design"].nunique()
 
 
+@pytest.mark.parametrize("sole", [False, True], ids=["spheres", "boxes"])
+def test_a_pair_of_files_as_published(sole: bool, tmp_path: Path, threads: Executor) -> None:
+    """Joints of other names, torque motors, no floor: factors are in both of its models."""
+    foot = {"foot": legged.BOX.format(name="")} if sole else {}
+    files = legged.quadruped(tmp_path, prefix="x_", **foot)
+    (tmp_path / "study.toml").write_text(
+        f"""
+        measure = ["total_mass", "peak_torque", "peak_utilisation", "servo_sag"]
+        [robot]
+        urdf = "{files.urdf.name}"
+        mjcf = "{files.mjcf.name}"
+        [vary]
+        "mass:*calf" = [1.0, 1.5]
+        "effort:*" = [0.5, 1.0]
+        payload = [0.0, 2.0]
+        "kp:*" = [0.5, 1.0]
+        """
+    )
+    study = pa.Study.read(tmp_path / "study.toml")
+    table = study.run(tmp_path / "study", executor=threads)
+    assert table["failure"].isna().all()
+    masses = 8.4 + 4 * 0.2 * (table["mass:*calf"] - 1) + table["payload"]
+    assert list(table["total_mass"]) == pytest.approx(list(masses))
+    for _, group in table.groupby(["mass:*calf", "payload", "kp:*"]):
+        weak, strong = group["peak_utilisation"]
+        assert weak == pytest.approx(2 * strong)
+        assert group["peak_torque"].nunique() == 1
+    soft, stiff = (table[table["kp:*"] == kp]["servo_sag"].to_numpy() for kp in (0.5, 1.0))
+    assert (soft > 1.8 * stiff).all()  # linear would be 2
+    maker = Maker(study.source, study.task, study.point)
+    changed = maker.design({"mass:*calf": 1.5, "payload": 2.0}).robot
+    check = pa.cross_check(changed, configurations=3)
+    # Which the files, as they are published, state otherwise.
+    assert {one.name for one in check.quantities if not one.passed} == {"effort limits"}
+
+
 def test_other_files_are_other_designs(tmp_path: Path) -> None:
     files = {}
     for kind, name in (("urdf", "pupper_skeleton.urdf"), ("mjcf", "pupper_skeleton.xml")):
@@ -229,7 +268,7 @@ def test_other_files_are_other_designs(tmp_path: Path) -> None:
 HEAVY = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs more than 4 kg
 
 
-@pytest.mark.parametrize("guilty", ["crashes", "hangs"])
+@pytest.mark.parametrize("guilty", [pytest.param("crashes", marks=pytest.mark.slow), "hangs"])
 def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) -> None:
     measure = getattr(study_measures, guilty)
     made = study(HEAVY, measure, time_limit=3.0)
@@ -240,6 +279,7 @@ def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) ->
     assert made.execute(tmp_path, workers=1).done == 0  # marked for good
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_once_costs_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -249,6 +289,7 @@ def test_a_worker_that_is_killed_once_costs_nothing(
     assert list(table["crashes_once"]) == [1.0] * 5
 
 
+@pytest.mark.slow
 def test_a_given_executor_that_breaks_loses_nothing_that_is_done(tmp_path: Path) -> None:
     made = study(HEAVY, study_measures.crashes)
     with (
@@ -460,6 +501,17 @@ def test_the_command(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert line[4] == "2"
     status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--dry-run")
     assert "4 designs, of which 4 are there" in out
+    written = tmp_path / "study.json"
+    arguments = ("study", str(file), "-o", str(folder), "--figures", "--json", str(written))
+    status, out, _ = run_command(capfd, *arguments)
+    assert status == 0
+    drawn = {line.rpartition("/")[2] for line in out.splitlines() if line.startswith("drawn: ")}
+    assert drawn == {path.name for path in folder.glob("*.png")}
+    assert {"failures.png", "parallel.png", "map_servo_sag.png"} <= drawn
+    columns = json.loads(written.read_text())
+    assert columns["kp"] == [0.2, 10.0, 0.2, 10.0]
+    assert columns["servo_sag"][0] is None
+    assert columns["servo_sag"][1] == table["servo_sag"][1]
 
 
 @pytest.mark.parametrize(
