@@ -77,7 +77,14 @@ if TYPE_CHECKING:
         gravity_compensation,
     )
     from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
+    from pupper_analysis.study.pareto import pareto_front
+    from pupper_analysis.study.sensitivity import linear_shares, sobol_indices
     from pupper_analysis.study.table import read_study
+    from pupper_analysis.study.tolerance import (
+        certainty,
+        tightest_tolerance,
+        write_randomisation,
+    )
     from pupper_analysis.study.variables import grid, log_uniform, normal, uniform, values
     from pupper_analysis.sync.models import Sync, sync_models
 
@@ -159,6 +166,12 @@ _HOME = {
     "Study": "pupper.studies",
     "StudyError": "errors",
     "read_study": "study.table",
+    "pareto_front": "study.pareto",
+    "sobol_indices": "study.sensitivity",
+    "linear_shares": "study.sensitivity",
+    "certainty": "study.tolerance",
+    "tightest_tolerance": "study.tolerance",
+    "write_randomisation": "study.tolerance",
     "grid": "study.variables",
     "log_uniform": "study.variables",
     "normal": "study.variables",
@@ -222,22 +235,26 @@ __all__ = [
     "audit_model",
     "base_workspace",
     "best_stance",
+    "certainty",
     "compare_models",
     "cross_check",
     "fastest_path",
     "gravity_compensation",
     "grid",
     "inverse_dynamics",
+    "linear_shares",
     "load_robot",
     "load_variant",
     "log_uniform",
     "minimum_stiffness",
     "normal",
+    "pareto_front",
     "payload_limit",
     "payload_trial",
     "push_recovery",
     "reachable_heights",
     "read_study",
+    "sobol_indices",
     "solve_stand",
     "stance_path",
     "stand_statics",
@@ -246,12 +263,14 @@ __all__ = [
     "sunk_stand",
     "sweep_gains",
     "sync_models",
+    "tightest_tolerance",
     "to_json",
     "track_path",
     "uniform",
     "values",
     "verify_stand",
     "with_payload",
+    "write_randomisation",
     "write_variant",
 ]
 

@@ -190,6 +190,10 @@ def test_other_arguments_are_checked() -> None:
         study({"kp": [5]}, time_limit=0)
     with pytest.raises(pa.ConfigurationError, match="neither"):
         study({"kp": [5]}, robot=3)
+    with pytest.raises(pa.ConfigurationError, match=r"a variant has base, leg_scale.*no 'legs'"):
+        study({"kp": [5]}, robot={"base": "v3", "legs": 2})
+    with pytest.raises(pa.ConfigurationError, match="give urdf and mjcf"):
+        study({"kp": [5]}, robot={"urdf": V3["urdf"]})
     with pytest.raises(pa.VariantError, match="known variants"):
         study({"kp": [5]}, robot="v4")
     with pytest.raises(pa.ConfigurationError, match="no such number"):
@@ -376,3 +380,24 @@ def test_the_com_with_its_payload_is_over_the_feet() -> None:
     assert com[:2] == pytest.approx(centre[:2], abs=1e-9)
     assert design.stand.qpos[0] < stand_of("v3").qpos[0] - 0.005  # the base gives way backwards
     assert design.robot.total_mass == pytest.approx(load("v3").total_mass + 1.0)
+
+
+@pytest.mark.slow
+def test_measures_that_simulate_are_what_their_names_say() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    design = Maker(study({"kp": [5.0]}).source, pa.StandTask(), (0, 0, 0)).design({})
+    reach = pa.base_workspace(robot).intervals
+    expected = {
+        "payload_limit": pa.payload_limit(robot, stand).mass,
+        "minimum_stiffness": pa.minimum_stiffness(robot, stand),
+        "height_range": reach["height"].high - reach["height"].low,
+        "pitch_range": reach["pitch"].high - reach["pitch"].low,
+        "roll_range": reach["roll"].high - reach["roll"].low,
+        "verified": pa.verify_stand(robot, stand).passed,
+        "simulated_height": pa.verify_stand(robot, stand, feedforward=False).base_height,
+        "push_recovery": pa.push_recovery(robot, stand).weakest_impulse,
+    }
+    for name, value in expected.items():
+        assert MEASURES[name].function(design) == pytest.approx(float(value), rel=1e-6), name
+    simulating = {name for name, measure in MEASURES.items() if measure.simulates}
+    assert simulating == {*expected, "yaw_range"}

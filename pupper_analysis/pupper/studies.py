@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
+from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.pupper.variant_files import describe
 from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot
@@ -57,6 +58,10 @@ class Study(study.Study):
         if isinstance(robot, str | VariantSpec):
             return Variants(variant_spec(robot))
         if isinstance(robot, Mapping) and "base" in robot:
-            known = {name: robot[name] for name in robot}
-            return Variants(VariantSpec(**known))
+            known = [field.name for field in fields(VariantSpec)]
+            unknown = [name for name in robot if name not in known]
+            if unknown:
+                problem = f"a variant has {', '.join(known)}, and no {unknown[0]!r}"
+                raise ConfigurationError("robot", problem)
+            return Variants(VariantSpec(**robot))
         return super()._source(robot)

@@ -48,6 +48,8 @@ def estimate(study: Study, folder: Path) -> Estimate:
         there += int(np.isin(keys(block_names), done).sum())
         if not names:
             names, numbers = block_names, block
+        if not len(done):  # nothing is there to be counted
+            break
     chosen = np.unique(np.linspace(0, len(names) - 1, TIMED).astype(int))
     work = study.work()
     seconds: list[float] = []
