@@ -39,12 +39,14 @@ if TYPE_CHECKING:
         PupperAnalysisError,
         StanceUnreachableError,
         StaticsInfeasibleError,
+        StudyError,
         UnknownNameError,
         VariantError,
     )
     from pupper_analysis.guard.check import RepositoryCheck, check_repository
     from pupper_analysis.prepare.load import load_robot
     from pupper_analysis.pupper.load import load_variant
+    from pupper_analysis.pupper.studies import Study
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, VariantSpec
     from pupper_analysis.report.html.write import write_report
@@ -83,6 +85,15 @@ if TYPE_CHECKING:
     )
     from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
     from pupper_analysis.statics.states import GravityCompensations, gravity_compensations
+    from pupper_analysis.study.pareto import pareto_front
+    from pupper_analysis.study.sensitivity import linear_shares, sobol_indices
+    from pupper_analysis.study.table import read_study
+    from pupper_analysis.study.tolerance import (
+        certainty,
+        tightest_tolerance,
+        write_randomisation,
+    )
+    from pupper_analysis.study.variables import grid, log_uniform, normal, uniform, values
     from pupper_analysis.sync.models import Sync, sync_models
 
 __version__ = "0.1.0"
@@ -171,6 +182,20 @@ _HOME = {
     "check_repository": "guard.check",
     "GravityCompensations": "statics.states",
     "gravity_compensations": "statics.states",
+    "Study": "pupper.studies",
+    "StudyError": "errors",
+    "read_study": "study.table",
+    "pareto_front": "study.pareto",
+    "sobol_indices": "study.sensitivity",
+    "linear_shares": "study.sensitivity",
+    "certainty": "study.tolerance",
+    "tightest_tolerance": "study.tolerance",
+    "write_randomisation": "study.tolerance",
+    "grid": "study.variables",
+    "log_uniform": "study.variables",
+    "normal": "study.variables",
+    "uniform": "study.variables",
+    "values": "study.variables",
     "Sync": "sync.models",
     "sync_models": "sync.models",
     "VARIANTS": "pupper.variants",
@@ -223,6 +248,8 @@ __all__ = [
     "StaticsInfeasibleError",
     "SteadyState",
     "SteadyStateBand",
+    "Study",
+    "StudyError",
     "Sync",
     "Tolerances",
     "UnknownNameError",
@@ -232,6 +259,7 @@ __all__ = [
     "audit_model",
     "base_workspace",
     "best_stance",
+    "certainty",
     "check_repository",
     "compare_models",
     "convert_model",
@@ -240,14 +268,21 @@ __all__ = [
     "fastest_path",
     "gravity_compensation",
     "gravity_compensations",
+    "grid",
     "inverse_dynamics",
+    "linear_shares",
     "load_robot",
     "load_variant",
+    "log_uniform",
     "minimum_stiffness",
+    "normal",
+    "pareto_front",
     "payload_limit",
     "payload_trial",
     "push_recovery",
     "reachable_heights",
+    "read_study",
+    "sobol_indices",
     "solve_stand",
     "solve_stands",
     "stance_path",
@@ -257,10 +292,14 @@ __all__ = [
     "sunk_stand",
     "sweep_gains",
     "sync_models",
+    "tightest_tolerance",
     "to_json",
     "track_path",
+    "uniform",
+    "values",
     "verify_stand",
     "with_payload",
+    "write_randomisation",
     "write_report",
     "write_variant",
 ]

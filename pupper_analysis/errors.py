@@ -256,3 +256,17 @@ class MissingPackageError(PupperAnalysisError):
             f"{package} is not installed: pip install {package}, or pip install "
             f"'pupper-analysis[{extra}]'"
         )
+
+
+class StudyError(PupperAnalysisError):
+    """A study cannot be run, gone on with or read.
+
+    Attributes:
+        folder: Its folder.
+        problem: What is wrong, and what would help.
+    """
+
+    def __init__(self, folder: str | PathLike[str], problem: str) -> None:
+        self.folder = str(folder)
+        self.problem = problem
+        super().__init__(f"study {self.folder}: {problem}")

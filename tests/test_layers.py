@@ -23,7 +23,7 @@ ROOMS = (
     ("sync", "guard"),
     ("prepare",),
     ("convert",),
-    ("analysis",),
+    ("analysis", "study"),
     ("report",),
     ("pupper",),
     ("cli",),

@@ -93,6 +93,8 @@ def test_a_command_runs(command: str, tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_bytes(mjcf.read_bytes())
     pair = '[[pair]]\nname = "robot"\nurdf = "robot.urdf"\nmjcf = "robot.xml"\n'
     (tmp_path / "pupper-analysis.toml").write_text(pair)
+    for example in (ROOT / "examples").glob("*.toml"):
+        (tmp_path / example.name).write_bytes(example.read_bytes())
     arguments = shlex.split(command.replace("FILE", "robot.urdf"))[1:]
     if "HEAD:" in command:
         who = ["-c", "user.name=a", "-c", "user.email=a@example.com"]

@@ -15,6 +15,7 @@ from pupper_analysis.cli.motions import path, push
 from pupper_analysis.cli.process import Ended, endings, go_on, patient_output
 from pupper_analysis.cli.shared import BAD_INPUT, CONTEXT, INTERNAL, VERIFIED
 from pupper_analysis.cli.stances import best, payload, stand, workspace
+from pupper_analysis.cli.study import study_command
 from pupper_analysis.cli.sync import sync_command
 from pupper_analysis.cli.variants import analyze
 from pupper_analysis.cli.windows import drop, view
@@ -133,6 +134,7 @@ for _command in (
     diff_command,
     sync_command,
     convert_command,
+    study_command,
     audit_command,
     check_command,
     view,

@@ -1,0 +1,323 @@
+"""How fast studies are, how they grow, and what survives kills; docs/studies.md has the results.
+
+    python benchmarks/studies.py speed 10000       # statics and sag of v3, on two processes
+    python benchmarks/studies.py simulated 500     # with a simulation each
+    python benchmarks/studies.py efficiency        # 1 and 2 processes, and Dask, 100 ms a design
+    python benchmarks/studies.py overhead          # of a design that costs nothing; memory
+    python benchmarks/studies.py finding           # how large v3 may be, with a figure
+    python benchmarks/studies.py kills 20          # of the parent, a worker, Dask's scheduler
+
+Designs of ``efficiency`` sleep: how well the engine keeps workers busy is then measured, whatever
+else the machine does. Times of ``speed`` are as wall and as processor time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pupper_analysis as pa
+from pupper_analysis.study import running
+from pupper_analysis.study.dask import cluster
+
+SAG = ("peak_utilisation", "base_height", "servo_sag", "com_margin")
+AXES = {  # 10 000 designs of v3
+    "leg_scale": pa.grid(0.8, 1.7, 10),
+    "torso_mass_scale": pa.grid(1.0, 2.8, 10),
+    "payload": pa.grid(0.0, 1.0, 5),
+    "slope": pa.grid(0.0, 0.15, 4),
+    "kp": [5.0, 8.0, 12.0, 20.0, 40.0],
+}
+
+
+def sleeps(_robot: pa.Robot, _stand: pa.Stand) -> float:
+    time.sleep(0.1)
+    return 1.0
+
+
+def cpu() -> float:
+    """Processor time of this process and of those that it has waited for (s)."""
+    both = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(used.ru_utime + used.ru_stime for used in both)
+
+
+def peak_memory() -> float:
+    """Of this process (MB)."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def part(count: int) -> dict[str, object]:
+    """The axes of some 10,000 designs, or fewer: of the last ones fewer values."""
+    axes: dict[str, object] = dict(AXES)
+    size = 10_000
+    for name in ("leg_scale", "torso_mass_scale"):
+        keep = max(2, min(10, round(10 * count / size)))
+        levels = AXES[name].levels  # type: ignore[attr-defined]
+        axes[name] = [levels[index * 9 // (keep - 1)] for index in range(keep)]
+        size = size // 10 * keep
+    return axes
+
+
+def speed(count: int, workers: int) -> None:
+    study = pa.Study("v3", part(count), SAG)
+    marks: list[tuple[int, float]] = []
+
+    def watch(progress: running.Progress) -> None:
+        if not marks or progress.done >= marks[-1][0] + len(study) // 10:
+            marks.append((progress.done, progress.seconds))
+
+    with tempfile.TemporaryDirectory() as folder:
+        before = cpu()
+        done = study.execute(folder, workers=workers, progress=watch)
+        used = cpu() - before
+        print(f"{done.done} designs, {workers} processes: {done.seconds:.1f} s, {done.rate:.1f}/s")
+        print(f"processor: {used:.1f} s, {1e3 * used / done.done:.1f} ms a design")
+        print(
+            f"load of the machine: {os.getloadavg()[0]:.1f}; parent's memory {peak_memory():.0f} MB"
+        )
+        print(f"failures: {dict(done.failures)}")
+        print("designs, seconds:", ", ".join(f"{n} {s:.0f}" for n, s in marks))
+
+
+def simulated(count: int, workers: int) -> None:
+    vary = {"leg_scale": [1.0, 1.2], "payload": [0.0, 0.3], "kp": pa.uniform(5.0, 20.0)}
+    study = pa.Study("v3", vary, ["simulated_height", "base_height"], samples=count)
+    with tempfile.TemporaryDirectory() as folder:
+        before = cpu()
+        done = study.execute(folder, workers=workers)
+        used = cpu() - before
+        table = study.table(folder)
+        off = 1e3 * (table["simulated_height"] - table["base_height"])
+    print(f"{done.done} simulated designs, {workers} processes: {done.seconds:.1f} s")
+    print(f"processor: {1e3 * used / done.done:.0f} ms a design; failures {dict(done.failures)}")
+    print(
+        f"MuJoCo above the prediction: median {off.median():.2f} mm, most {off.abs().max():.2f} mm"
+    )
+
+
+def efficiency() -> None:
+    """Of n workers: n x 1 worker's rate, without the start of the processes."""
+    vary = {"kp": pa.grid(5.0, 20.0, 200)}
+
+    def rate(**how: object) -> float:
+        marks: list[tuple[int, float]] = []
+        with tempfile.TemporaryDirectory() as folder:
+            study = pa.Study("v3", vary, [sleeps])
+            study.execute(
+                folder,
+                progress=lambda p: marks.append((p.done, p.seconds)),
+                **how,  # type: ignore[arg-type]
+            )
+        first = next(mark for mark in marks if mark[0] >= 20)
+        last = marks[-1]
+        return (last[0] - first[0]) / (last[1] - first[1])
+
+    one, two = rate(workers=1), rate(workers=2)
+    with cluster(None, 2) as (executor, _):
+        dask = rate(executor=executor)
+    print(f"1 process {one:.2f}/s, 2 processes {two:.2f}/s, Dask with 2 {dask:.2f}/s")
+    print(f"2 against 1: {two / (2 * one):.3f}; Dask against processes: {dask / two:.3f}")
+    print(f"of 10 designs a second and worker: {one / 10:.3f}, {two / 20:.3f}, {dask / 20:.3f}")
+
+
+def overhead() -> None:
+    """What the parent spends on a design, and its memory, for 1e3 to 1e5 designs."""
+    for count in (1_000, 10_000, 30_000):
+        code = (
+            "import time, sys, tempfile; sys.path.insert(0, sys.argv[2])\n"
+            "import studies, pupper_analysis as pa\n"
+            "if __name__ == '__main__':\n"
+            "    study = pa.Study('v3', {'kp': pa.grid(5.0, 20.0, int(sys.argv[1]))},\n"
+            "                     ['com_margin'])\n"
+            "    folder = tempfile.mkdtemp()\n"
+            "    begun = time.process_time(); study.work(); study.digest\n"
+            "    begun = time.process_time(); done = study.execute(folder, workers=1)\n"
+            "    used = time.process_time() - begun\n"
+            "    print(f'{done.done} designs: parent {1e6 * used / done.done:.0f} us a design, '\n"
+            "          f'worker {1e6 * done.work / done.done:.0f} us, '\n"
+            "          f'{studies.peak_memory():.0f} MB')\n"
+        )
+        with tempfile.TemporaryDirectory() as folder:
+            script = Path(folder) / "overhead.py"
+            script.write_text(code)
+            here = str(Path(__file__).parent)
+            subprocess.run([sys.executable, str(script), str(count), here], check=True)
+
+
+def finding() -> None:
+    """How long legs and how heavy a torso do v3's motors (3 N m) and servos (5 N m/rad) bear?"""
+    from pupper_analysis.report.figures.study import pareto_figure
+
+    vary = {"leg_scale": pa.grid(0.8, 1.6, 9), "torso_mass_scale": pa.grid(1.0, 6.0, 21)}
+    measures = ["peak_utilisation", "rest_utilisation", "sag", "stands", "total_mass"]
+    with tempfile.TemporaryDirectory() as folder:
+        table = pa.Study("v3", {**vary, "kp": [5.0, 10.0]}, measures).run(folder, workers=2)
+    strong = table["peak_utilisation"] < 1
+    stands = table[strong & (table["stands"] == 1)]
+    print(f"{len(table)} designs; the motors hold {strong.sum()}, the servos {len(stands)}")
+    print(stands.groupby("kp")[["peak_utilisation", "rest_utilisation", "sag"]].max().to_string())
+    heaviest = stands.groupby(["kp", "leg_scale"])["torso_mass_scale"].max()
+    print(heaviest.unstack(0).to_string())
+    pareto_figure(
+        stands,
+        {"leg_scale": "max", "total_mass": "max"},
+        Path(__file__).parents[1] / "docs" / "study_front.png",
+        by="kp",
+        title="The longest legs and the heaviest v3 that stay up on their servos",
+        labels={
+            "leg_scale": "length of the legs / v3's",
+            "total_mass": "mass of the robot (kg)",
+            "kp": "kp (N m/rad)",
+        },
+    )
+
+
+VICTIM = """
+import sys
+sys.path.insert(0, {here!r})
+import studies, pupper_analysis as pa
+from pupper_analysis.study import running
+running.SHARD_SECONDS = 0.1
+if __name__ == "__main__":
+    studies.to_kill().execute(sys.argv[1], workers=2)
+"""
+
+
+def to_kill() -> pa.Study:
+    return pa.Study("v3", {"payload": pa.grid(0.0, 1.0, 60)}, ["servo_sag", "peak_utilisation"])
+
+
+def rows_of(folder: Path) -> int:
+    import pyarrow.parquet as pq
+
+    return sum(pq.read_metadata(path).num_rows for path in (folder / "shards").glob("*.parquet"))
+
+
+@contextmanager
+def dask_processes(port: int) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """A scheduler and a worker, as on a cluster."""
+    address = f"tcp://127.0.0.1:{port}"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    scheduler = subprocess.Popen(
+        [*dask, "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"],
+        **quiet,  # type: ignore[call-overload]
+    )
+    worker = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nworkers", "2",
+         "--nthreads", "1", "--no-dashboard", "--death-timeout", "20"], **quiet  # type: ignore[call-overload]
+    )  # fmt: skip
+    try:
+        yield scheduler, address
+    finally:
+        for process in (worker, scheduler):
+            process.terminate()
+            process.wait()
+
+
+def kill_parent(folder: Path, chance: random.Random) -> str:
+    with tempfile.TemporaryDirectory() as other:
+        script = Path(other) / "victim.py"
+        script.write_text(VICTIM.format(here=str(Path(__file__).parent)))
+        process = subprocess.Popen([sys.executable, str(script), str(folder)])
+        while process.poll() is None and not rows_of(folder):
+            time.sleep(0.02)
+        time.sleep(chance.uniform(0.0, 1.0))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    return f"{rows_of(folder)} rows were there"
+
+
+def kill_worker(folder: Path, chance: random.Random) -> str:
+    killed: list[int] = []
+    when = chance.uniform(0.0, 1.0)
+
+    def watch(progress: running.Progress) -> None:
+        if progress.done and not killed and progress.seconds > when:
+            import multiprocessing
+
+            children = multiprocessing.active_children()
+            if children:
+                victim = chance.choice(children)
+                killed.append(victim.pid or 0)
+                victim.kill()
+
+    done = to_kill().execute(folder, workers=2, progress=watch)
+    return f"{len(killed)} killed, {done.done} done"
+
+
+def kill_scheduler(folder: Path, chance: random.Random) -> str:
+    with dask_processes(chance.randrange(20_000, 60_000)) as (scheduler, address):
+        when: list[float] = []
+
+        def watch(progress: running.Progress) -> None:
+            if progress.done and not when:
+                when.append(progress.seconds + chance.uniform(0.0, 0.5))
+            if when and progress.seconds > when[0]:
+                scheduler.kill()
+
+        begun = time.monotonic()
+        try:
+            with cluster(address, None) as (executor, _):
+                to_kill().execute(folder, executor=executor, workers=2, progress=watch)
+        except pa.StudyError as error:
+            return f"after {time.monotonic() - begun:.0f} s: {str(error)[:90]}"
+    return "it had ended before"
+
+
+def kills(count: int, kinds: tuple[str, ...]) -> None:
+    """Each time: kill, go on, and compare with an undisturbed run, to the last bit."""
+    with tempfile.TemporaryDirectory() as folder:
+        whole = to_kill().run(folder, workers=2)
+    ways: dict[str, Callable[[Path, random.Random], str]] = {
+        "parent": kill_parent,
+        "worker": kill_worker,
+        "scheduler": kill_scheduler,
+    }
+    for kind in kinds:
+        chance = random.Random(1)
+        good = 0
+        for _ in range(count):
+            with tempfile.TemporaryDirectory() as name:
+                folder = Path(name) / "study"
+                told = ways[kind](folder, chance)
+                table = to_kill().run(folder, workers=2)
+                same = table.equals(whole) and rows_of(folder) == len(whole)
+                good += same
+                print(f"{kind}: {told}; the same afterwards: {same}", flush=True)
+        print(f"{kind}: {good} of {count} are the same afterwards")
+
+
+WHAT = ("speed", "simulated", "efficiency", "overhead", "kills", "finding")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", choices=list(WHAT))
+    parser.add_argument("count", nargs="?", type=int)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--kind", choices=["parent", "worker", "scheduler"])
+    given = parser.parse_args()
+    if given.what == "speed":
+        speed(given.count or 1000, given.workers)
+    elif given.what == "simulated":
+        simulated(given.count or 100, given.workers)
+    elif given.what in ("efficiency", "overhead", "finding"):
+        {"efficiency": efficiency, "overhead": overhead, "finding": finding}[given.what]()
+    else:
+        kinds = (given.kind,) if given.kind else ("parent", "worker", "scheduler")
+        kills(given.count or 3, kinds)
+
+
+if __name__ == "__main__":
+    main()

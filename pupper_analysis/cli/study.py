@@ -1,0 +1,120 @@
+"""``pupper-analysis study``: thousands of designs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pupper_analysis.cli.shared import CONTEXT, check_outputs, finish, json_option
+
+if TYPE_CHECKING:
+    from pupper_analysis.study.running import Progress
+    from pupper_analysis.study.study import Study
+
+
+@click.command("study", context_settings=CONTEXT, short_help="Measure thousands of designs.")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "folder",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Keeps the results; a run that was ended goes on there.",
+)
+@click.option("--dry-run", is_flag=True, help="Only say how many designs, and about how long.")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes; by default one per core.")
+@click.option("--dask", is_flag=True, help="Run on a local Dask cluster.")
+@click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://HOST:PORT.")
+@click.option("--figures", is_flag=True, help="Draw the results, into the same folder.")
+@json_option
+def study_command(
+    file: Path,
+    folder: Path,
+    dry_run: bool,
+    workers: int | None,
+    dask: bool,
+    scheduler: str | None,
+    figures: bool,
+    json_path: Path | None,
+) -> None:
+    """Measure the designs that a TOML file describes, on all cores or on a cluster.
+
+    Results are kept in a folder, as Parquet. It may be ended at any time, and goes on where it was;
+    of a changed study only new designs are measured. A design that fails is a row with its reason.
+
+    \b
+    Example of a file:
+      robot = "v3"
+      measure = ["peak_utilisation", "servo_sag", "stands"]
+      [vary]
+      leg_scale = { grid = [0.8, 1.6, 9] }
+      torso_mass_scale = { grid = [1.0, 3.0, 9] }
+      kp = [5, 10, 20]
+
+    \b
+    Examples:
+      pupper-analysis study legs.toml -o legs/ --dry-run
+      pupper-analysis study legs.toml -o legs/
+      pupper-analysis study legs.toml -o legs/ --scheduler tcp://head:8786
+
+    \b
+    Exit status: 0 all designs are measured, 2 bad input, 130 interrupted.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.files import check_folder
+    from pupper_analysis.pupper.studies import Study
+    from pupper_analysis.report import study as report
+    from pupper_analysis.report.console import console
+    from pupper_analysis.study.estimate import estimate
+
+    check_outputs(json_path)
+    check_folder(folder)
+    study = Study.read(file)
+    if dry_run:
+        expected = estimate(study, folder)
+        report.print_estimate(console(), expected, workers)
+        finish(json_path, expected, passed=True)
+        return
+    with _executor(dask, scheduler, workers) as executor, report.bar() as show:
+        _run(study, folder, executor, workers, show)
+    table = study.table(folder)
+    report.print_summary(console(), study.variables, table)
+    if figures:
+        from pupper_analysis.report.figures.study import draw_study
+
+        for path in draw_study(table, tuple(study.variables), folder):
+            click.echo(f"drawn: {path}")
+    finish(json_path, table.to_dict(orient="list"), passed=True)
+
+
+def _run(
+    study: Study,
+    folder: Path,
+    executor: Executor | None,
+    workers: int | None,
+    show: Callable[[Progress], None],
+) -> None:
+    try:
+        study.execute(folder, executor=executor, workers=workers, progress=show)
+    except BaseException:
+        click.echo(f"what is done is kept in {folder}: the same command goes on there", err=True)
+        raise
+
+
+@contextmanager
+def _executor(dask: bool, scheduler: str | None, workers: int | None) -> Iterator[Executor | None]:
+    """Yields Dask's executor, if that is asked for."""
+    if not dask and scheduler is None:
+        yield None
+        return
+    from pupper_analysis.study.dask import cluster
+
+    with cluster(scheduler, workers) as (executor, dashboard):
+        if dashboard:
+            click.echo(f"dashboard: {dashboard}", err=True)
+        yield executor

@@ -1,0 +1,67 @@
+"""Studies of Pupper's variants, besides those of any pair of files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.pupper.variant_files import describe
+from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
+from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.study import study
+from pupper_analysis.study.numbers import plain
+from pupper_analysis.study.source import Source
+
+
+@dataclass(frozen=True)
+class Variants:
+    """The robots that scales make of a variant.
+
+    Attributes:
+        spec: The variant where nothing is scaled otherwise.
+    """
+
+    spec: VariantSpec
+
+    @property
+    def scales(self) -> Mapping[str, float]:
+        """Those of a ``VariantSpec``."""
+        return {name: getattr(self.spec, name) for name in ("leg_scale", "torso_mass_scale")}
+
+    def robot(self, scales: Mapping[str, float]) -> Robot:
+        """Makes the variant of some scales, without what is only looked at.
+
+        Raises:
+            VariantError: If a scale is not a finite positive number, or nothing can be made so.
+        """
+        wanted = {**self.scales, **scales}
+        spec = VariantSpec(self.spec.base, wanted["leg_scale"], wanted["torso_mass_scale"])
+        depth = BASES[spec.base].foot_depth(spec.leg_scale)
+        return build_robot(plain(describe(spec)), foot_depth=depth)
+
+    def asked(self) -> dict[str, Any]:
+        """Returns the spec."""
+        return {"base": self.spec.base, **self.scales}
+
+
+class Study(study.Study):
+    """Designs of a robot that are measured alike.
+
+    Its ``robot`` may also be a variant's name, a ``VariantSpec``, or {``base``, ``leg_scale``,
+    ``torso_mass_scale``}; ``leg_scale`` and ``torso_mass_scale`` can be varied then.
+    """
+
+    def _source(self, robot: Any) -> Source:
+        if isinstance(robot, str | VariantSpec):
+            return Variants(variant_spec(robot))
+        if isinstance(robot, Mapping) and "base" in robot:
+            known = [field.name for field in fields(VariantSpec)]
+            unknown = [name for name in robot if name not in known]
+            if unknown:
+                problem = f"a variant has {', '.join(known)}, and no {unknown[0]!r}"
+                raise ConfigurationError("robot", problem)
+            return Variants(VariantSpec(**robot))
+        return super()._source(robot)

@@ -1,0 +1,294 @@
+"""The figures of a study: heat maps, parallel coordinates, Pareto fronts, regions of failure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.report.figures.style import (
+    BLACK,
+    BLUE,
+    DPI,
+    FONT,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    SKY,
+    WIDTH,
+    put_legend,
+    put_style,
+    put_title,
+    save,
+)
+from pupper_analysis.study.pareto import pareto_front
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+BINS = 24
+"""Of a variable that has more values than this, along one side of a map."""
+
+MOST_LINES = 2000
+"""In parallel coordinates: evenly drawn of more designs."""
+
+_FAILED = (RED, ORANGE, GREY, BLACK, SKY, "#CC79A7", "#F0E442")
+_FRONTS = (BLUE, RED, GREEN, ORANGE, SKY, BLACK)
+_OUT = "0.93"  # grey of what is not known
+
+
+def figure_of(title: str, width: float = WIDTH, height: float = 3.4) -> tuple[Figure, Axes]:
+    """Returns a figure with one panel."""
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    put_title(figure, title)
+    return figure, figure.add_subplot()
+
+
+def heat_map(table: pd.DataFrame, x: str, y: str, measure: str, path: str | Path) -> None:
+    """Draws the mean of a measure over two variables; cells without any are grey.
+
+    Args:
+        table: Of a study.
+        x: The variable along the figure.
+        y: The variable upwards.
+        measure: The column that is drawn.
+        path: The PNG to write.
+
+    Raises:
+        ConfigurationError: If a column is not there.
+        OutputError: If the file cannot be written.
+    """
+    _check(table, x, y, measure)
+    columns, rows = (_Cells(table[name].to_numpy(float)) for name in (x, y))
+    values = table[measure].to_numpy(float)
+    sums, counts = (np.zeros((len(rows.centres), len(columns.centres))) for _ in range(2))
+    known = np.isfinite(values)
+    at = (rows.index[known], columns.index[known])
+    np.add.at(sums, at, values[known])
+    np.add.at(counts, at, 1.0)
+    with np.errstate(invalid="ignore"):
+        means = sums / counts
+    figure, axes = figure_of(f"{measure} over {x} and {y} (mean of the other numbers)")
+    axes.set_facecolor(_OUT)
+    mesh = axes.pcolormesh(columns.edges, rows.edges, means, cmap="viridis")
+    bar = figure.colorbar(mesh, ax=axes)
+    bar.set_label(measure, size=FONT)
+    bar.ax.tick_params(labelsize=FONT)
+    _label(axes, x, y)
+    save(figure, path)
+
+
+def failure_map(table: pd.DataFrame, x: str, y: str, path: str | Path) -> None:
+    """Draws what most designs of a cell come to, over two variables: their reason, or none.
+
+    Args:
+        table: Of a study.
+        x: The variable along the figure.
+        y: The variable upwards.
+        path: The PNG to write.
+
+    Raises:
+        ConfigurationError: If a column is not there.
+        OutputError: If the file cannot be written.
+    """
+    _check(table, x, y, "failure")
+    columns, rows = (_Cells(table[name].to_numpy(float)) for name in (x, y))
+    reasons = table["failure"].fillna("").astype(str).to_numpy()
+    kinds = ["", *(str(k) for k in table["failure"].dropna().value_counts().index)]
+    counts = np.zeros((len(kinds), len(rows.centres), len(columns.centres)))
+    kind_at = np.array([kinds.index(reason) for reason in reasons])
+    np.add.at(counts, (kind_at, rows.index, columns.index), 1.0)
+    colours = [GREEN, *(_FAILED[index % len(_FAILED)] for index in range(len(kinds) - 1))]
+    image = np.ones((*counts.shape[1:], 4))
+    total = counts.sum(axis=0)
+    most = counts.argmax(axis=0)
+    for place in np.ndindex(*total.shape):
+        if total[place]:  # paler where the designs of a cell come to different ends
+            share = counts[(most[place], *place)] / total[place]
+            image[place] = to_rgba(colours[most[place]], alpha=0.25 + 0.75 * share)
+        else:
+            image[place] = to_rgba(_OUT)
+    figure, axes = figure_of(f"What becomes of designs over {x} and {y}")
+    axes.pcolormesh(columns.edges, rows.edges, image)
+    _label(axes, x, y)
+    named = [
+        Patch(color=colour, label=f"{kind or 'all measured'} ({int(count.sum())})")
+        for kind, colour, count in zip(kinds, colours, counts, strict=True)
+        if count.any()
+    ]
+    put_legend(figure, named)
+    save(figure, path)
+
+
+def parallel_coordinates(
+    table: pd.DataFrame, columns: Sequence[str], colour: str, path: str | Path
+) -> None:
+    """Draws each design as a line over several columns; failed ones end in grey.
+
+    Args:
+        table: Of a study.
+        columns: From left to right.
+        colour: The column that colours the lines.
+        path: The PNG to write.
+
+    Raises:
+        ConfigurationError: If a column is not there.
+        OutputError: If the file cannot be written.
+    """
+    _check(table, *columns, colour)
+    if len(table) > MOST_LINES:
+        table = table.iloc[np.linspace(0, len(table) - 1, MOST_LINES).astype(int)]
+    table = table.sort_values(colour, na_position="first")
+    data = table[list(columns)].to_numpy(float)
+    low, high = np.nanmin(data, axis=0), np.nanmax(data, axis=0)
+    unit = np.where(high > low, (data - low) / np.where(high > low, high - low, 1.0), 0.5)
+    shade = table[colour].to_numpy(float)
+    figure, axes = figure_of(f"Designs as lines, coloured by {colour}")
+    scale = Normalize(np.nanmin(shade), np.nanmax(shade))
+    palette = colormaps["viridis"]
+    colours = [palette(scale(v)) if np.isfinite(v) else to_rgba(GREY) for v in shade]
+    known = np.isfinite(unit)
+    lines = [
+        np.column_stack([np.flatnonzero(there), row[there]])
+        for row, there in zip(unit, known, strict=True)
+    ]
+    width = float(np.clip(60 / len(table), 0.25, 1.2))
+    axes.add_collection(LineCollection(lines, colors=colours, linewidths=width, alpha=0.7))
+    axes.set_xlim(0, len(columns) - 1)
+    axes.set_ylim(-0.08, 1.08)
+    axes.set_yticks([])
+    axes.set_xticks(range(len(columns)), [_wrapped(name) for name in columns])
+    put_style(axes, "")
+    axes.spines["left"].set_visible(False)
+    for place, (least, most) in enumerate(zip(low, high, strict=True)):
+        axes.axvline(place, color=BLACK, linewidth=0.7)
+        for value, at, side in ((least, -0.02, "top"), (most, 1.02, "bottom")):
+            axes.text(place, at, f"{value:.4g}", ha="center", va=side, size=FONT - 1)
+    bar = figure.colorbar(ScalarMappable(scale, palette), ax=axes, pad=0.04)
+    bar.set_label(colour, size=FONT)
+    bar.ax.tick_params(labelsize=FONT)
+    save(figure, path)
+
+
+def pareto_figure(
+    table: pd.DataFrame,
+    objectives: Mapping[str, str],
+    path: str | Path,
+    *,
+    by: str | None = None,
+    title: str | None = None,
+    labels: Mapping[str, str] | None = None,
+) -> None:
+    """Draws all designs over two objectives, and the front of those that no other beats.
+
+    Args:
+        table: Of a study.
+        objectives: {column: ``"min"`` or ``"max"``}, two of them.
+        path: The PNG to write.
+        by: A column; each of its values has a front of its own.
+        title: Over the figure.
+        labels: {column: what the axis says}.
+
+    Raises:
+        ConfigurationError: If there are not two objectives, or a column is not there.
+        OutputError: If the file cannot be written.
+    """
+    if len(objectives) != 2:
+        raise ConfigurationError("objectives", f"{len(objectives)} of them; a figure shows two")
+    _check(table, *((by,) if by else ()))
+    x, y = objectives
+    labels = {name: f"{name} ({sense})" for name, sense in objectives.items()} | dict(labels or {})
+    figure, axes = figure_of(title or f"Designs worth building: {x} against {y}")
+    handles = []
+    groups: list[tuple[str, pd.DataFrame]] = [("", table)]
+    if by is not None:
+        values = sorted(table[by].dropna().unique())
+        groups = [(f"{labels.get(by, by)} {v:g}: ", table[table[by] == v]) for v in values]
+    for index, (said, part) in enumerate(groups):
+        colour, front = _FRONTS[index % len(_FRONTS)], pareto_front(part, objectives)
+        axes.scatter(part[x], part[y], s=4, color=colour, alpha=0.35, linewidths=0)
+        axes.plot(front[x], front[y], "o-", color=colour, markersize=3.5, linewidth=1.2)
+        label = f"{said}no other design beats these"
+        handles.append(Line2D([], [], color=colour, marker="o", markersize=3.5, label=label))
+    _label(axes, labels[x], labels[y])
+    put_legend(figure, handles)
+    save(figure, path)
+
+
+def draw_study(table: pd.DataFrame, variables: Sequence[str], folder: Path) -> list[Path]:
+    """Draws what a study can show without being asked: returns the files.
+
+    Two variables of most values span the maps; the first measure fills them.
+
+    Raises:
+        OutputError: If a file cannot be written.
+    """
+    given = (*variables, "design", "failure", "reason")
+    measures = [str(n) for n in table.columns if n not in given and table[n].notna().any()]
+    spread = sorted(variables, key=lambda name: -table[name].nunique())
+    spread = [name for name in spread if table[name].nunique() > 1]
+    paths = []
+    if len(spread) >= 2:
+        x, y = spread[:2]
+        for measure in measures[:3]:
+            paths.append(folder / f"map_{measure}.png")
+            heat_map(table, x, y, measure, paths[-1])
+        paths.append(folder / "failures.png")
+        failure_map(table, x, y, paths[-1])
+    if spread and measures:
+        paths.append(folder / "parallel.png")
+        shown = [*(n for n in variables if n in spread), *measures[:4]]
+        parallel_coordinates(table, shown, measures[0], paths[-1])
+    return paths
+
+
+class _Cells:
+    """Values in cells: one per value where they are few, evenly wide ones where they are many."""
+
+    def __init__(self, values: Array) -> None:
+        levels = np.unique(values)
+        if len(levels) <= BINS:
+            middle = (levels[1:] + levels[:-1]) / 2
+            first, last = levels[0], levels[-1]
+            half = (middle[0] - first, last - middle[-1]) if len(middle) else (0.5, 0.5)
+            self.edges = np.concatenate([[first - half[0]], middle, [last + half[1]]])
+            self.index = np.searchsorted(levels, values)
+            self.centres = levels
+            return
+        self.edges = np.linspace(levels[0], levels[-1], BINS + 1)
+        self.index = np.clip(np.searchsorted(self.edges, values, "right") - 1, 0, BINS - 1)
+        self.centres = (self.edges[1:] + self.edges[:-1]) / 2
+
+
+def _label(axes: Axes, x: str, y: str) -> None:
+    put_style(axes, "")
+    axes.set_xlabel(x, size=FONT)
+    axes.set_ylabel(y, size=FONT)
+
+
+def _wrapped(name: str) -> str:
+    return name.replace("_", "\n", 1) if len(name) > 12 else name
+
+
+def _check(table: pd.DataFrame, *columns: str) -> None:
+    for name in columns:
+        if name not in table:
+            known = ", ".join(str(column) for column in table.columns)
+            raise ConfigurationError("column", f"there is no {name!r}; there are {known}")
+    if table.empty:
+        raise ConfigurationError("table", "it is empty: there is nothing to draw")

@@ -1,0 +1,1 @@
+"""Many designs: which numbers vary, what is measured, and the engine that loses nothing."""

@@ -1,0 +1,264 @@
+"""One design: its numbers, the robot and stand that they make, and what is measured of it."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+from pupper_analysis.errors import (
+    ConfigurationError,
+    ModelError,
+    NoEquilibriumError,
+    NoStiffnessError,
+    NotSettlingError,
+    PupperAnalysisError,
+    StanceUnreachableError,
+    StaticsInfeasibleError,
+    VariantError,
+)
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.study.measures import Design, Measure
+from pupper_analysis.study.numbers import SERVOS, Named, scaled, with_friction, with_gains
+from pupper_analysis.study.source import Source
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of a design that is neither a scale nor a factor.
+
+    Attributes:
+        low: The least that makes sense.
+        high: The greatest.
+        unit: Its unit.
+        open: Whether ``low`` itself makes no sense.
+    """
+
+    low: float
+    high: float
+    unit: str
+    open: bool = False
+
+
+_PI = math.pi
+
+STANCE = {
+    "height": Number(0.0, math.inf, "m", open=True),
+    "roll": Number(-_PI, _PI, "rad"),
+    "pitch": Number(-_PI, _PI, "rad"),
+    "yaw": Number(-_PI, _PI, "rad"),
+    "offset_x": Number(-math.inf, math.inf, "m"),
+    "offset_y": Number(-math.inf, math.inf, "m"),
+    "slope": Number(0.0, _PI / 2, "rad"),
+    "uphill": Number(-math.inf, math.inf, "rad"),
+}
+"""Numbers of the stance; they change no model."""
+
+MODEL = {
+    "kp": Number(0.0, math.inf, "N m/rad", open=True),
+    "kd": Number(0.0, math.inf, "N m s/rad"),
+    "payload": Number(0.0, math.inf, "kg"),
+    "friction": Number(0.0, math.inf, "-"),
+}
+"""Numbers of the robot, for all joints and feet alike."""
+
+NUMBERS = {**STANCE, **MODEL}
+
+KEPT = 8
+"""So many robots and stands are remembered: neighbours in a product of grids share them."""
+
+
+class Remembered:
+    """The latest results of a function, by what they depend on."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Hashable, Any] = OrderedDict()
+
+    def get(self, key: Hashable, make: Callable[[], _T]) -> _T:
+        """Returns what is remembered for a key; makes it if it is not."""
+        if key not in self._kept:
+            self._kept[key] = make()
+            while len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        found: _T = self._kept[key]
+        return found
+
+
+@dataclass(eq=False)
+class Maker:
+    """Makes designs of numbers.
+
+    Attributes:
+        source: Of the robots.
+        task: The stance, where a design does not say otherwise.
+        point: (3,) where a payload is, in the base's frame (m).
+    """
+
+    source: Source
+    task: StandTask
+    point: tuple[float, ...]
+    _robots: Remembered = field(default_factory=Remembered)
+    _loaded: Remembered = field(default_factory=Remembered)
+    _stands: Remembered = field(default_factory=Remembered)
+
+    def design(self, numbers: Mapping[str, float]) -> Design:
+        """Makes a design.
+
+        Raises:
+            PupperAnalysisError: If there is none; ``failure`` says of which kind.
+        """
+        gains = {n: v for n, v in numbers.items() if servo_number(n)}
+        stance = {n: v for n, v in numbers.items() if n in STANCE}
+        model = {n: v for n, v in numbers.items() if n not in gains and n not in stance}
+        for name in ("kp", "kd"):
+            value = gains.get(name, 1.0)
+            if not (value >= 0 if name == "kd" else value > 0):
+                raise ConfigurationError(name, f"{value:g} is not {NUMBERS[name].unit} > 0")
+        key = tuple(sorted(model.items()))
+        robot = self._loaded.get(key, lambda: self._robot(model))
+        stand = self._stands.get(
+            (key, tuple(sorted(stance.items()))), lambda: self._stand(robot, stance)
+        )
+        if gains:
+            robot = with_gains(robot, gains.pop("kp", None), gains.pop("kd", None), gains)
+        return Design(robot, stand)
+
+    def _robot(self, numbers: Mapping[str, float]) -> Robot:
+        scales = {name: v for name, v in numbers.items() if name in self.source.scales}
+        factors = {name: v for name, v in numbers.items() if ":" in name}
+        base = tuple(sorted(scales.items()))
+        robot = scaled(self._robots.get(base, lambda: self.source.robot(scales)), factors)
+        if "friction" in numbers:
+            robot = with_friction(robot, numbers["friction"])
+        if "payload" in numbers:
+            robot = with_payload(robot, numbers["payload"], self.point)
+            # Its stands are its own here: the com is over the feet with the payload.
+        return robot
+
+    def _stand(self, robot: Robot, numbers: Mapping[str, float]) -> Stand:
+        return solve_stand(robot, task_of(self.task, numbers), explain=False)
+
+
+def servo_number(name: str) -> bool:
+    """Whether a number is one of the servos alone."""
+    return name.partition(":")[0] in SERVOS
+
+
+def task_of(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
+    """Returns a task with a design's numbers.
+
+    Raises:
+        ConfigurationError: If a number is out of its range.
+    """
+    changes: dict[str, Any] = {
+        name: numbers[name] for name in ("height", "roll", "pitch", "yaw") if name in numbers
+    }
+    if "slope" in numbers or "uphill" in numbers:
+        changes["ground"] = replace(
+            task.ground,
+            slope=numbers.get("slope", task.ground.slope),
+            uphill=numbers.get("uphill", task.ground.uphill),
+        )
+    if "offset_x" in numbers or "offset_y" in numbers:
+        x, y = task.offset or (0.0, 0.0)
+        changes["offset"] = (numbers.get("offset_x", x), numbers.get("offset_y", y))
+    return replace(task, **changes)
+
+
+def check_name(name: str, source: Source) -> None:
+    """Checks that a study can vary a number.
+
+    Raises:
+        ConfigurationError: If there is none of that name; the message lists the names.
+    """
+    if Named.of(name) is None and name not in NUMBERS and name not in source.scales:
+        known = ", ".join((*source.scales, *NUMBERS))
+        raise ConfigurationError(
+            f"vary[{name!r}]", f"there is no such number; there are {known}, and factors such as "
+            "mass:NAME, effort:NAME or kp:NAME"
+        )  # fmt: skip
+
+
+def check_range(name: str, low: float, high: float) -> None:
+    """Checks that a variable's values make sense; those of no bounds are judged one by one.
+
+    Raises:
+        ConfigurationError: If not.
+    """
+    known = NUMBERS.get(name, Number(0.0, math.inf, "x", open=True))
+    if Named.of(name) is not None:
+        known = Number(0.0, math.inf, "x", open=name.partition(":")[0] in ("mass", "inertia", "kp"))
+    below = low <= known.low if known.open else low < known.low
+    if (math.isfinite(low) and below) or (math.isfinite(high) and high > known.high):
+        least = f"{'>' if known.open else '>='} {known.low:g}"
+        most = f" and <= {known.high:.6g}" if math.isfinite(known.high) else ""
+        problem = f"from {low:g} to {high:g}: it must be {least}{most} ({known.unit})"
+        raise ConfigurationError(f"vary[{name!r}]", problem)
+
+
+def failure(error: BaseException) -> str:
+    """Returns of which kind a failure is, in words that a table can be sorted by."""
+    kinds = {
+        StanceUnreachableError: "unreachable",
+        NoEquilibriumError: "no equilibrium",
+        NoStiffnessError: "no stiffness",
+        NotSettlingError: "not settling",
+        ConfigurationError: "invalid",
+        VariantError: "invalid",
+        ModelError: "invalid",
+    }
+    if isinstance(error, StaticsInfeasibleError):
+        return str(error.reason.value)
+    return next((word for kind, word in kinds.items() if isinstance(error, kind)), "error")
+
+
+def row_of(maker: Maker, numbers: Mapping[str, float], measures: tuple[Measure, ...]) -> Row:
+    """Makes a design and measures it; what fails is said in the row.
+
+    A measure that fails leaves the others: the row's reason is that of the first that did.
+    """
+    row: Row = {"failure": None, "reason": None}
+    try:
+        design = maker.design(numbers)
+    except Exception as error:
+        return {"failure": failure(error), "reason": _reason(error)}
+    for measure in measures:
+        try:
+            found = measure.function(design)
+            row.update(_columns(measure.name, found))
+        except Exception as error:
+            if row["failure"] is None:
+                row["failure"], row["reason"] = failure(error), f"{measure.name}: {_reason(error)}"
+    return row
+
+
+Row = dict[str, Any]
+
+
+def _columns(name: str, found: Any) -> Row:
+    if isinstance(found, Mapping):
+        return {f"{name}.{key}": _value(name, value) for key, value in found.items()}
+    return {name: _value(name, found)}
+
+
+def _value(name: str, value: Any) -> float:
+    """Returns a measure's value as a number: 1 for True, 0 for False."""
+    try:
+        return float(value)
+    except (TypeError, ValueError) as error:
+        problem = f"{value!r} is neither a number nor a mapping of names to numbers"
+        raise ConfigurationError(name, problem) from error
+
+
+def _reason(error: BaseException) -> str:
+    if isinstance(error, PupperAnalysisError):
+        return str(error)
+    return f"{type(error).__name__}: {error}"

@@ -1,0 +1,270 @@
+"""What is measured of a design: named measures, and functions of (robot, stand)."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import inspect
+import pickle
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.push import push_recovery
+from pupper_analysis.simulation.verify import StandVerification, verify_stand
+from pupper_analysis.stance.payload.limit import payload_limit
+from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
+from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.stance.workspace import BaseWorkspace, base_workspace
+from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
+
+Value = float | bool
+Function = Callable[[Robot, Stand], Any]
+
+
+@dataclass(eq=False)
+class Design:
+    """A design that stands: what its measures look at, each worked out once.
+
+    Attributes:
+        robot: The robot, with its payload and its servos' gains.
+        stand: How it stands.
+    """
+
+    robot: Robot
+    stand: Stand
+
+    @cached_property
+    def statics(self) -> GravityCompensation:
+        """What the motors hold, with the contact forces that last."""
+        return stand_statics(self.robot, self.stand)
+
+    @cached_property
+    def rest(self) -> SteadyState:
+        """Where the servos let it come to rest, without feed-forward."""
+        return steady_state(self.robot, self.stand)
+
+    @cached_property
+    def workspace(self) -> BaseWorkspace:
+        """How far the base can go."""
+        return base_workspace(self.robot, self.stand.task)
+
+    @cached_property
+    def simulated(self) -> StandVerification:
+        """What MuJoCo makes of it, with feed-forward."""
+        return verify_stand(self.robot, self.stand)
+
+    @cached_property
+    def simulated_rest(self) -> StandVerification:
+        """What MuJoCo makes of it, without feed-forward."""
+        return verify_stand(self.robot, self.stand, feedforward=False)
+
+    def per_joint(self, values: Iterable[float]) -> dict[str, float]:
+        """Returns values by joint."""
+        named = zip(self.robot.joint_names, values, strict=True)
+        return {name: float(value) for name, value in named}
+
+    def span(self, direction: str) -> float:
+        """Returns how far apart the ends of one of the workspace's intervals are."""
+        interval = self.workspace.intervals[direction]
+        return interval.high - interval.low
+
+    def utilisation_at_rest(self) -> float:
+        """Returns the peak motor utilisation where the servos let it come to rest."""
+        return float(np.max(np.abs(self.rest.joint_torques) / self.robot.effort_limits))
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A measure.
+
+    Attributes:
+        name: The column that it fills; with several values, ``NAME.KEY`` for each.
+        function: Of a design.
+        meaning: In words, with its unit.
+        simulates: Whether it takes a simulation, or some seconds.
+    """
+
+    name: str
+    function: Callable[[Design], Value | Mapping[str, Value]]
+    meaning: str
+    simulates: bool = False
+
+
+def _least_peak(design: Design) -> float:
+    held = stand_statics(design.robot, design.stand, distribution=ForceDistribution.MIN_PEAK)
+    return float(held.motor_utilisation.max())
+
+
+_ALL = (
+    Measure("total_mass", lambda d: d.robot.total_mass, "mass with payload (kg)"),
+    Measure(
+        "peak_utilisation",
+        lambda d: float(d.statics.motor_utilisation.max()),
+        "largest torque / effort limit of a motor, in the stand",
+    ),
+    Measure(
+        "peak_torque",
+        lambda d: float(np.abs(d.statics.joint_torques).max()),
+        "largest torque of a motor, in the stand (N m)",
+    ),
+    Measure("least_peak_utilisation", _least_peak, "the same with the best contact forces"),
+    Measure("torque", lambda d: d.per_joint(d.statics.joint_torques), "each motor's torque (N m)"),
+    Measure(
+        "utilisation",
+        lambda d: d.per_joint(d.statics.motor_utilisation),
+        "each motor's torque / effort limit",
+    ),
+    Measure(
+        "friction_utilisation",
+        lambda d: max(d.statics.friction_utilisation.values()),
+        "largest share of a foot's friction that is used",
+    ),
+    Measure("com_margin", lambda d: d.stand.com_margin, "com to support polygon's edge (m)"),
+    Measure(
+        "base_height",
+        lambda d: d.rest.base_height,
+        "height of the base at rest on its servos, without feed-forward (m)",
+    ),
+    Measure("sag", lambda d: d.rest.height_loss, "height lost at rest, in servos and ground (m)"),
+    Measure("servo_sag", lambda d: d.rest.servo_sag, "the part of it lost in the servos (m)"),
+    Measure("contact_sag", lambda d: d.rest.contact_sag, "the part lost in the ground (m)"),
+    Measure("stiffness", lambda d: d.rest.stiffness, "least eigenvalue at rest (rad^2/s^2)"),
+    Measure("release_margin", lambda d: d.rest.release_margin, "friction left / weight"),
+    Measure(
+        "rest_utilisation",
+        lambda d: d.utilisation_at_rest(),
+        "largest torque / effort limit of a motor, at rest on its servos",
+    ),
+    Measure("stands", lambda d: not d.rest.failures, "whether it stays up on its servos"),
+    Measure(
+        "payload_limit",
+        lambda d: payload_limit(d.robot, d.stand).mass,
+        "greatest mass it can carry, beyond its payload (kg)",
+        simulates=True,
+    ),
+    Measure(
+        "minimum_stiffness",
+        lambda d: minimum_stiffness(d.robot, d.stand),
+        "least kp with which it stands (N m/rad)",
+        simulates=True,
+    ),
+    *(
+        Measure(
+            f"{direction}_range",
+            lambda d, direction=direction: d.span(direction),  # type: ignore[misc]
+            f"how far the base can go in {direction} ({unit})",
+            simulates=True,
+        )
+        for direction, unit in (("height", "m"), ("roll", "rad"), ("pitch", "rad"), ("yaw", "rad"))
+    ),
+    Measure(
+        "verified",
+        lambda d: d.simulated.passed,
+        "whether MuJoCo confirms the stand",
+        simulates=True,
+    ),
+    Measure(
+        "simulated_height",
+        lambda d: d.simulated_rest.base_height,
+        "height of the base after 5 s in MuJoCo without feed-forward (m)",
+        simulates=True,
+    ),
+    Measure(
+        "push_recovery",
+        lambda d: push_recovery(d.robot, d.stand).weakest_impulse,
+        "least push that topples it (N s)",
+        simulates=True,
+    ),
+)
+
+MEASURES: Mapping[str, Measure] = {measure.name: measure for measure in _ALL}
+"""The named measures."""
+
+
+def measure_of(given: str | Function) -> Measure:
+    """Returns a named measure, or makes one of a function of (robot, stand).
+
+    Args:
+        given: A name of ``MEASURES``, ``module:function``, or a function that other processes can
+            import: it stands at the top of a module.
+
+    Raises:
+        ConfigurationError: If there is no such measure, or the function does not fit.
+    """
+    if isinstance(given, str) and given in MEASURES:
+        return MEASURES[given]
+    function = _imported(given) if isinstance(given, str) else given
+    if not callable(function):
+        raise ConfigurationError("measure", f"{given!r} is neither a name nor a function")
+    try:
+        inspect.signature(function).bind(None, None)
+    except (TypeError, ValueError) as error:
+        problem = f"{given!r} is no function of (robot, stand): {error}"
+        raise ConfigurationError("measure", problem) from error
+    try:
+        pickle.dumps(function)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        problem = f"{given!r} cannot be sent to other processes: define it at a module's top"
+        raise ConfigurationError("measure", problem) from error
+    name = getattr(function, "__name__", type(function).__name__)
+    if name in MEASURES:
+        problem = f"the function {name!r} has the name of a measure; give it another"
+        raise ConfigurationError("measure", problem)
+    return Measure(name, OfRobotAndStand(function), inspect.getdoc(function) or "", simulates=False)
+
+
+def _imported(name: str) -> Function:
+    """Returns the function that ``module:function`` means."""
+    module, separator, attribute = name.partition(":")
+    if not separator:
+        raise ConfigurationError(
+            "measure", f"there is no measure {name!r}; there are {', '.join(MEASURES)}, and "
+            "module:function"
+        )  # fmt: skip
+    try:
+        found: Function = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigurationError("measure", f"{name!r} cannot be imported: {error}") from error
+    return found
+
+
+@dataclass(frozen=True)
+class OfRobotAndStand:
+    """A function of (robot, stand) as one of a design."""
+
+    function: Function
+
+    def __call__(self, design: Design) -> Any:
+        """Calls it."""
+        return self.function(design.robot, design.stand)
+
+    @property
+    def place(self) -> str:
+        """Returns ``module:function``."""
+        return f"{self.function.__module__}:{getattr(self.function, '__qualname__', '')}"
+
+    def fingerprint(self) -> str:
+        """Returns its name and a hash of its text, which tells that it has changed."""
+        try:
+            text = inspect.getsource(self.function)
+        except (OSError, TypeError):
+            text = ""
+        return f"{self.place} {hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+
+def asked(measure: Measure) -> str:
+    """Returns how a study's file says a measure."""
+    own = measure.function
+    return own.place if isinstance(own, OfRobotAndStand) else measure.name
+
+
+def fingerprint(measure: Measure) -> str:
+    """Returns what tells that a measure is another one."""
+    own = measure.function
+    return own.fingerprint() if isinstance(own, OfRobotAndStand) else measure.name

@@ -1,0 +1,346 @@
+"""Factors on a robot's numbers, by name, in its URDF and its MJCF alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+
+import mujoco
+import numpy as np
+from lxml import etree
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.models.description import Description
+from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos
+
+Array = NDArray[np.float64]
+
+KINDS = {
+    "mass": "mass and inertia of bodies",
+    "inertia": "inertia of bodies about their centres of mass",
+    "effort": "effort limits of joints",
+    "armature": "armature of joints",
+    "damping": "damping of joints",
+    "frictionloss": "dry friction of joints",
+    "kp": "stiffness of servos",
+    "kd": "damping of servos",
+}
+"""What ``KIND:PATTERN`` may say: all are factors on what the files say."""
+
+BODIES = ("mass", "inertia")
+SERVOS = ("kp", "kd")
+
+_SAME = 1e-9
+"""Relative: two models that were given the same factors agree to rounding."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """A factor's name, taken apart.
+
+    Attributes:
+        kind: One of ``KINDS``.
+        pattern: What the names of bodies or joints must match, as file names do: ``*``, ``?``.
+    """
+
+    kind: str
+    pattern: str
+
+    @staticmethod
+    def of(name: str) -> Named | None:
+        """Takes a name apart; None if it is of another form.
+
+        Raises:
+            ConfigurationError: If there is no such kind.
+        """
+        kind, separator, pattern = name.partition(":")
+        if not separator:
+            return None
+        if kind not in KINDS or not pattern:
+            raise ConfigurationError(
+                f"vary[{name!r}]", f"{kind!r} is no number of a model; there are "
+                f"{', '.join(f'{known}:NAME' for known in KINDS)}"
+            )  # fmt: skip
+        return Named(kind, pattern)
+
+
+def joints_of(robot: Robot, named: Named) -> tuple[str, ...]:
+    """Returns the joints that a factor is for, or that move its bodies; ``""`` is the base.
+
+    A body is matched by its link's name in the URDF, its body's in the MJCF, or its joint's.
+
+    Raises:
+        UnknownNameError: If none match; the message lists the names.
+    """
+    names: dict[str, tuple[str, ...]] = {joint: (joint,) for joint in robot.joint_names}
+    if named.kind in BODIES:
+        links, bodies = _links(parse_text(robot.description.urdf)), _bodies(robot)
+        names = {"": (robot.base, robot.mj_base)}
+        names |= {joint: (links[joint], bodies[joint], joint) for joint in robot.joint_names}
+    found = tuple(
+        joint for joint, own in names.items() if any(fnmatchcase(one, named.pattern) for one in own)
+    )
+    if not found:
+        kind = "body" if named.kind in BODIES else "joint"
+        raise UnknownNameError(
+            robot.name, kind, named.pattern, dict.fromkeys(own[0] for own in names.values())
+        )
+    return found
+
+
+def _links(root: etree._Element) -> dict[str, str]:
+    """Returns {joint: the link that it moves}."""
+    return {str(j.get("name")): str(_child(j, "child").get("link")) for j in root.iter("joint")
+            if j.find("child") is not None}  # fmt: skip
+
+
+def _bodies(robot: Robot) -> dict[str, str]:
+    """Returns {joint: the body that it moves in the MJCF}."""
+    model = robot.mj_model
+    return {
+        joint: str(model.body(int(model.jnt_bodyid[model.joint(joint).id])).name)
+        for joint in robot.joint_names
+    }
+
+
+def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
+    """Returns a robot with factors on its numbers, in both of its models.
+
+    Fixed links and bodies count to the body that carries them. Servos' gains are not changed here:
+    ``with_gains`` does it.
+
+    Args:
+        robot: The robot.
+        factors: {``KIND:PATTERN``: factor, finite and >= 0, a mass's and an inertia's > 0}.
+
+    Raises:
+        ConfigurationError: If a factor is none.
+        UnknownNameError: If a pattern matches nothing.
+        ModelError: If a model cannot be built.
+    """
+    wanted: dict[str, dict[str, float]] = {}
+    for name, factor in factors.items():
+        named = Named.of(name)
+        assert named is not None
+        least = "> 0" if named.kind in (*BODIES, *SERVOS) else ">= 0"
+        if not math.isfinite(factor) or factor < 0 or (factor == 0 and least == "> 0"):
+            raise ConfigurationError(name, f"a factor of {factor:g} is not {least}")
+        if named.kind not in SERVOS:
+            for joint in joints_of(robot, named):
+                own = wanted.setdefault(named.kind, {})
+                own[joint] = own.get(joint, 1.0) * factor
+    if not wanted:
+        return robot
+    spec, root = robot.description.mjcf.copy(), parse_text(robot.description.urdf)
+    for kind, joints in wanted.items():
+        for joint, factor in joints.items():
+            _scale_urdf(root, robot, kind, joint, factor)
+            _scale_mjcf(spec, robot, kind, joint, factor)
+    built = rebuilt(robot, urdf=to_text(root), mjcf=spec)
+    _check(robot, built, wanted.get("mass", {}))
+    return built
+
+
+def _scale_urdf(root: etree._Element, robot: Robot, kind: str, joint: str, factor: float) -> None:
+    if kind in BODIES:
+        for link in _fixed_to(root, _links(root).get(joint, robot.base)):
+            inertial = next(one for one in root.iter("link") if one.get("name") == link).find(
+                "inertial"
+            )
+            if inertial is None:
+                continue
+            if kind == "mass":
+                _times(inertial.find("mass"), "value", factor)
+            for entry in INERTIA_ENTRIES:
+                _times(inertial.find("inertia"), entry, factor)
+        return
+    element = next(one for one in root.iter("joint") if one.get("name") == joint)
+    if kind == "effort":
+        _times(element.find("limit"), "effort", factor)
+    elif kind != "armature":  # which a URDF cannot state
+        attribute = {"damping": "damping", "frictionloss": "friction"}[kind]
+        _times(element.find("dynamics"), attribute, factor)
+
+
+def _times(element: etree._Element | None, attribute: str, factor: float) -> None:
+    text = None if element is None else element.get(attribute)
+    if element is not None and text is not None:
+        element.set(attribute, repr(float(text) * factor))
+
+
+def _child(element: etree._Element, tag: str) -> etree._Element:
+    found = element.find(tag)
+    assert found is not None
+    return found
+
+
+def _fixed_to(root: etree._Element, link: str) -> Iterator[str]:
+    """Yields a link, and those that are fixed to it."""
+    yield link
+    for joint in root.findall("joint"):
+        if joint.get("type") == "fixed" and _child(joint, "parent").get("link") == link:
+            yield from _fixed_to(root, str(_child(joint, "child").get("link")))
+
+
+def _scale_mjcf(spec: mujoco.MjSpec, robot: Robot, kind: str, joint: str, factor: float) -> None:
+    if kind in BODIES:
+        name = _bodies(robot)[joint] if joint else robot.mj_base
+        for body in _welded_to(spec.body(name)):
+            _scale_body(body, kind, factor, robot)
+        return
+    element = spec.joint(joint)
+    if kind == "effort":
+        element.actfrcrange = np.array(element.actfrcrange) * factor
+        for actuator in spec.actuators:
+            if actuator.target == joint:
+                actuator.forcerange = np.array(actuator.forcerange) * factor
+    elif kind == "armature":
+        element.armature = element.armature * factor
+    else:
+        value = getattr(element, kind)
+        setattr(element, kind, np.array(value) * factor if np.ndim(value) else value * factor)
+
+
+def _welded_to(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
+    """Yields a body, and those that are fixed to it."""
+    yield body
+    for child in body.bodies:
+        if not list(child.joints):
+            yield from _welded_to(child)
+
+
+def _scale_body(body: mujoco.MjsBody, kind: str, factor: float, robot: Robot) -> None:
+    if body.explicitinertial:
+        if kind == "mass":
+            body.mass = factor * body.mass
+        body.inertia = factor * np.array(body.inertia)
+        body.fullinertia = factor * np.array(body.fullinertia)
+        return
+    if kind == "inertia" and list(body.geoms):
+        raise ModelError(
+            robot.description.mjcf_source,
+            f"body {body.name!r} has no <inertial>: its inertia follows from its geoms, and cannot "
+            "be changed alone; change its mass",
+        )
+    for geom in body.geoms:
+        geom.density = factor * geom.density
+        if not math.isnan(geom.mass):
+            geom.mass = factor * geom.mass
+
+
+def _check(before: Robot, after: Robot, factors: Mapping[str, float]) -> None:
+    """Checks that the masses of both models have become what was asked for."""
+    bodies = _bodies(before)
+    for joint, factor in factors.items():
+        body = before.mj_model.body(bodies[joint] if joint else before.mj_base).id
+        number = before.pin_model.getJointId(joint) if joint else int(before.floating)
+        pairs = [
+            (_welded_mass(one.mj_model, body), float(one.pin_model.inertias[number].mass))
+            for one in (before, after)
+        ]
+        for old, new in zip(*pairs, strict=True):
+            if abs(new - factor * old) > _SAME * abs(factor * old) + 1e-15:
+                name = bodies.get(joint, before.mj_base)
+                problem = f"the mass of {name!r} became {new:g} kg of {old:g} kg, not {factor:g} x"
+                raise ModelError(before.description.mjcf_source, problem)
+
+
+def _welded_mass(model: mujoco.MjModel, body: int) -> float:
+    return float(model.body_mass[model.body_weldid == model.body_weldid[body]].sum())
+
+
+def with_friction(robot: Robot, friction: float) -> Robot:
+    """Returns a robot whose feet have a coefficient of sliding friction on the ground.
+
+    Floor and feet get the same, so that the greater of the two, or that of the higher priority, is
+    it.
+
+    Raises:
+        ConfigurationError: If the coefficient is negative, or a foot's contact has no friction.
+    """
+    if not 0 <= friction < math.inf:
+        raise ConfigurationError("friction", f"{friction:g} is no coefficient; it must be >= 0")
+    bare = [foot for foot, one in robot.contacts.items() if one.condim == 1]
+    if bare:
+        problem = f"the contacts of {', '.join(bare)} are frictionless (condim 1) in the MJCF"
+        raise ConfigurationError("friction", problem)
+    spec = robot.description.mjcf.copy()
+    spec.compile()  # numbers the geoms
+    feet = set(robot.foot_geoms)
+    for geom in spec.geoms:
+        if geom.id in feet or geom.parent.name == "world":
+            sliding = np.array(geom.friction)
+            sliding[0] = friction
+            geom.friction = sliding
+    return rebuilt(robot, mjcf=spec)
+
+
+def with_gains(
+    robot: Robot, kp: float | None, kd: float | None, factors: Mapping[str, float]
+) -> Robot:
+    """Returns a robot with other gains of its servos, in its MJCF and its MuJoCo model.
+
+    Args:
+        robot: The robot.
+        kp: Stiffness (N m/rad); the model's own if None.
+        kd: Damping (N m s/rad); the model's own if None.
+        factors: {``kp:PATTERN`` or ``kd:PATTERN``: factor} on these.
+
+    Raises:
+        ConfigurationError: If a gain is out of its range.
+        UnknownNameError: If a pattern matches nothing.
+        ModelError: If a joint has no servo, and kp and kd are not both given.
+    """
+    drive = servos(robot, kp, kd)
+    gains = {"kp": drive.kp.copy(), "kd": drive.kd.copy()}
+    for name, factor in factors.items():
+        named = Named.of(name)
+        if named is not None and named.kind in SERVOS:
+            chosen = np.isin(robot.joint_names, joints_of(robot, named))
+            gains[named.kind][chosen] *= factor
+    model = servos(robot, gains["kp"], gains["kd"]).model
+    spec = robot.description.mjcf.copy()
+    for index, actuator in enumerate(spec.actuators):
+        actuator.gaintype = mujoco.mjtGain(int(model.actuator_gaintype[index]))
+        actuator.biastype = mujoco.mjtBias(int(model.actuator_biastype[index]))
+        actuator.dyntype = mujoco.mjtDyn(int(model.actuator_dyntype[index]))
+        actuator.gainprm = model.actuator_gainprm[index]
+        actuator.biasprm = model.actuator_biasprm[index]
+        actuator.ctrllimited = int(model.actuator_ctrllimited[index])
+    return replace(robot, description=replace(robot.description, mjcf=spec), mj_model=model)
+
+
+def plain(description: Description) -> Description:
+    """Returns a description without what is only looked at: it moves and touches alike.
+
+    Shapes that touch nothing go, where the body's mass is not theirs; and so do meshes that
+    nothing uses then, and textures. Models of many meshes compile several times as fast.
+    """
+    spec = description.mjcf.copy()
+    kept = {geom for geom, _ in description.foot_geoms.values()}
+    kept |= {frame for _, frame in description.feet.values()}
+    for geom in list(spec.geoms):
+        touches = geom.contype or geom.conaffinity
+        pairs = any(geom.name in (pair.geomname1, pair.geomname2) for pair in spec.pairs)
+        if not touches and not pairs and geom.name not in kept and _weightless(geom):
+            spec.delete(geom)
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in list(spec.meshes):
+        if mesh.name not in used:
+            spec.delete(mesh)
+    for material in spec.materials:  # which default classes may name: they stay
+        material.textures = [""] * len(material.textures)
+    for texture in list(spec.textures):
+        spec.delete(texture)
+    return replace(description, mjcf=spec)
+
+
+def _weightless(geom: mujoco.MjsGeom) -> bool:
+    return bool(geom.parent.name == "world" or geom.parent.explicitinertial or geom.mass == 0)

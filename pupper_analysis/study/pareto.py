@@ -1,0 +1,64 @@
+"""Which designs are worth building: those that no other one beats in all that counts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.arguments import check_type
+from pupper_analysis.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SENSES = {"min": 1.0, "max": -1.0}
+
+
+def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataFrame:
+    """Returns the designs that no other beats: none is as good in all objectives, better in one.
+
+    Args:
+        table: Of a study. Designs without a value of an objective count as beaten.
+        objectives: {column: ``"min"`` or ``"max"``}.
+
+    Returns:
+        Their rows, sorted by the first objective, the best first.
+
+    Raises:
+        ConfigurationError: If a column is not there, or a sense is neither.
+    """
+    check_type("objectives", objectives, Mapping[str, str])
+    for name, sense in objectives.items():
+        if name not in table or sense not in SENSES:
+            known = ", ".join(str(column) for column in table.columns)
+            problem = f"{name!r}: {sense!r} is not a column to 'min' or 'max'; there are {known}"
+            raise ConfigurationError("objectives", problem)
+    if not objectives:
+        raise ConfigurationError("objectives", "there are none: say what counts")
+    whole = table.dropna(subset=list(objectives))
+    costs = np.column_stack([SENSES[s] * whole[n].to_numpy(float) for n, s in objectives.items()])
+    best = whole[_unbeaten(costs)]
+    first, sense = next(iter(objectives.items()))
+    front: pd.DataFrame = best.sort_values(first, ascending=sense == "min", kind="stable")
+    return front.reset_index(drop=True)
+
+
+def _unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tells which rows of costs (n, m) no other row beats.
+
+    Rows are looked at in the order of their first cost: only an earlier one can beat a later one,
+    and only one that is unbeaten itself need be looked at.
+    """
+    order = np.lexsort(costs.T[::-1])
+    front: list[int] = []
+    for index in order:
+        held = costs[front]
+        beats = (held <= costs[index]).all(axis=1) & (held < costs[index]).any(axis=1)
+        if not beats.any():
+            front.append(int(index))
+    found = np.zeros(len(costs), bool)
+    found[front] = True
+    return found

@@ -1,0 +1,351 @@
+"""Runs a study's designs on an executor, and loses nothing: not by failures, crashes or kills."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from dataclasses import dataclass, field
+from multiprocessing.process import BaseProcess
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import PupperAnalysisError, StudyError
+from pupper_analysis.study.design import Row, servo_number
+from pupper_analysis.study.store import Store, keys
+from pupper_analysis.study.worker import Chunk, Measured, begin, chunks, measured, ready
+
+Array = NDArray[np.float64]
+
+TASK = 0.5
+"""s: so long a chunk of designs should take; what it costs to send one is a part in a hundred."""
+
+LARGEST = 256
+"""Designs in a chunk: rows that are lost if a worker is."""
+
+SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
+"""A shard is written when there are so many rows, or when so much time has passed."""
+
+TRIES = 2
+"""A design that ends its worker, alone in it, is tried so often, as the machine may be to blame."""
+
+SLACK = 5.0
+"""s in which a process that has ended must be gone."""
+
+EXIT_LIMIT = 1
+"""What ``faulthandler`` ends a process with; one that is killed has the signal, negative."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a run needs of its study: pickled ``Work``, the variables, the time limit (s)."""
+
+    work: bytes
+    variables: tuple[str, ...]
+    limit: float | None
+
+
+@dataclass
+class Progress:
+    """How far a run has come.
+
+    Attributes:
+        total: Designs of the study.
+        there: Of these, how many were there when it began.
+        done: How many this run has added.
+        failures: {kind: how many of these failed}.
+        seconds: Since it began.
+        work: s that workers have spent on designs.
+    """
+
+    total: int
+    there: int = 0
+    done: int = 0
+    failures: Counter[str] = field(default_factory=Counter)
+    seconds: float = 0.0
+    work: float = 0.0
+
+    @property
+    def rate(self) -> float:
+        """Designs per second."""
+        return self.done / self.seconds if self.seconds > 0 else 0.0
+
+    @property
+    def left(self) -> float:
+        """How long it will go on (s); infinite while nothing is done."""
+        rest = self.total - self.there - self.done
+        return rest / self.rate if self.rate else (float("inf") if rest else 0.0)
+
+
+class Crew:
+    """The workers: an executor that was given, or processes that are begun anew when one is lost.
+
+    Args:
+        executor: The given one.
+        workers: How many processes, or how many the given executor has.
+    """
+
+    def __init__(self, executor: Executor | None, workers: int | None) -> None:
+        self._given = executor
+        self.workers = workers or _size(executor) or os.cpu_count() or 1
+        self._executor = executor
+
+    @property
+    def renewable(self) -> bool:
+        """Whether lost processes can be replaced."""
+        return self._given is None
+
+    def submit(self, chunk: Chunk) -> Future[Measured]:
+        """Hands a chunk over."""
+        return self._now().submit(measured, chunk)
+
+    def check(self) -> None:
+        """Finds out whether processes can be begun at all.
+
+        Raises:
+            StudyError: If not.
+        """
+        if self._given is None:
+            try:
+                self._now().submit(ready).result()
+            except BrokenExecutor as error:
+                problem = (
+                    "worker processes end as they begin. A script that runs a study needs the line "
+                    "if __name__ == '__main__': around what it runs"
+                )
+                raise StudyError("-", problem) from error
+
+    def _now(self) -> Executor:
+        if self._executor is None:
+            # Spawned: a fork would copy locks that other threads of the parent hold.
+            context = multiprocessing.get_context("spawn")
+            self._executor = ProcessPoolExecutor(self.workers, context, initializer=begin)
+        return self._executor
+
+    def _processes(self) -> list[BaseProcess]:
+        return list((getattr(self._executor, "_processes", None) or {}).values())
+
+    def gave_up(self) -> bool:
+        """Whether a process that was begun here has ended itself, as the time limit does it."""
+        if self._given is not None:
+            return False
+        for process in self._processes():
+            process.join(SLACK)
+        return any(process.exitcode == EXIT_LIMIT for process in self._processes())
+
+    def end(self) -> None:
+        """Ends the processes that were begun here."""
+        if self._given is None and self._executor is not None:
+            pool, processes = self._executor, self._processes()
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in processes:
+                process.terminate()
+            for process in processes:
+                process.join()
+            self._executor = None
+
+
+def _size(executor: Executor | None) -> int | None:
+    """Returns how many workers an executor has, if it says so."""
+    size = getattr(executor, "_max_workers", None)
+    client = getattr(executor, "_client", None)
+    if client is not None:  # Dask's
+        return sum(client.nthreads().values()) or None
+    return size if isinstance(size, int) else None
+
+
+class Run:
+    """One run of a study.
+
+    Args:
+        settings: What the workers do.
+        store: Where results go.
+        total: How many designs there are.
+        tell: Called with the progress.
+    """
+
+    def __init__(
+        self, settings: Settings, store: Store, total: int, tell: Callable[[Progress], None]
+    ) -> None:
+        self.settings, self.store, self.tell = settings, store, tell
+        self.progress = Progress(total)
+        self._rows: list[Row] = []
+        self._begun = self._written = time.monotonic()
+        self._tries: Counter[str] = Counter()
+        self._suspects: deque[Chunk] = deque()
+        self._flying: dict[Future[Measured], tuple[Chunk, float]] = {}
+
+    def all(
+        self,
+        blocks: Iterable[tuple[list[str], Array]],
+        executor: Executor | None,
+        workers: int | None,
+    ) -> Progress:
+        """Measures all designs that are not there."""
+        crew = Crew(executor, workers)
+        source = self._chunks(self._missing(blocks))
+        try:
+            first = next(source, None)
+            if first is not None:
+                crew.check()
+                self._fly(crew, first, source)
+        finally:
+            try:
+                self._flush()
+            finally:
+                for future in self._flying:
+                    future.cancel()
+                crew.end()
+        self.tell(self._timed())
+        return self.progress
+
+    def _missing(
+        self, blocks: Iterable[tuple[list[str], Array]]
+    ) -> Iterator[tuple[list[str], Array]]:
+        """Yields what is not there, block by block, designs of one robot beside each other."""
+        done = self.store.designs()
+        for names, numbers in blocks:
+            own = keys(names)
+            _, first = np.unique(own, return_index=True)
+            once = np.zeros(len(own), bool)
+            once[first] = True  # a list's values may come together more than once
+            there = np.isin(own, done)
+            self.progress.there += int(there.sum())
+            self.progress.total -= int((~once & ~there).sum())
+            new = np.flatnonzero(once & ~there)
+            done = np.union1d(done, own)
+            rank = [index for index, name in enumerate(self.settings.variables)
+                    if not servo_number(name)]  # fmt: skip
+            if len(new) and rank:
+                new = new[np.lexsort(numbers[new][:, rank[::-1]].T)]
+            if len(new):
+                yield [names[index] for index in new], numbers[new]
+
+    def _chunks(self, blocks: Iterable[tuple[list[str], Array]]) -> Iterator[Chunk]:
+        for names, numbers in blocks:
+            start = 0
+            while start < len(names):
+                part = slice(start, start + self._size())
+                start = part.stop
+                rows = tuple(map(tuple, numbers[part].tolist()))
+                yield Chunk(self.settings.work, tuple(names[part]), rows)
+
+    def _size(self) -> int:
+        """Returns how many designs make a chunk of about ``TASK`` seconds."""
+        if not self.progress.done:
+            return 1
+        each = self.progress.work / self.progress.done
+        return int(np.clip(TASK / max(each, 1e-6), 1, LARGEST))
+
+    def _fly(self, crew: Crew, first: Chunk, source: Iterator[Chunk]) -> None:
+        """Keeps the workers busy until all is done."""
+        waiting: Chunk | None = first
+        while waiting is not None or self._flying or self._suspects:
+            if self._suspects:  # one at a time, so that it is known who ends a worker
+                if not self._flying:
+                    self._submit(crew, self._suspects.popleft())
+            else:
+                while waiting is not None and len(self._flying) < 2 * crew.workers + 1:
+                    self._submit(crew, waiting)
+                    waiting = next(source, None)
+            finished, _ = wait(self._flying, timeout=1.0, return_when=FIRST_COMPLETED)
+            for future in finished:
+                if future in self._flying:
+                    self._land(crew, future)
+            self.tell(self._timed())
+            recent = time.monotonic() - self._written < SHARD_SECONDS
+            if len(self._rows) >= SHARD_ROWS or not recent:
+                self._flush()
+
+    def _submit(self, crew: Crew, chunk: Chunk) -> None:
+        try:
+            self._flying[crew.submit(chunk)] = chunk, time.monotonic()
+        except BrokenExecutor:
+            self._suspects.append(chunk)
+            self._lost(crew, None)
+
+    def _land(self, crew: Crew, future: Future[Measured]) -> None:
+        chunk, begun = self._flying.pop(future)
+        try:
+            found = future.result()
+        except PupperAnalysisError:
+            raise
+        except (Exception, CancelledError) as error:
+            if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":
+                self._blame(crew, chunk, time.monotonic() - begun)
+                if isinstance(error, BrokenExecutor):
+                    self._lost(crew, error)
+                return
+            raise StudyError(
+                self.store.folder,
+                f"the workers are lost ({type(error).__name__}); what was done is kept: "
+                "run it again, and it goes on from there",
+            ) from error
+        self.progress.work += found.seconds
+        self._keep(found.rows)
+
+    def _lost(self, crew: Crew, error: BaseException | None) -> None:
+        """Begins processes anew; what was in flight is tried again, design by design."""
+        for chunk, _ in self._flying.values():
+            self._suspects.extend(_singly(chunk))
+        self._flying.clear()
+        if not crew.renewable:
+            problem = "its executor is broken by a worker that ended; run it again to go on"
+            raise StudyError(self.store.folder, problem) from error
+        crew.end()
+        crew.check()  # that the time of the next design is not that of its worker's start
+
+    def _blame(self, crew: Crew, chunk: Chunk, seconds: float) -> None:
+        """Tries the designs of a chunk whose worker ended again, alone; or marks the one it was."""
+        (name, *others) = chunk.names
+        alone = not others and not self._flying
+        if not alone:
+            self._suspects.extend(_singly(chunk))
+            return
+        self._tries[name] += 1
+        limit = self.settings.limit
+        # Of a given executor it is not known how long the worker had been at it, nor how it ended.
+        slow = limit is not None and seconds >= limit and crew.gave_up()
+        if self._tries[name] < TRIES and not slow:
+            self._suspects.append(chunk)
+            return
+        values = dict(zip(self.settings.variables, chunk.numbers[0], strict=True))
+        reason = (
+            f"it took longer than {limit:g} s"
+            if slow
+            else "it ended its worker's process, or took longer than its time limit"
+        )
+        failed = {"failure": "timed out" if slow else "crashed", "reason": reason}
+        self._keep(({"design": name, **values, **failed},))
+
+    def _keep(self, rows: Iterable[Row]) -> None:
+        for row in rows:
+            self._rows.append(row)
+            self.progress.done += 1
+            if row["failure"] is not None:
+                self.progress.failures[row["failure"]] += 1
+
+    def _flush(self) -> None:
+        self.store.write(self._rows)
+        self._rows, self._written = [], time.monotonic()
+
+    def _timed(self) -> Progress:
+        self.progress.seconds = time.monotonic() - self._begun
+        return self.progress
+
+
+def _singly(chunk: Chunk) -> Iterator[Chunk]:
+    """Yields a chunk's designs one by one."""
+    return chunks(chunk.work, chunk.names, chunk.numbers, 1)

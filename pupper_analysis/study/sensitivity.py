@@ -1,0 +1,198 @@
+"""Which number matters most: Sobol's indices from samples, and shares from derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.arguments import check_type
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.results import Result
+from pupper_analysis.study.design import Maker
+from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
+from pupper_analysis.study.running import Progress
+from pupper_analysis.study.sampling import at_shares
+from pupper_analysis.study.store import needed
+from pupper_analysis.study.study import Study
+from pupper_analysis.study.variables import Normal, Variable
+
+Array = NDArray[np.float64]
+
+AT_REST = ("base_height", "sag", "servo_sag", "contact_sag")
+"""Measures of where it rests that have derivatives; ``torque.JOINT`` are the others."""
+
+
+@dataclass(frozen=True)
+class SobolIndices(Result):
+    """Whose variance is whose, of one measure.
+
+    Attributes:
+        measure: Its column.
+        first: {variable: share of the variance that it makes alone}.
+        total: {variable: the same with all that it makes together with others}.
+        uncertainty: {variable: half of the 95 % confidence interval of ``total``}.
+        designs: How many were measured.
+    """
+
+    measure: str
+    first: dict[str, float]
+    total: dict[str, float]
+    uncertainty: dict[str, float]
+    designs: int
+
+
+@dataclass(frozen=True)
+class LinearShares(Result):
+    """The same from derivatives, for small spreads.
+
+    Attributes:
+        measure: Its column.
+        derivatives: {variable: change of the measure per unit of it}.
+        shares: {variable: share of the variance}.
+        deviation: Standard deviation of the measure.
+    """
+
+    measure: str
+    derivatives: dict[str, float]
+    shares: dict[str, float]
+    deviation: float
+
+
+def sobol_indices(
+    study: Study,
+    folder: str | Path,
+    measures: Sequence[str],
+    *,
+    samples: int = 128,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> dict[str, SobolIndices]:
+    """Measures designs by Saltelli's scheme, and takes the variance of measures apart.
+
+    Designs are kept in the study's folder, as those of ``Study.run``, and go on there.
+
+    Source: Saltelli et al., "Variance based sensitivity analysis of model output", 2010; SALib.
+
+    Args:
+        study: Its variables' distributions count, not its samples.
+        folder: Where results are kept.
+        measures: Columns of its table.
+        samples: A power of 2; designs are this times the number of variables and two.
+        executor: As in ``Study.run``.
+        workers: Likewise.
+        progress: Likewise.
+
+    Returns:
+        {measure: its indices}.
+
+    Raises:
+        ConfigurationError: If a column is not there, a design failed (indices need them all), or
+            an argument makes no sense.
+        StudyError: As ``Study.run``.
+    """
+    check_type("samples", samples, int)
+    if samples < 2 or samples & (samples - 1):
+        raise ConfigurationError("samples", f"{samples} is no power of 2, as the scheme needs")
+    if not study.variables:
+        raise ConfigurationError("vary", "nothing varies")
+    needed("SALib")
+    from SALib.analyze import sobol as analysis
+    from SALib.sample import sobol as scheme
+
+    names = list(study.variables)
+    problem = {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
+    seed = study.sampling.seed % 2**31 + 1  # SALib takes 0 for none
+    shares = scheme.sample(problem, samples, calc_second_order=False, seed=seed)
+    points = at_shares(study.variables, np.asarray(shares, dtype=float))
+    chosen = study.at(points)
+    table = chosen.run(folder, executor=executor, workers=workers, progress=progress)
+    place = {name: index for index, name in enumerate(table["design"])}
+    order = [place[name] for block, _ in chosen.designs() for name in block]
+    found = {}
+    for measure in measures:
+        if measure not in table:
+            raise ConfigurationError("measures", f"{measure!r} is none of {list(table.columns)}")
+        values = table[measure].to_numpy(float)[order]
+        lost = int((~np.isfinite(values)).sum())
+        if lost:
+            reasons = ", ".join(map(str, table["failure"].dropna().unique()))
+            raise ConfigurationError(
+                "vary",
+                f"{lost} of {len(values)} designs have no {measure} ({reasons}); narrow the "
+                "spreads: indices need all of the scheme's designs",
+            )
+        index = analysis.analyze(problem, values, calc_second_order=False, seed=seed)
+        found[measure] = SobolIndices(
+            measure,
+            dict(zip(names, index["S1"].tolist(), strict=True)),
+            dict(zip(names, index["ST"].tolist(), strict=True)),
+            dict(zip(names, index["ST_conf"].tolist(), strict=True)),
+            len(values),
+        )
+    return found
+
+
+def linear_shares(study: Study, measures: Sequence[str]) -> dict[str, LinearShares]:
+    """Predicts the same from derivatives at the variables' means: no samples.
+
+    Independent variables of deviations s_i make a deviation of sqrt(sum (dy/dx_i s_i)^2).
+
+    Args:
+        study: Its variables are masses (``mass:PATTERN``), ``payload``, or, of measures at rest,
+            any.
+        measures: ``base_height``, ``sag``, ``servo_sag``, ``contact_sag`` and ``torque.JOINT``.
+
+    Returns:
+        {measure: its shares}.
+
+    Raises:
+        ConfigurationError: If a measure or a variable has no derivative, or the stand is not on
+            level ground with the com over its centre.
+    """
+    means = {name: mean_of(one) for name, one in study.variables.items()}
+    spread = {name: deviation_of(one) for name, one in study.variables.items()}
+    maker = Maker(study.source, study.task, study.point)
+    varied = [name for name, size in spread.items() if size > 0]
+    joints = study.base.joint_names
+    known = (*AT_REST, *(f"torque.{joint}" for joint in joints))
+    unknown = next((name for name in measures if name not in known), None)
+    if unknown is not None:
+        raise ConfigurationError("measures", f"{unknown!r} is none of {', '.join(known)}")
+    slopes: dict[str, dict[str, float]] = {}
+    if any(name in AT_REST for name in measures):
+        rest = sag_derivatives(maker, means, varied)
+        slopes |= {m: {n: getattr(rest[n], m) for n in varied} for m in AT_REST}
+    if any(name not in AT_REST for name in measures):
+        design = maker.design(means)
+        moving = [name for name in varied if name.partition(":")[0] not in ("kp", "kd")]
+        torque = torque_derivatives(design.robot, design.stand, means, moving, study.point)
+        for row, joint in enumerate(joints):
+            own = {n: float(torque[n][row]) if n in torque else 0.0 for n in varied}
+            slopes[f"torque.{joint}"] = own
+    return {name: _shares(name, slopes[name], spread) for name in measures}
+
+
+def _shares(name: str, slopes: dict[str, float], spread: Mapping[str, float]) -> LinearShares:
+    parts = {number: (slope * spread[number]) ** 2 for number, slope in slopes.items()}
+    whole = sum(parts.values())
+    shares = {number: part / whole if whole else 0.0 for number, part in parts.items()}
+    return LinearShares(name, slopes, shares, float(np.sqrt(whole)))
+
+
+_EVEN = (np.arange(4096) + 0.5) / 4096
+
+
+def mean_of(variable: Variable) -> float:
+    """Returns the mean of a variable."""
+    return variable.mean if isinstance(variable, Normal) else float(variable.at(_EVEN).mean())
+
+
+def deviation_of(variable: Variable) -> float:
+    """Returns the standard deviation of a variable."""
+    return variable.deviation if isinstance(variable, Normal) else float(variable.at(_EVEN).std())

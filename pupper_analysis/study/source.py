@@ -1,0 +1,128 @@
+"""Where the robots of a study come from."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.models.description import Description
+from pupper_analysis.models.spec_state import state_of
+from pupper_analysis.prepare.load import load_robot
+from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.study.numbers import plain
+
+
+class Source(Protocol):
+    """Makes robots, here and in other processes: it can be pickled.
+
+    Attributes:
+        scales: {name of a scale that it takes: the base robot's}.
+    """
+
+    @property
+    def scales(self) -> Mapping[str, float]:
+        """{name of a scale that it takes: the base robot's}."""
+
+    def robot(self, scales: Mapping[str, float]) -> Robot:
+        """Makes the robot of some scales; where not given, they are the base robot's.
+
+        Raises:
+            PupperAnalysisError: If there is none.
+        """
+
+    def asked(self) -> Any:
+        """Returns how a study's file says it, as plain data."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The robot of a URDF and an MJCF.
+
+    Attributes:
+        options: What ``load_robot`` was given.
+        loaded: The robot, without what is only looked at.
+    """
+
+    options: Mapping[str, Any]
+    loaded: Robot
+
+    @staticmethod
+    def of(options: Mapping[str, Any]) -> Pair:
+        """Loads it.
+
+        Args:
+            options: What ``load_robot`` is given: ``urdf``, ``mjcf``, ``feet`` ...
+
+        Raises:
+            ConfigurationError: If an option is not ``load_robot``'s, or the robot cannot stand.
+            ModelError: As ``load_robot``.
+        """
+        known = ("urdf", "mjcf", "feet", "name", "joints", "keyframe")
+        unknown = [name for name in options if name not in known]
+        if unknown or not {"urdf", "mjcf"} <= set(options):
+            problem = (
+                f"{dict(options)!r}: give urdf and mjcf, and if need be {', '.join(known[2:])}"
+            )
+            raise ConfigurationError("robot", problem)
+        robot = load_robot(**options)
+        if not robot.floating or not robot.feet:
+            raise ConfigurationError("robot", f"{robot.name} has no feet to stand on")
+        paths = {name: str(Path(options[name]).absolute()) for name in ("urdf", "mjcf")}
+        bare = rebuilt(robot, mjcf=plain(robot.description).mjcf)
+        return Pair({**options, **paths}, bare)
+
+    @property
+    def scales(self) -> Mapping[str, float]:
+        """It has none."""
+        return {}
+
+    def robot(self, scales: Mapping[str, float]) -> Robot:
+        """Returns the robot."""
+        assert not scales
+        return self.loaded
+
+    def asked(self) -> dict[str, Any]:
+        """Returns what ``load_robot`` was given."""
+        return dict(self.options)
+
+
+def digest_of(description: Description) -> str:
+    """Returns a hash of all that a description says: the same files have the same hash."""
+    parts = {
+        "urdf": description.urdf,
+        "mjcf": state_of(description.mjcf),
+        "feet": dict(description.feet),
+        "soles": dict(description.soles),
+        "geoms": dict(description.foot_geoms),
+        "nominal": dict(description.nominal),
+    }
+    digest = hashlib.sha256()
+    _feed(digest, parts)
+    return digest.hexdigest()
+
+
+def _feed(digest: Any, value: Any) -> None:
+    """Feeds a value to a hash, with where it begins and ends; folders are left out."""
+    if isinstance(value, Mapping):
+        for key in sorted(value, key=str):
+            if key != "folder":
+                digest.update(f"{{{key}:".encode())
+                _feed(digest, value[key])
+    elif isinstance(value, list | tuple):
+        digest.update(f"[{len(value)}:".encode())
+        for element in value:
+            _feed(digest, element)
+    elif isinstance(value, np.ndarray):
+        digest.update(f"a{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, bytes):
+        digest.update(f"b{len(value)}:".encode() + value)
+    else:
+        text = repr(value).encode()
+        digest.update(f"t{len(text)}:".encode() + text)

@@ -1,0 +1,227 @@
+"""A study's folder: what was asked, shards that are there whole or not at all, and a lock."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import OutputError, StudyError
+from pupper_analysis.files import whole_file
+from pupper_analysis.study.design import Row
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMAT = 1
+"""Of the folder; a later one may differ."""
+
+_README = """\
+# A study
+
+`study.json` says what was asked, with the versions and a hash of the robot's files. `shards/` has
+the results, as Parquet: one row per design, with its hash, its numbers, what was measured, and why,
+if it failed. From Python:
+
+    import pupper_analysis as pa
+    table = pa.read_study("FOLDER")
+
+The run can be ended and begun again at any time: what is there is not computed again.
+"""
+
+
+def needed(library: str) -> None:
+    """Checks that a library of the extra ``study`` is there.
+
+    Raises:
+        StudyError: If not; says how to install it.
+    """
+    import importlib.util
+
+    if importlib.util.find_spec(library) is None:
+        extra = {"optuna": "optuna", "distributed": "dask"}.get(library, "study")
+        problem = f"it needs {library}: pip install 'pupper-analysis[{extra}]'"
+        raise StudyError("-", problem)
+
+
+class Store:
+    """The folder.
+
+    Args:
+        folder: Its path.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.shards = folder, folder / "shards"
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Holds the folder for one run. A process that dies, however it dies, holds it no more.
+
+        Raises:
+            StudyError: If another run holds it.
+            OutputError: If the folder cannot be written to.
+        """
+        busy = "another run is writing to it; wait for its end, or take another folder"
+        try:
+            self.shards.mkdir(parents=True, exist_ok=True)
+            place = str(self.folder.resolve())
+            with _own:
+                # Before the file is opened: closing it again would let go of the lock.
+                if place in _held:
+                    raise StudyError(self.folder, busy)
+                handle = os.open(self.folder / ".lock", os.O_RDWR | os.O_CREAT, 0o666)
+                _held.add(place)
+        except OSError as error:
+            raise OutputError(self.folder, error.strerror or error) from error
+        try:
+            if not _lock(handle):
+                raise StudyError(self.folder, busy)
+            for left in self.shards.glob(".*.tmp"):  # of a run that was killed while it wrote
+                left.unlink(missing_ok=True)
+            yield
+        finally:
+            with _own:
+                os.close(handle)
+                _held.discard(place)
+
+    def write_asked(self, asked: dict[str, Any]) -> None:
+        """Writes what was asked, and what the folder is.
+
+        Raises:
+            OutputError: If it cannot be written.
+        """
+        before = self.folder / "study.json"
+        if before.is_file():
+            self.asked()
+        content = orjson.dumps({"format": FORMAT, **asked}, option=orjson.OPT_INDENT_2)
+        for name, data in (("study.json", content + b"\n"), ("README.md", _README.encode())):
+            with whole_file(self.folder / name) as file:
+                file.write(data)
+
+    def asked(self) -> dict[str, Any]:
+        """Reads what was asked.
+
+        Raises:
+            StudyError: If it is no study's folder, or of a later version.
+        """
+        path = self.folder / "study.json"
+        try:
+            found: dict[str, Any] = orjson.loads(path.read_bytes())
+        except FileNotFoundError as error:
+            problem = "there is no study.json: it is no study's folder, or nothing has run yet"
+            raise StudyError(self.folder, problem) from error
+        except (OSError, ValueError) as error:
+            raise StudyError(self.folder, f"study.json cannot be read: {error}") from error
+        if not isinstance(found, dict) or found.get("format") != FORMAT:
+            problem = f"its format is not {FORMAT}: another version of pupper-analysis wrote it"
+            raise StudyError(self.folder, problem)
+        return found
+
+    def write(self, rows: Sequence[Row]) -> None:
+        """Writes a shard; its name follows from its designs.
+
+        Raises:
+            OutputError: If it cannot be written; the folder is as it was.
+        """
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        if not rows:
+            return
+        columns = dict.fromkeys(name for row in rows for name in row)
+        fields = [pa.field(name, _kind(pa, name)) for name in columns]
+        table = pa.Table.from_pylist(list(rows), schema=pa.schema(fields))
+        named = "".join(sorted(row["design"] for row in rows))
+        name = hashlib.sha256(named.encode()).hexdigest()[:24]
+        with whole_file(self.shards / f"{name}.parquet") as file:
+            pq.write_table(table, file)
+
+    def designs(self) -> NDArray[np.uint64]:
+        """Returns the keys (n,) of the designs that are done, sorted.
+
+        Raises:
+            StudyError: If a shard cannot be read.
+        """
+        parts = [np.zeros(0, np.uint64)]
+        for table in self._tables(["design"]):
+            parts.append(keys(table.column("design").to_pylist()))
+        return np.unique(np.concatenate(parts))
+
+    def table(self) -> pd.DataFrame:
+        """Returns all rows, each design once, sorted by design.
+
+        Raises:
+            StudyError: If a shard cannot be read.
+        """
+        import pandas as pd
+        import pyarrow as pa
+
+        tables = list(self._tables(None))
+        if not tables:
+            return pd.DataFrame({"design": pd.Series(dtype=str)})
+        joined = pa.concat_tables(tables, promote_options="default")
+        frame: pd.DataFrame = joined.to_pandas().drop_duplicates("design")
+        return frame.sort_values("design").reset_index(drop=True)
+
+    def _tables(self, columns: list[str] | None) -> Iterator[Any]:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        for path in sorted(self.shards.glob("*.parquet")):
+            try:
+                # Into memory: a mapped file would be held open.
+                yield pq.read_table(path, columns=columns, memory_map=False)
+            except (OSError, pa.ArrowException) as error:
+                problem = f"{path.name} is damaged ({error}); delete it: its designs are run again"
+                raise StudyError(self.folder, problem) from error
+
+
+def keys(designs: Sequence[str]) -> NDArray[np.uint64]:
+    """Returns the first 64 bits of designs' hashes (n,): a million of them are 8 MB.
+
+    That two of a million share them has a probability of 3e-8.
+    """
+    found = bytes.fromhex("".join(design[:16] for design in designs))
+    return np.frombuffer(found, ">u8").astype(np.uint64)
+
+
+def _kind(pa: Any, name: str) -> Any:
+    return pa.string() if name in ("design", "failure", "reason") else pa.float64()
+
+
+_own = threading.Lock()
+_held: set[str] = set()
+"""Folders that runs of this process hold: a process's locks do not hold off the process itself."""
+
+
+def _lock(handle: int) -> bool:
+    """Locks a file for this process; the system lets go of it when the process ends."""
+    try:
+        import fcntl
+    except ImportError:
+        return _lock_on_windows(handle)
+    try:
+        # Not flock: forked workers would inherit it, and hold it when the parent has died.
+        fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _lock_on_windows(handle: int) -> bool:
+    import msvcrt
+
+    try:
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,357 @@
+"""A study: what varies, how many designs, what is measured; said in Python or as a file."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import pickle
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import fields
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from pupper_analysis.arguments import check_type, finite
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.robot.payload import point_on_base
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.study.design import check_name, check_range
+from pupper_analysis.study.measures import Function, asked, fingerprint, measure_of
+from pupper_analysis.study.numbers import SERVOS, Named, joints_of
+from pupper_analysis.study.running import Progress, Run, Settings
+from pupper_analysis.study.sampling import BLOCK, Sampling
+from pupper_analysis.study.source import Pair, Source, digest_of
+from pupper_analysis.study.store import Store, needed
+from pupper_analysis.study.table import names_of, ordered
+from pupper_analysis.study.variables import Variable, variable
+from pupper_analysis.study.worker import Work, versions
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pupper_analysis.study.search import Optimum
+
+Array = NDArray[np.float64]
+
+KEYS = ("robot", "vary", "samples", "seed", "measure", "stand", "payload_point", "time_limit")
+"""What a study's file may say."""
+
+
+class Study:
+    """Designs of a robot that are measured alike.
+
+    Attributes:
+        source: Where the robots come from.
+        variables: {name: what it varies over}.
+        sampling: The designs.
+        measures: What is measured.
+        task: The stance, where a design does not say otherwise.
+        time_limit: Of one design (s).
+    """
+
+    def __init__(
+        self,
+        robot: Any,
+        vary: Mapping[str, Any],
+        measure: Sequence[str | Function],
+        *,
+        samples: int | None = None,
+        seed: int = 0,
+        stand: StandTask | None = None,
+        payload_point: Sequence[float] = (0.0, 0.0, 0.0),
+        time_limit: float | None = 60.0,
+    ) -> None:
+        """Checks all that can be checked before anything runs.
+
+        Args:
+            robot: {``urdf``: path, ``mjcf``: path, and other arguments of ``load_robot``}, or a
+                ``Source``.
+            vary: {name of a number: a grid, values, a distribution, a list, a number}.
+            measure: Names of ``MEASURES``, or functions of (robot, stand).
+            samples: How many designs, where there is a distribution; otherwise they are the product
+                of all lists.
+            seed: Of the samples.
+            stand: The stance, where the designs do not say otherwise.
+            payload_point: (3,) where a payload is, in the base's frame (m).
+            time_limit: Of one design (s); None: none. It ends the worker's process, and so holds
+                for processes and Dask, not for threads.
+
+        Raises:
+            ConfigurationError: If an argument makes no sense; says what would.
+            UnknownNameError: If a name's pattern matches nothing in the robot.
+            ModelError: If the robot's files cannot be used.
+        """
+        check_type("vary", vary, Mapping[str, Any])
+        check_type("measure", measure, Sequence[str | Function])
+        check_type("samples", samples, int | None)
+        check_type("seed", seed, int)
+        check_type("stand", stand, StandTask | None)
+        self.source = self._source(robot)
+        self.variables = {str(name): variable(str(name), given) for name, given in vary.items()}
+        self.task = stand or StandTask()
+        self._check_variables()
+        self.sampling = Sampling(self.variables, samples, seed)
+        self.measures = tuple(measure_of(one) for one in measure)
+        self._given = tuple(measure)
+        self._points: Array | None = None
+        self.point = tuple(point_on_base(payload_point).tolist())
+        self.time_limit = None if time_limit is None else finite("time_limit", time_limit)
+        if self.time_limit is not None and self.time_limit <= 0:
+            raise ConfigurationError("time_limit", f"{self.time_limit:g} s is not above 0")
+        if not self.measures:
+            raise ConfigurationError("measure", "it is empty: there is nothing to measure")
+        named = [one.name for one in self.measures]
+        twice = next((name for name in named if named.count(name) > 1), None)
+        if twice is not None:
+            raise ConfigurationError("measure", f"{twice!r} is there twice")
+
+    def _source(self, robot: Any) -> Source:
+        """Returns the source of a robot that is given in one of several ways."""
+        if isinstance(robot, Mapping):
+            return Pair.of(robot)
+        if hasattr(robot, "robot") and hasattr(robot, "scales"):
+            source: Source = robot
+            return source
+        problem = f"{robot!r} is neither {{'urdf': ..., 'mjcf': ...}} nor a source of robots"
+        raise ConfigurationError("robot", problem)
+
+    def _check_variables(self) -> None:
+        offset = next((name for name in ("offset_x", "offset_y") if name in self.variables), None)
+        if offset is not None and self.task.com != "centre":
+            raise ConfigurationError(f"vary[{offset!r}]", "give an offset, or a com, not both")
+        for name, one in self.variables.items():
+            check_name(name, self.source)
+            check_range(name, *one.range)
+            named = Named.of(name)
+            if named is not None:
+                joints_of(self.base, named)
+        servos = {name for name in self.variables if name.partition(":")[0] in SERVOS}
+        if servos:
+            from pupper_analysis.robot.servos import gains
+
+            given = {name: 1.0 if name in self.variables else None for name in SERVOS}
+            gains(self.base, given["kp"], given["kd"])
+
+    @cached_property
+    def base(self) -> Robot:
+        """The robot with nothing changed."""
+        return self.source.robot({})
+
+    @cached_property
+    def digest(self) -> str:
+        """A hash of the robot's files, of the stance, the measures and the versions."""
+        parts = {
+            "robot": digest_of(self.base.description),
+            "source": repr(self.source.asked()) if self.source.scales else "",
+            "stand": {
+                field.name: repr(getattr(self.task, field.name)) for field in fields(self.task)
+            },
+            "point": self.point,
+            "measures": sorted(fingerprint(one) for one in self.measures),
+            "versions": versions(),
+        }
+        data = orjson.dumps(parts, option=orjson.OPT_SORT_KEYS)
+        return hashlib.sha256(data).hexdigest()
+
+    def __len__(self) -> int:
+        return len(self.sampling) if self._points is None else len(self._points)
+
+    def at(self, points: Array) -> Study:
+        """Returns the same study with other designs: points (n, variables)."""
+        other = copy.copy(self)
+        other._points = points
+        return other
+
+    def varying(self, variables: Mapping[str, Variable]) -> Study:
+        """Returns the same study with other values of its variables."""
+        other = copy.copy(self)
+        other.variables = dict(variables)
+        other.sampling = Sampling(variables, self.sampling.samples, self.sampling.seed)
+        return other
+
+    def designs(self) -> Iterator[tuple[list[str], Array]]:
+        """Yields designs block by block: their hashes, and their numbers (n, variables)."""
+        blocks = self.sampling.blocks()
+        if self._points is not None:
+            count = -(-len(self._points) // BLOCK)
+            blocks = iter(np.array_split(self._points, count)) if count else iter(())
+        for block in blocks:
+            yield names_of(self.digest, tuple(self.variables), block), block
+
+    def work(self) -> bytes:
+        """Returns what workers need to know, pickled."""
+        work = Work(
+            source=self.source,
+            measures=self._given,
+            variables=tuple(self.variables),
+            task=self.task,
+            point=self.point,
+            versions=versions(),
+            limit=self.time_limit,
+        )
+        return pickle.dumps(work)
+
+    def asked(self) -> dict[str, Any]:
+        """Returns the study as plain data, from which ``Study.of`` makes it again."""
+        given: dict[str, Any] = {
+            "robot": self.source.asked(),
+            "vary": {name: one.asked() for name, one in self.variables.items()},
+            "measure": [asked(one) for one in self.measures],
+            "seed": self.sampling.seed,
+            "payload_point": list(self.point),
+            "stand": {
+                field.name: getattr(self.task, field.name)
+                for field in fields(self.task)
+                if getattr(self.task, field.name) != getattr(StandTask(), field.name)
+            },
+        }
+        if self.sampling.samples is not None:
+            given["samples"] = self.sampling.samples
+        if self.time_limit is not None:
+            given["time_limit"] = self.time_limit
+        return given
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> Study:
+        """Makes a study of plain data, as a TOML file has it.
+
+        Raises:
+            ConfigurationError: If a key is missing or unknown, or as the constructor does.
+        """
+        unknown = [key for key in given if key not in KEYS]
+        if unknown:
+            raise ConfigurationError(unknown[0], f"a study has {', '.join(KEYS)}")
+        for key in ("robot", "vary", "measure"):
+            if key not in given:
+                raise ConfigurationError(key, "a study must say it")
+        options = dict(given)
+        stand = options.pop("stand", {})
+        check_type("stand", stand, Mapping[str, Any])
+        try:
+            task = StandTask(**_tuples(stand))
+        except TypeError as error:
+            known = ", ".join(field.name for field in fields(StandTask))
+            raise ConfigurationError("stand", f"a stance has {known}") from error
+        return cls(
+            options.pop("robot"), options.pop("vary"), options.pop("measure"), stand=task, **options
+        )
+
+    @classmethod
+    def read(cls, path: str | Path) -> Study:
+        """Reads a study from a TOML file; paths in it are relative to it.
+
+        Raises:
+            ConfigurationError: If it cannot be read, or makes no sense.
+        """
+        path = Path(path)
+        try:
+            given = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ConfigurationError(str(path), f"cannot be read: {error}") from error
+        robot = given.get("robot")
+        if isinstance(robot, dict):
+            for name in ("urdf", "mjcf"):
+                if isinstance(robot.get(name), str):
+                    robot[name] = str(path.parent / robot[name])
+        return cls.of(given)
+
+    def run(
+        self,
+        folder: str | Path,
+        *,
+        executor: Executor | None = None,
+        workers: int | None = None,
+        progress: Callable[[Progress], None] | None = None,
+    ) -> pd.DataFrame:
+        """Measures all designs that are not there yet, and returns the whole table.
+
+        Args:
+            folder: Where results are kept. A run that was ended, killed or changed goes on there.
+            executor: What works: any ``concurrent.futures.Executor``, such as Dask's
+                ``client.get_executor()``; by default processes of this machine.
+            workers: How many processes; by default one per core. Of an executor that is given: how
+                many it has, where it does not say.
+            progress: Called with how far it has come.
+
+        Returns:
+            One row per design, in the study's order: its hash, its numbers, what was measured, and
+            ``failure`` and ``reason`` of those that failed.
+
+        Raises:
+            StudyError: If another run holds the folder, or the workers are lost; what was done is
+                kept.
+            OutputError: If the folder cannot be written to.
+        """
+        self.execute(folder, executor=executor, workers=workers, progress=progress)
+        return self.table(folder)
+
+    def optimise(self, folder: str | Path, **options: Any) -> Optimum:
+        """Searches the study's ranges for the designs that are best: see ``search.optimise``.
+
+        Args:
+            folder: Where results are kept.
+            options: ``minimise``, ``maximise``: columns; ``subject_to``: {column: (least,
+                greatest)}; ``trials``; and ``executor``, ``workers``, ``progress`` as in ``run``.
+        """
+        from pupper_analysis.study.search import optimise
+
+        return optimise(self, folder, **options)
+
+    def execute(
+        self,
+        folder: str | Path,
+        *,
+        executor: Executor | None = None,
+        workers: int | None = None,
+        progress: Callable[[Progress], None] | None = None,
+    ) -> Progress:
+        """Does what ``run`` does, but for the table: memory does not grow with the designs."""
+        check_type("folder", folder, str | Path)
+        check_type("executor", executor, Executor | None)
+        check_type("workers", workers, int | None)
+        if workers is not None and workers < 1:
+            raise ConfigurationError("workers", f"{workers} of them; give at least 1")
+        needed("pyarrow")
+        store = Store(Path(folder))
+        with store.locked():
+            store.write_asked(
+                {"study": self.asked(), "digest": self.digest, "versions": versions()}
+            )
+            settings = Settings(self.work(), tuple(self.variables), self.time_limit)
+            run = Run(settings, store, len(self), progress or (lambda _: None))
+            return run.all(self.designs(), executor, workers)
+
+    def table(self, folder: str | Path) -> pd.DataFrame:
+        """Returns the rows of this study's designs that a folder has, in the study's order.
+
+        Raises:
+            StudyError: If it is no study's folder, or damaged.
+        """
+        needed("pandas")
+        store = Store(Path(folder))
+        order: dict[str, int] = {}
+        for names, _ in self.designs():
+            for name in names:
+                order.setdefault(name, len(order))
+        return ordered(store.table(), order)
+
+
+def _tuples(stand: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns a stance's values as Python has them: points are tuples, the ground is a Ground."""
+    from pupper_analysis.robot.ground import Ground
+
+    found: dict[str, Any] = {
+        name: tuple(value) if name in ("offset", "com") and isinstance(value, list) else value
+        for name, value in stand.items()
+    }
+    ground = found.get("ground")
+    if isinstance(ground, Mapping):
+        found["ground"] = Ground(**ground)
+    return found

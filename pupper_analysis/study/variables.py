@@ -1,0 +1,260 @@
+"""What varies in a study: grids, lists of values, and distributions."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.arguments import check_type, finite
+from pupper_analysis.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+
+
+class Variable(ABC):
+    """Values that one number of a design takes."""
+
+    @property
+    def levels(self) -> tuple[float, ...] | None:
+        """The values, if they are finitely many; None of a distribution."""
+        return None
+
+    @property
+    @abstractmethod
+    def range(self) -> tuple[float, float]:
+        """The least and the greatest value; infinite where there is none."""
+
+    @abstractmethod
+    def at(self, shares: Array) -> Array:
+        """Returns the quantiles (n,) of shares (n,) between 0 and 1: the inverse distribution."""
+
+    @abstractmethod
+    def asked(self) -> dict[str, Any]:
+        """Returns it as a study's file has it: {kind: its numbers}."""
+
+
+@dataclass(frozen=True)
+class Values(Variable):
+    """Some values, each as likely as the others.
+
+    Attributes:
+        numbers: The values.
+    """
+
+    numbers: tuple[float, ...]
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The values."""
+        return self.numbers
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The least and the greatest value."""
+        return min(self.numbers), max(self.numbers)
+
+    def at(self, shares: Array) -> Array:
+        """Returns the quantiles (n,) of shares (n,)."""
+        index = np.minimum((shares * len(self.numbers)).astype(int), len(self.numbers) - 1)
+        found: Array = np.array(self.numbers)[index]
+        return found
+
+    def asked(self) -> dict[str, Any]:
+        """Returns it as a study's file has it."""
+        return {"values": list(self.numbers)}
+
+
+@dataclass(frozen=True)
+class Grid(Values):
+    """Evenly spaced values."""
+
+    def asked(self) -> dict[str, Any]:
+        """Returns it as a study's file has it."""
+        return {"grid": [self.numbers[0], self.numbers[-1], len(self.numbers)]}
+
+
+@dataclass(frozen=True)
+class Uniform(Variable):
+    """A uniform distribution between two values."""
+
+    low: float
+    high: float
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The least and the greatest value."""
+        return self.low, self.high
+
+    def at(self, shares: Array) -> Array:
+        """Returns the quantiles (n,) of shares (n,)."""
+        return self.low + (self.high - self.low) * shares
+
+    def asked(self) -> dict[str, Any]:
+        """Returns it as a study's file has it."""
+        return {"uniform": [self.low, self.high]}
+
+
+@dataclass(frozen=True)
+class LogUniform(Uniform):
+    """A distribution whose logarithm is uniform: as likely within each factor of two."""
+
+    def at(self, shares: Array) -> Array:
+        """Returns the quantiles (n,) of shares (n,)."""
+        spread: Array = self.low * (self.high / self.low) ** shares
+        return spread
+
+    def asked(self) -> dict[str, Any]:
+        """Returns it as a study's file has it."""
+        return {"log_uniform": [self.low, self.high]}
+
+
+_TAIL = 2.0**-33
+"""Half of the finest step of Sobol's sequence: shares nearer to 0 or 1 would be infinitely far."""
+
+
+@dataclass(frozen=True)
+class Normal(Variable):
+    """A normal distribution."""
+
+    mean: float
+    deviation: float
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """It has no bounds."""
+        return -math.inf, math.inf
+
+    def at(self, shares: Array) -> Array:
+        """Returns the quantiles (n,) of shares (n,)."""
+        from scipy.special import ndtri
+
+        spread: Array = self.mean + self.deviation * ndtri(np.clip(shares, _TAIL, 1 - _TAIL))
+        return spread
+
+    def asked(self) -> dict[str, Any]:
+        """Returns it as a study's file has it."""
+        return {"normal": [self.mean, self.deviation]}
+
+
+MOST_LEVELS = 1_000_000
+"""Of one variable: a longer list is a distribution."""
+
+
+def grid(low: float, high: float, count: int) -> Grid:
+    """Makes evenly spaced values.
+
+    Args:
+        low: The first.
+        high: The last.
+        count: How many, at least 2.
+
+    Raises:
+        ConfigurationError: If they are none.
+    """
+    first, last = _ordered("grid", low, high)
+    check_type("count", count, int)
+    if not 2 <= count <= MOST_LEVELS:
+        problem = f"{count} values between {first:g} and {last:g}; give 2 to {MOST_LEVELS}"
+        raise ConfigurationError("grid", problem)
+    return Grid(tuple(np.linspace(first, last, int(count)).tolist()))
+
+
+def values(numbers: Sequence[float]) -> Values:
+    """Makes a variable of a list of values.
+
+    Raises:
+        ConfigurationError: If it is empty, or a value is no finite number or there twice.
+    """
+    check_type("values", numbers, Sequence[float])
+    listed = tuple(finite("values", value) for value in numbers)
+    if not 1 <= len(listed) <= MOST_LEVELS:
+        raise ConfigurationError("values", f"{len(listed)} of them; give 1 to {MOST_LEVELS}")
+    if len(set(listed)) < len(listed):
+        raise ConfigurationError("values", f"one is there twice: {list(listed)}")
+    return Values(listed)
+
+
+def uniform(low: float, high: float) -> Uniform:
+    """Makes a uniform distribution.
+
+    Raises:
+        ConfigurationError: If its range is empty.
+    """
+    return Uniform(*_ordered("uniform", low, high))
+
+
+def log_uniform(low: float, high: float) -> LogUniform:
+    """Makes a distribution whose logarithm is uniform.
+
+    Raises:
+        ConfigurationError: If its range is empty, or not above 0.
+    """
+    first, last = _ordered("log_uniform", low, high)
+    if first <= 0:
+        raise ConfigurationError("log_uniform", f"{first:g} is not above 0, as a logarithm needs")
+    return LogUniform(first, last)
+
+
+def normal(mean: float, deviation: float) -> Normal:
+    """Makes a normal distribution of a mean and a standard deviation.
+
+    Raises:
+        ConfigurationError: If the deviation is not above 0.
+    """
+    spread = finite("normal", deviation)
+    if spread <= 0:
+        raise ConfigurationError("normal", f"a standard deviation of {spread:g} is not above 0")
+    return Normal(finite("normal", mean), spread)
+
+
+KINDS: Mapping[str, Callable[..., Variable]] = {
+    "grid": grid,
+    "values": lambda *numbers: values(numbers),
+    "uniform": uniform,
+    "normal": normal,
+    "log_uniform": log_uniform,
+}
+"""How a study's file says each kind."""
+
+
+def variable(name: str, given: object) -> Variable:
+    """Makes a variable of what a study gives: a number, a list, {kind: numbers}, or a variable.
+
+    Args:
+        name: The varied number's, for messages.
+        given: What was given.
+
+    Raises:
+        ConfigurationError: If it is none of these.
+    """
+    try:
+        if isinstance(given, Variable):
+            return given
+        if isinstance(given, Mapping):
+            ((kind, numbers),) = given.items() if len(given) == 1 else (("", ()),)
+            if kind not in KINDS or not isinstance(numbers, Sequence) or isinstance(numbers, str):
+                known = ", ".join(KINDS)
+                raise ConfigurationError("kind", f"{dict(given)!r} is not {{kind: [numbers]}}, "
+                                         f"with one of the kinds {known}")  # fmt: skip
+            return KINDS[kind](*numbers)
+        if isinstance(given, Sequence | np.ndarray):
+            return values(given)  # type: ignore[arg-type]
+        return values([given])  # type: ignore[list-item]
+    except ConfigurationError as error:
+        raise ConfigurationError(f"vary[{name!r}]", str(error)) from error
+    except TypeError as error:
+        problem = f"{given!r}: a grid takes low, high, count; a distribution two numbers"
+        raise ConfigurationError(f"vary[{name!r}]", problem) from error
+
+
+def _ordered(name: str, low: float, high: float) -> tuple[float, float]:
+    first, last = finite(name, low), finite(name, high)
+    if not first < last:
+        raise ConfigurationError(name, f"the range from {first:g} to {last:g} is empty")
+    return first, last

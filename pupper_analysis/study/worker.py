@@ -1,0 +1,181 @@
+"""What a worker does: it measures some designs, in a process of its own or in a thread."""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import pickle
+import platform
+import signal
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import metadata
+from multiprocessing import parent_process
+
+from pupper_analysis.errors import StudyError
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.study.design import Maker, Row, row_of
+from pupper_analysis.study.measures import Function, Measure, measure_of
+from pupper_analysis.study.source import Source
+
+LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
+"""Whose versions results depend on."""
+
+
+@lru_cache(maxsize=1)
+def versions() -> dict[str, str]:
+    """Returns the versions of what results depend on; the processor's kind is one of them."""
+    found = {"machine": platform.machine(), "python": platform.python_version()}
+    for library in LIBRARIES:
+        try:
+            found[library] = metadata.version(library)
+        except metadata.PackageNotFoundError:
+            found[library] = "unknown"
+    return found
+
+
+@dataclass(frozen=True)
+class Work:
+    """What all designs of a study have in common, as it is sent to workers.
+
+    Attributes:
+        source: Of the robots.
+        measures: Names and functions.
+        variables: The names of the numbers of a design.
+        task: The stance.
+        point: (3,) of payloads (m).
+        versions: Of the one who asks.
+        limit: How long a design may take (s), where a worker can be ended; else None.
+    """
+
+    source: Source
+    measures: tuple[str | Function, ...]
+    variables: tuple[str, ...]
+    task: StandTask
+    point: tuple[float, ...]
+    versions: dict[str, str]
+    limit: float | None
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Some designs for a worker.
+
+    Attributes:
+        work: A pickled ``Work``.
+        names: Of the designs.
+        numbers: Of each, in the order of ``Work.variables``.
+    """
+
+    work: bytes
+    names: tuple[str, ...]
+    numbers: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What came of a chunk.
+
+    Attributes:
+        rows: One per design.
+        seconds: How long they took.
+    """
+
+    rows: tuple[Row, ...]
+    seconds: float
+
+
+class _Ready(threading.local):
+    """What a thread has made ready: robots in PlaCo are a thread's own."""
+
+    def __init__(self) -> None:
+        self.made: dict[bytes, tuple[Work, Maker, tuple[Measure, ...]]] = {}
+
+    def of(self, pickled: bytes) -> tuple[Work, Maker, tuple[Measure, ...]]:
+        if pickled not in self.made:
+            self.made.clear()  # of one study after the other
+            work: Work = pickle.loads(pickled)
+            own = versions()
+            other = {name: own.get(name, "none") for name, version in work.versions.items()
+                     if own.get(name) != version}  # fmt: skip
+            if other:
+                told = ", ".join(f"{n} {v} (here {work.versions[n]})" for n, v in other.items())
+                problem = f"a worker has other versions, and would have other results: {told}"
+                raise StudyError(platform.node(), f"{problem}; install the same there")
+            maker = Maker(work.source, work.task, work.point)
+            self.made[pickled] = work, maker, tuple(map(measure_of, work.measures))
+        return self.made[pickled]
+
+
+_ready = _Ready()
+
+
+def measured(chunk: Chunk) -> Measured:
+    """Measures some designs.
+
+    Raises:
+        StudyError: If this machine has other versions than the one that asks.
+    """
+    start = time.perf_counter()
+    work, maker, measures = _ready.of(chunk.work)
+    rows = []
+    for name, values in zip(chunk.names, chunk.numbers, strict=True):
+        numbers = dict(zip(work.variables, values, strict=True))
+        with _time_limit(work.limit):
+            row = row_of(maker, numbers, measures)
+        rows.append({"design": name, **numbers, **row})
+    return Measured(tuple(rows), time.perf_counter() - start)
+
+
+_alone = threading.Lock()
+
+
+@contextmanager
+def _time_limit(limit: float | None) -> Iterator[None]:
+    """Ends the process if the block takes longer (s), even where it never comes back to Python.
+
+    Only a process that was started to do work, and one thread of it at a time.
+    """
+    if limit is None or parent_process() is None or not _alone.acquire(blocking=False):
+        yield
+        return
+    try:
+        with open(os.devnull, "w") as nowhere:  # noqa: PTH123 - a device
+            faulthandler.dump_traceback_later(limit, exit=True, file=nowhere)
+            try:
+                yield
+            finally:
+                faulthandler.cancel_dump_traceback_later()
+    finally:
+        _alone.release()
+
+
+def begin() -> None:
+    """Makes a process ready to work: it ignores Ctrl-C, and ends when its parent has gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+
+    def follow() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+def ready() -> bool:
+    """Shows that a worker works."""
+    return True
+
+
+def chunks(
+    work: bytes, names: Sequence[str], numbers: Sequence[tuple[float, ...]], size: int
+) -> Iterator[Chunk]:
+    """Yields designs in chunks of a size."""
+    for start in range(0, len(names), size):
+        part = slice(start, start + size)
+        yield Chunk(work, tuple(names[part]), tuple(numbers[part]))
