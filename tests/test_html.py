@@ -22,6 +22,7 @@ from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.checks.audit import RULES
 from pupper_analysis.pupper import comparison as variants
 from pupper_analysis.report.html import library, overlay, plots, scene, sources, tasks, words, write
 from pupper_analysis.report.html.document import Column, Name, Said, Section, Table, View, number
@@ -238,6 +239,7 @@ def test_no_text_in_the_catalogue_is_left_over() -> None:
     kinds |= {"mass", "com", "inertia", "position", "rotation", "axis", "lower limit", "type"}
     kinds |= {f"{gain} {side}" for gain in ("kp", "kd") for side in ("high", "low")}
     kinds |= {"frame", "parent", "gravity", "base frame", "zero", "armature", "mimic", "name"}
+    results |= {rule.title for rule in RULES.values()}
     for english in words.catalogue():
         written = json.dumps(english, ensure_ascii=False)
         assert written in joined or english in results | kinds, english
@@ -475,6 +477,10 @@ def test_findings_are_told() -> None:
     rows = page.tables()["Findings, the worst first"]
     assert [row["rule"] for row in rows] == [finding.rule for finding in one.findings]
     assert rows[0]["severity"] == "error"
+    assert [row["what the rule looks for"] for row in rows] == [
+        RULES[finding.rule].title for finding in one.findings
+    ]
+    assert {rule.title for rule in RULES.values()} <= set(words.catalogue())
     assert rows[0]["line"] == f"bad.urdf:{one.findings[0].line}"
     assert one.findings[0].todo in page.shown()
     assert "✗ UNSOUND" in page.shown()
