@@ -42,6 +42,7 @@ def audit_section(audit: Audit) -> Section:
         audit.passed,
         _verdict(audit),
         (*told, *worst),
+        audit.passed and bool(audit.counts.get(Severity.WARNING)),
     )
 
 
