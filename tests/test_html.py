@@ -22,6 +22,7 @@ from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.checks.audit import RULES
 from pupper_analysis.pupper import comparison as variants
 from pupper_analysis.report.html import library, overlay, plots, scene, sources, tasks, words, write
 from pupper_analysis.report.html.document import Column, Name, Said, Section, Table, View, number
@@ -185,7 +186,7 @@ def test_every_text_is_in_both_languages() -> None:
         assert len(texts) > 20
         for element in texts:
             other = element.getnext()
-            assert other.get("class") == "zh"
+            assert other.get("class").split()[0] == "zh"
             assert other.get("lang") == "zh-Hans"
             assert shown(other, "zh")
         for element in page.root.iter():
@@ -238,6 +239,7 @@ def test_no_text_in_the_catalogue_is_left_over() -> None:
     kinds |= {"mass", "com", "inertia", "position", "rotation", "axis", "lower limit", "type"}
     kinds |= {f"{gain} {side}" for gain in ("kp", "kd") for side in ("high", "low")}
     kinds |= {"frame", "parent", "gravity", "base frame", "zero", "armature", "mimic", "name"}
+    results |= {rule.title for rule in RULES.values()}
     for english in words.catalogue():
         written = json.dumps(english, ensure_ascii=False)
         assert written in joined or english in results | kinds, english
@@ -476,9 +478,20 @@ def test_findings_are_told() -> None:
     rows = page.tables()["Findings, the worst first"]
     assert [row["rule"] for row in rows] == [finding.rule for finding in one.findings]
     assert rows[0]["severity"] == "error"
+    assert [row["what the rule looks for"] for row in rows] == [
+        RULES[finding.rule].title for finding in one.findings
+    ]
+    assert {rule.title for rule in RULES.values()} <= set(words.catalogue())
     assert rows[0]["line"] == f"bad.urdf:{one.findings[0].line}"
     assert one.findings[0].todo in page.shown()
     assert "✗ UNSOUND" in page.shown()
+
+
+def test_warnings_are_no_pass_without_more() -> None:
+    counts = {"error": 0, "warning": 2, "info": 0}
+    text = Page(written(replace(audit(), passed=True, counts=counts))).shown()
+    assert "! SUSPECT" in text
+    assert "✓" not in text
 
 
 def test_any_other_result_shows_its_fields() -> None:

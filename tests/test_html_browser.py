@@ -100,6 +100,22 @@ def test_the_robot_is_drawn_and_turns(opened: Opened) -> None:
     opened.page.locator(".reset").click()
 
 
+def test_it_is_whole_beneath_the_navigation(opened: Opened) -> None:
+    canvas = stage(opened)
+    opened.page.evaluate(
+        """() => { const top = document.querySelector(".canvas").getBoundingClientRect().top;
+        scrollTo({ top: scrollY + top + 150, behavior: "instant" }); }"""
+    )
+    opened.page.evaluate("window.report.views[0].turn(0.1, 0)")
+    opened.page.wait_for_timeout(300)
+    box = canvas.bounding_box()
+    assert box["y"] == pytest.approx(-150, abs=2)
+    seen = Image.open(io.BytesIO(opened.page.screenshot())).convert("RGB")
+    below = np.asarray(seen).astype(int)[60 : int(box["y"] + box["height"]) - 4, 100:1000]
+    assert (below.std(axis=1).sum(axis=1) > 3).mean() > 0.95  # of the rows have lines of the floor
+    opened.page.locator(".reset").click()
+
+
 def test_joints_are_drawn_where_pinocchio_has_them(opened: Opened) -> None:
     """By the page's own transforms of the MJCF's axes; Pinocchio's are the URDF's."""
     stage(opened)
@@ -155,6 +171,8 @@ def test_the_simulated_motion_can_be_stepped_through(opened: Opened) -> None:
     canvas = stage(opened)
     opened.page.locator("select.motion").select_option(label="simulated, without feed-forward")
     slider = opened.page.locator("input.time")
+    forces = "window.report.views[0].layers.forces.some((arrow) => arrow.visible)"
+    assert not opened.page.evaluate(forces)  # the stand's are not the motion's
     first = opened.pixels(canvas)
     count = int(slider.get_attribute("max") or 0)
     assert count > 20
@@ -162,6 +180,7 @@ def test_the_simulated_motion_can_be_stepped_through(opened: Opened) -> None:
     assert opened.page.locator(".at").inner_text() == "11.90 s"
     assert (np.abs(opened.pixels(canvas) - first).max(axis=-1) > 20).mean() > 0.001  # it sinks
     opened.page.locator("select.motion").select_option(index=0)
+    assert opened.page.evaluate(forces)
 
 
 def test_a_table_sorts_by_number_and_back(opened: Opened) -> None:

@@ -271,6 +271,18 @@ def bent(name: str, leg: str, joint: int, angle: float) -> pa.Stand:
     return replace(stand, qpos=qpos)
 
 
+def test_the_motion_is_that_of_the_height_and_ends_at_rest() -> None:
+    robot, stand = load("original"), stand_of("original")
+    report = pa.verify_stand(robot, stand, duration=2.0)
+    assert report.motion.shape == (len(report.motion_time), robot.nq)
+    assert np.diff(report.motion_time) == pytest.approx(0.1)
+    at = np.searchsorted(report.time, report.motion_time - 1e-9)
+    assert report.time[at] == pytest.approx(report.motion_time)
+    assert report.motion[:, 2] == pytest.approx(report.height[at], abs=1e-6)
+    assert np.linalg.norm(report.motion[:, 3:7], axis=1) == pytest.approx(1.0)
+    assert report.motion[-1, 7:] == pytest.approx(stand.qpos[7:], abs=report.joint_error + 1e-6)
+
+
 def test_lifted_foot_is_named() -> None:
     """A knee drawn up: the statics take four feet, the simulation finds three."""
     result = pa.verify_stand(load("original"), bent("original", "FL", 2, -0.6))

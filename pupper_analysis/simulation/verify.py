@@ -88,7 +88,7 @@ class StandVerification(Tabular):
         time: (n,) samples (s).
         height: (n,) the base's height at these (m).
         motion_time: (m,) fewer samples (s).
-        motion: (m, nq) the configurations at these.
+        motion: (m, nq) the configurations at these, to six digits: to be looked at.
     """
 
     passed: bool
@@ -271,7 +271,7 @@ def _measured(
         time=states[::step, 0].copy(),
         height=heights[::step].copy(),
         motion_time=states[::frame, 0].copy(),
-        motion=states[::frame, 1 + robot.mj_convention.qpos_index],
+        motion=np.round(states[::frame, 1 + robot.mj_convention.qpos_index], 6),
     )
 
 

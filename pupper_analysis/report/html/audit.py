@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pupper_analysis.checks.audit import Audit, Finding, Severity
+from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
 from pupper_analysis.report.html.document import (
     Block,
     Cell,
@@ -42,6 +42,7 @@ def audit_section(audit: Audit) -> Section:
         audit.passed,
         _verdict(audit),
         (*told, *worst),
+        audit.passed and bool(audit.counts.get(Severity.WARNING)),
     )
 
 
@@ -60,6 +61,7 @@ def _findings(audit: Audit) -> Table:
                 Number(str(order), order, _MARKS[one.severity]),
                 word(str(one.severity)),
                 Name(one.rule),
+                word(RULES[one.rule].title) if one.rule in RULES else Name(""),
                 Name(one.element),
                 Said(one.message),
                 Name(f"{Path(one.file).name}{line}"),
@@ -72,6 +74,7 @@ def _findings(audit: Audit) -> Table:
             Column(text("no."), "1"),
             Column(text("severity"), left=True),
             Column(text("rule"), left=True),
+            Column(text("what the rule looks for"), left=True),
             Column(text("of"), left=True),
             Column(text("finding"), left=True),
             Column(text("line"), left=True),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -194,13 +194,15 @@ class Section:
         passed: The verdict; None where there is none.
         verdict: The verdict in a word or two; None where there is none.
         told: What the summary says of it, beside the verdict.
+        warned: Whether it has passed, but has something to look at.
     """
 
     title: Words
     blocks: tuple[Block, ...]
     passed: bool | None = None
     verdict: Words | None = None
-    told: tuple[Words, ...] = field(default=())
+    told: tuple[Words, ...] = ()
+    warned: bool = False
 
 
 def number(value: float | None, form: str, mark: str = "", scale: float = 1.0) -> Number:

@@ -280,7 +280,9 @@
     }
 
     show(input) {
-      for (const object of this.layers[input.dataset.layer]) object.visible = input.checked;
+      const { layer } = input.dataset;
+      const there = layer !== "forces" || this.motion === 0; // they are those of the stand
+      for (const object of this.layers[layer]) object.visible = input.checked && there;
     }
 
     resize() {
@@ -439,6 +441,8 @@
         this.motion = Number(choice.value);
         slider.max = this.data.motions[this.motion].time.length - 1;
         slider.value = 0;
+        if (this.renderer)
+          for (const input of this.stage.querySelectorAll("[data-layer]")) this.show(input);
         step();
       });
       window.report.listeners.push(() => {
