@@ -15,10 +15,19 @@ from conftest import Files, load, stand_of
 import pupper_analysis as pa
 from pupper_analysis.arguments import check_type, checked, finite, length
 
+APART = {  # below, each with an argument that is wrong
+    "to_json",
+    "load_robot",
+    "certainty",
+    "linear_shares",
+    "pareto_front",
+    "sobol_indices",
+    "tightest_tolerance",
+    "write_randomisation",
+    "write_report",
+}
 FUNCTIONS = [
-    name
-    for name in pa.__all__
-    if inspect.isfunction(getattr(pa, name)) and name not in ("to_json", "load_robot")
+    name for name in pa.__all__ if inspect.isfunction(getattr(pa, name)) and name not in APART
 ]
 JUNK = ("v3", b"v3", -1, 0, 1e308, math.nan, None, object(), [], {}, [None], {"x": None}, ())
 SLOW = {"push_recovery", "best_stance", "payload_trial", "fastest_path", "sweep_gains"}
@@ -48,6 +57,12 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
         "seconds": 0.5,
         "mass": 0.1,
         "configurations": 2,
+        "low": 0.5,
+        "high": 1.5,
+        "count": 3,
+        "mean": 1.0,
+        "deviation": 0.1,
+        "numbers": [1.0, 2.0],
         "duration": 2.0,
         "directions": 3,
     }
@@ -198,3 +213,20 @@ def test_a_message_stays_short() -> None:
     with pytest.raises(pa.ConfigurationError) as caught:
         pa.solve_stand(load("v3"), load("v3"))  # type: ignore[arg-type]
     assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("junk", [object(), 1.0, b"x", [None]])
+def test_what_studies_and_reports_are_given_wrong(junk: Any, tmp_path: Path) -> None:
+    calls: dict[str, Callable[[], object]] = {
+        "table": lambda: pa.certainty(junk),
+        "table:": lambda: pa.pareto_front(junk, {"mass": "min"}),
+        "study": lambda: pa.sobol_indices(junk, tmp_path / "x", ["mass"]),
+        "study:": lambda: pa.linear_shares(junk, ["mass"]),
+        "study: ": lambda: pa.tightest_tolerance(junk, tmp_path / "x"),
+        "spreads": lambda: pa.write_randomisation(junk, tmp_path / "x.yaml"),
+        "results": lambda: pa.write_report(junk, tmp_path / "x.html"),
+    }
+    for field, call in calls.items():
+        with pytest.raises(pa.ConfigurationError, match=field.strip(": ")):
+            call()
+    assert list(tmp_path.iterdir()) == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,10 @@ def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataF
     Raises:
         ConfigurationError: If a column is not there, or a sense is neither.
     """
+    if not hasattr(table, "columns"):
+        raise ConfigurationError(
+            "table", f"{reprlib.repr(table)} is no table: read_study reads one"
+        )
     check_type("objectives", objectives, Mapping[str, str])
     for name, sense in objectives.items():
         if name not in table or sense not in SENSES:

@@ -96,6 +96,8 @@ def sobol_indices(
             an argument makes no sense.
         StudyError: As ``Study.run``.
     """
+    check_type("study", study, Study)
+    check_type("measures", measures, Sequence[str])
     check_type("samples", samples, int)
     if samples < 2 or samples & (samples - 1):
         raise ConfigurationError("samples", f"{samples} is no power of 2, as the scheme needs")
@@ -155,6 +157,8 @@ def linear_shares(study: Study, measures: Sequence[str]) -> dict[str, LinearShar
         ConfigurationError: If a measure or a variable has no derivative, or the stand is not on
             level ground with the com over its centre.
     """
+    check_type("study", study, Study)
+    check_type("measures", measures, Sequence[str])
     means = {name: mean_of(one) for name, one in study.variables.items()}
     spread = {name: deviation_of(one) for name, one in study.variables.items()}
     maker = Maker(study.source, study.task, study.point)

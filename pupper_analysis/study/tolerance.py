@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pupper_analysis.arguments import finite
+from pupper_analysis.arguments import check_type, finite
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
 from pupper_analysis.results import Result
@@ -88,6 +89,10 @@ def certainty(table: pd.DataFrame) -> Certainty:
     Raises:
         ConfigurationError: If a measure is missing, or there are no designs.
     """
+    if not hasattr(table, "columns"):
+        raise ConfigurationError(
+            "table", f"{reprlib.repr(table)} is no table: read_study reads one"
+        )
     joints = [str(name) for name in table.columns if str(name).startswith("utilisation.")]
     if "stands" not in table or not joints:
         problem = f"it lacks some of {', '.join(NEEDED)}: let the study measure them"
@@ -177,6 +182,7 @@ def tightest_tolerance(
             even the smallest spreads do not do.
         StudyError: As ``Study.run``.
     """
+    check_type("study", study, Study)
     goal, least = finite("wanted", wanted), finite("resolution", resolution)
     if not 0 < goal < 1 or not 0 < least < 1:
         raise ConfigurationError("wanted", "wanted and resolution are between 0 and 1")
@@ -223,8 +229,12 @@ def write_randomisation(spreads: Mapping[str, Mapping[str, Any]], path: str | Pa
         ConfigurationError: If a spread is none.
         OutputError: If it cannot be written.
     """
+    check_type("spreads", spreads, Mapping[str, Mapping[str, Any]])
+    check_type("path", path, str | Path)
     lines = ["# Domain randomisation. scale: a factor on the model's value; absolute: the value."]
     for name, given in spreads.items():
+        if not isinstance(given, Mapping) or len(given) != 1:
+            raise ConfigurationError("spreads", f"{name!r}: {given!r} is not {{kind: numbers}}")
         ((kind, numbers),) = given.items()
         keys = {"normal": ("mean", "std"), "values": (), "grid": ("low", "high", "count")}
         named = keys.get(kind, ("low", "high"))

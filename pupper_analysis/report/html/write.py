@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import orjson
 
+from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
 from pupper_analysis.report.formats import visible
@@ -60,7 +62,12 @@ def write_report(
     """
     if language not in LANGUAGES:
         raise ConfigurationError("language", f"{language!r} is neither 'en' nor 'zh'")
+    check_type("path", path, str | Path)
+    check_type("robots", robots, Iterable[Robot])
     named = _named(results)
+    odd = [one for _, one in named if not isinstance(one, Result | Table)]
+    if odd:
+        raise ConfigurationError("results", f"{reprlib.repr(odd[0])} is no result")
     if not named:
         raise ConfigurationError("results", "there is no result to report")
     known = {robot.name: robot for robot in robots}
@@ -84,6 +91,7 @@ def _named(
         return [(None, results)]
     if isinstance(results, Mapping):
         return list(results.items())
+    check_type("results", results, Iterable[object])
     return [(None, result) for result in results]
 
 
