@@ -41,10 +41,15 @@ class Shapes:
         self._materials: dict[tuple[float, ...], str] = {}
         self._names: set[str] = set()
         self._files: dict[str, str] = {}
+        self._moved: dict[str, pin.SE3] = {}
         for mesh in file.spec.meshes:
             found = _path_of(file, mesh)
             if found is not None:
                 name = mesh.name or Path(mesh.file).stem
+                self._moved[name] = pin.SE3(
+                    rotation_from_quaternion(np.array(mesh.refquat) / np.linalg.norm(mesh.refquat)),
+                    np.array(mesh.refpos),
+                )
                 self._files[name] = Path(os.path.relpath(found, folder)).as_posix()
 
     def add(self, link: etree._Element, body: int, inside: pin.SE3) -> None:
@@ -112,7 +117,15 @@ class Shapes:
         attributes = {"filename": self._files[name]}
         if not np.array_equal(scale, np.ones(3)):
             attributes["scale"] = words(scale)
-        return [("mesh", attributes, placed * own.inverse())]
+        # Before it scaled them, MuJoCo moved the file's numbers: v' = S R^T (v - p).
+        moved = self._moved[name]
+        turned = not np.allclose(moved.rotation, np.eye(3))
+        if turned and not np.allclose(scale, scale[0]):
+            self.left.append(f"mesh {name!r}: it is turned before it is scaled unevenly")
+            return []
+        moved = pin.SE3(moved.rotation, scale * moved.translation)
+        where = placed * own.inverse() * moved.inverse()
+        return [("mesh", attributes, where)]
 
     def _paint(self, shape: etree._Element, geom: int) -> None:
         """Adds a visual's color: a material is defined where it is first used."""
