@@ -271,3 +271,23 @@ def test_a_mesh_that_the_mjcf_moves_is_where_it_was(moved: str, tmp_path: Path) 
     mine = mine @ shape.placement.rotation.T + shape.placement.translation
     apart = np.linalg.norm(theirs[:, None] - mine[None], axis=2)
     assert max(apart.min(0).max(), apart.min(1).max()) < 1e-6  # m
+
+
+def test_a_mesh_of_an_attached_model_is_left_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "sub" / "parts").mkdir(parents=True)
+    trimesh.creation.box((0.1, 0.06, 0.04)).export(tmp_path / "sub" / "parts" / "hand.stl")
+    (tmp_path / "sub" / "hand.xml").write_text(
+        f"""<mujoco model="hand"><compiler meshdir="parts"/><asset><mesh file="hand.stl"/></asset>
+        <worldbody><body name="hand">{_INERTIAL}<geom type="mesh" mesh="hand"/></body></worldbody>
+        </mujoco>"""
+    )
+    source = _mjcf(
+        tmp_path,
+        before='<asset><model name="h" file="sub/hand.xml"/></asset>',
+        geoms='<attach model="h" body="hand" prefix="left_"/>',
+    )
+    _, found = converted(source, "two.urdf")
+    assert found.agree
+    assert "mesh 'left_hand': its file 'hand.stl' is not in the MJCF's folder for meshes" in (
+        found.left
+    )
