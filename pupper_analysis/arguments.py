@@ -204,7 +204,8 @@ def _listed(element: Callable[[Any], bool], *, of_known_length: bool) -> Callabl
         if of_known_length and not listed and not array:
             return False
         # What can be looked at but once is looked at by whom it is given to.
-        return isinstance(value, Iterable) and (not listed or all(map(element, value)))
+        again = listed or array
+        return isinstance(value, Iterable) and (not again or all(map(element, value)))
 
     return test
 

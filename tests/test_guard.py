@@ -106,6 +106,14 @@ def test_what_is_the_same_but_for_rounding_is_known(folder: Path) -> None:
     assert run(folder).returncode == 1
 
 
+def test_a_number_is_no_list_and_no_list_of_another_length() -> None:
+    """As someone may write who edits a baseline by hand."""
+    for other in ([4.4, 1.0], [], {"a": 4.4}, "4.4", True):
+        assert not same({"urdf": 4.4}, {"urdf": other})
+        assert not same({"urdf": other}, {"urdf": 4.4})
+    assert same({"urdf": 4.4}, {"urdf": 4.4 * (1 + 1e-15)})
+
+
 def test_moved_lines_are_no_change(folder: Path) -> None:
     for name in ("hopper.urdf", "hopper.xml"):
         text = (folder / name).read_text()
@@ -266,6 +274,7 @@ def test_github_shows_what_is_not_known(folder: Path) -> None:
 
 REFUSED = {
     "version": ("version = 2", 1, "version = 2 is not one that is read; there is 1"),
+    "a version that is a truth": ("version = true", 1, "version = True is not one"),
     "no version": ("", None, "version = None is not one"),
     "a key": ("version = 1\nknwon = 1", 2, "no key 'knwon'; valid: version, known"),
     "a key of an entry": ("version = 1\n[[known]]\nfiel = ''", 3, "no key 'fiel' in known"),

@@ -144,6 +144,8 @@ def test_a_wrong_task_is_refused_before_any_is_solved() -> None:
         pa.solve_stands(robot, [pa.StandTask(), pa.StandTask(), pa.StandTask(joint_margin=3.0)])
     with pytest.raises(pa.ConfigurationError, match=r"tasks: .* is not a sequence"):
         pa.solve_stands(robot, pa.StandTask())  # type: ignore[call-overload]
+    with pytest.raises(pa.ConfigurationError, match=r"tasks: .* is not a sequence"):
+        pa.solve_stands(robot, np.array([0.12]))  # type: ignore[call-overload]
     assert pa.solve_stands(robot, []) == ()
 
 

@@ -458,6 +458,30 @@ def test_a_revision_has_its_own_includes_and_meshes(repository: Path) -> None:
     assert result.returncode == 0
 
 
+@pytest.mark.parametrize("link", ["/etc/hosts", "../../outside.xml"])
+def test_links_that_lead_out_of_a_revision_are_not_followed(repository: Path, link: str) -> None:
+    (repository / "odd.xml").symlink_to(link)
+    _commit(repository)
+    assert run(repository, "@:./robot.urdf", "robot.urdf").returncode == 0
+
+
+def test_a_file_that_archives_do_not_have(repository: Path) -> None:
+    (repository / ".gitattributes").write_text("*.urdf export-ignore\n")
+    _commit(repository)
+    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
+
+
+def test_a_folder_of_a_revision_is_told_by_its_name(repository: Path) -> None:
+    result = run(repository, "HEAD:.", "robot.urdf")
+    assert result.returncode == 2
+    assert result.stderr.startswith("error: HEAD:: it is a folder")
+
+
+def _commit(repository: Path) -> None:
+    git(repository, "add", ".")
+    git(repository, "-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "-qm", "odd")
+
+
 def test_a_file_that_is_called_like_a_revision(repository: Path) -> None:
     (repository / "HEAD:robot.urdf").write_text(urdf_text(changed(ROBOT, "base", mass=9.0)))
     assert run(repository, "HEAD:robot.urdf", "robot.urdf").returncode == 1

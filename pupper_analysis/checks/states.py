@@ -70,5 +70,5 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
     return States(
         qpos=qpos,
         qvel=rng.normal(size=(count, robot.nv)),
-        torques=rng.uniform(-efforts, efforts, (count, robot.nu)),
+        torques=rng.uniform(-np.abs(efforts), np.abs(efforts), (count, robot.nu)),
     )

@@ -9,7 +9,7 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.convert.from_urdf import UrdfBodies
+from pupper_analysis.convert.from_urdf import FLOOR, UrdfBodies
 from pupper_analysis.convert.xml_text import element, words
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -27,12 +27,12 @@ def add_scene(root: etree._Element) -> None:
     assert asset is not None
     assert worldbody is not None
     element(
-        asset, "texture", name="floor", type="2d", builtin="checker", width="256", height="256",
+        asset, "texture", name=FLOOR, type="2d", builtin="checker", width="256", height="256",
         rgb1="0.75 0.77 0.8", rgb2="0.85 0.87 0.9",
     )  # fmt: skip
-    element(asset, "material", name="floor", texture="floor", texrepeat="4 4", texuniform="true")
+    element(asset, "material", name=FLOOR, texture=FLOOR, texrepeat="4 4", texuniform="true")
     light = etree.Element("light", {"pos": "0 0 3", "dir": "0 0 -1", "directional": "true"})
-    floor = {"name": "floor", "type": "plane", "size": "0 0 0.05", "material": "floor"}
+    floor = {"name": FLOOR, "type": "plane", "size": "0 0 0.05", "material": FLOOR}
     worldbody.insert(0, light)
     worldbody.insert(1, etree.Element("geom", floor))
 
@@ -132,16 +132,48 @@ def add_contacts(root: etree._Element, robot: Robot) -> None:
             element(contact, "exclude", body1=exclude.bodyname1, body2=exclude.bodyname2)
 
 
-def add_home(root: etree._Element, robot: Robot, stand: Stand, kp: Array) -> None:
+def add_home(
+    root: etree._Element, bodies: UrdfBodies, robot: Robot, stand: Stand, kp: Array
+) -> None:
     """Adds the keyframe ``home``: the stand, and the commands with which the servos hold it."""
     rounded = stand.qpos.copy()
     rounded[:2] = 0.0
     rounded[2] = round(float(rounded[2]), _KEY_DIGITS)
-    torques = stand_statics(robot, stand).joint_torques
+    held = stand_statics(robot, stand).joint_torques.tolist()
     data = mujoco.MjData(robot.mj_model)
     rounded[-robot.nu :] = np.round(rounded[-robot.nu :], _KEY_DIGITS)
     robot.mj_convention.set_state(data, rounded)
-    ctrl = np.round(rounded[-robot.nu :] + torques / kp, _KEY_DIGITS)
+    torques = _with_followers(bodies, dict(zip(robot.joint_names, held, strict=True)))
+    ctrl = {
+        name: round(angle + torques[name] / stiffness, _KEY_DIGITS)
+        for name, angle, stiffness in zip(
+            robot.joint_names, rounded[-robot.nu :].tolist(), kp.tolist(), strict=True
+        )
+        if name in torques
+    }
     key = element(element(root, "keyframe"), "key", name="home", qpos=words(data.qpos))
-    if root.find("equality") is None:  # otherwise some joints have no servo
-        key.set("ctrl", words(ctrl))
+    key.set("ctrl", words(list(ctrl.values())))
+
+
+def _with_followers(bodies: UrdfBodies, torques: dict[str, float]) -> dict[str, float]:
+    """Returns the torques of joints that follow no other: with what their followers need.
+
+    By virtual work, the torque of a follower counts by its multiplier.
+    """
+    total = dict(torques)
+    waiting = {
+        str(joint.get("name")): (
+            str(joint.find("mimic").get("joint")),
+            float(joint.find("mimic").get("multiplier") or 1),
+        )
+        for joint in bodies.mimics
+    }
+    while waiting:  # a follower that none waits for first
+        leaders = {leader for leader, _ in waiting.values()}
+        last = next((name for name in waiting if name not in leaders), None)
+        if last is None:  # they follow each other in a circle
+            break
+        leader, factor = waiting.pop(last)
+        total[leader] += factor * total[last]
+    followers = {str(joint.get("name")) for joint in bodies.mimics}
+    return {name: torque for name, torque in total.items() if name not in followers}

@@ -11,12 +11,15 @@ from lxml import etree
 from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.convert.meshes import Meshes
 from pupper_analysis.convert.xml_text import element, free_name, halved, is_zero, words
-from pupper_analysis.errors import ModelError
+from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.urdf_file import UrdfFile
 
 WORLD = "world"
 """A root link of this name is the world itself, as in MuJoCo's own importer."""
+
+FLOOR = "floor"
+"""What the floor that is added, and its material, are called."""
 
 _ZERO = "0 0 0"
 
@@ -63,7 +66,7 @@ class UrdfBodies:
             for material in root.iter("material")
             if material.find("color") is not None and material.get("name")
         }
-        self._geoms: set[str] = set()
+        self._geoms = {FLOOR}
         self.frames: set[str] = set()
 
     def _take_floating(self) -> bool:
@@ -82,15 +85,26 @@ class UrdfBodies:
         Raises:
             ModelError: If a link cannot be a body of MuJoCo.
         """
+        for link in self._links:
+            if link == WORLD and (link != self.root or free):
+                raise refusal_at(
+                    self.urdf.path,
+                    self._links[link],
+                    f"link {WORLD!r} would be a body that moves, and in MuJoCo that is the name of "
+                    "the fixed world; rename it",
+                )
         guarded = len(self.urdf.root.findall("joint/safety_controller"))
         if guarded:
             self.notes.append(f"safety controllers of {guarded} joints: an MJCF has none")
         if self.root == WORLD:
+            if self._links[WORLD].find("inertial") is not None:
+                self.notes.append(f"the <inertial> of link {WORLD!r}, which is fixed: no effect")
             self._fill(worldbody, self._links[self.root])
             return
         body = element(worldbody, "body", name=self.root)
         if free:
-            element(body, "freejoint", name="root")
+            joints = {str(joint.get("name")) for joint in self.urdf.root.findall("joint")}
+            element(body, "freejoint", name=free_name("root", joints))
         self._fill(body, self._links[self.root])
 
     def _fill(self, body: etree._Element, link: etree._Element) -> None:
@@ -124,6 +138,7 @@ class UrdfBodies:
                 "that moves, and without this joint",
             )
         self._check_weight(joint, child)
+        self._check_axis(joint)
         axis, limit, dynamics = (joint.find(tag) for tag in ("axis", "limit", "dynamics"))
         bounds = None
         if kind != "continuous":
@@ -147,12 +162,36 @@ class UrdfBodies:
             armature=words(self.armature[name]) if name in self.armature else None,
         )
         effort = _stated(limit, "effort")
-        if joint.find("mimic") is not None:
+        if effort is not None and float(effort) < 0:
+            self.notes.append(f"effort limit {effort} of joint {name!r}: it is negative")
+            effort = None
+        if self._follows(joint):
             self.mimics.append(joint)
             if effort is not None:  # no motor, whose limit it could be
                 body[-1].set("actuatorfrcrange", f"-{effort.removeprefix('+')} {effort}")
         elif effort is not None:
             self.efforts[name] = effort
+
+    def _follows(self, joint: etree._Element) -> bool:
+        """Tells whether a joint mimics another; notes if there is none that moves."""
+        if joint.find("mimic") is None:
+            return False
+        joints = {str(node.get("name")): node for node in self.urdf.root.findall("joint")}
+        name, leader, passed = str(joint.get("name")), joint, set[str]()
+        while leader is not None and leader.find("mimic") is not None:
+            meant = str(leader.find("mimic").get("joint"))
+            if meant == name or meant in passed:
+                leader = None
+                break
+            passed.add(meant)
+            leader = joints.get(meant)
+        if leader is None or leader.get("type") == "fixed":
+            self.notes.append(
+                f"joint {name!r} mimics {joint.find('mimic').get('joint')!r}, which leads to no "
+                "other joint that moves: it has a servo of its own"
+            )
+            return False
+        return True
 
     def _check_weight(self, joint: etree._Element, link: etree._Element) -> None:
         """Refuses a joint that moves nothing: MuJoCo has no massless bodies."""
@@ -170,6 +209,16 @@ class UrdfBodies:
                 link,
                 f"link {link.get('name')!r}, which joint {joint.get('name')!r} moves, has no mass, "
                 "and MuJoCo refuses such bodies; give it an <inertial>",
+            )
+
+    def _check_axis(self, joint: etree._Element) -> None:
+        axis = joint.find("axis")
+        if axis is not None and is_zero(axis.get("xyz") or _ZERO):
+            raise refusal_at(
+                self.urdf.path,
+                axis,
+                f"joint {joint.get('name')!r}: its axis has no direction; write a unit vector, "
+                '<axis xyz="0 0 1"/> say',
             )
 
     def _add_shape(self, body: etree._Element, link: str, kind: str, shape: etree._Element) -> None:
@@ -220,7 +269,7 @@ class UrdfBodies:
             return None
         known = next((key for key, value in self.materials.items() if value == rgba), None)
         if known is None:
-            known = free_name(name or "color", set(self.materials))
+            known = free_name(name or "color", {FLOOR, *self.materials})
             self.materials[known] = rgba
         return known
 
@@ -271,12 +320,17 @@ def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
 
 
 def check_joints(urdf: UrdfFile, names: dict[str, float]) -> None:
-    """Refuses values for joints that a URDF does not have.
+    """Refuses armatures that are negative, or of joints that a URDF does not have.
 
     Raises:
-        ModelError: If one is not there; the message lists those that are.
+        ConfigurationError: If one is negative, or no number.
+        ModelError: If a joint is not there; the message lists those that are.
     """
     known = [str(joint.get("name")) for joint in urdf.root.findall("joint")]
-    for name in names:
+    for name, value in names.items():
         if name not in known:
             raise ModelError(urdf.path, f"no joint {name!r}; there are: {', '.join(known) or '-'}")
+        if not 0 <= value < float("inf"):
+            raise ConfigurationError(
+                "armature", f"{value} kg m^2 of joint {name!r} is negative, or no number"
+            )

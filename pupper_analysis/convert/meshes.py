@@ -33,6 +33,8 @@ class Meshes:
         self._left: dict[str, list[str]] = {}
         self._names: dict[tuple[Path, str], str] = {}
         self._taken: set[str] = set()
+        self._places: dict[Path, Path] = {}
+        self._stems: set[str] = set()
         self._touching: set[tuple[Path, str]] = set()
 
     @property
@@ -114,8 +116,10 @@ class Meshes:
         """Returns the file that the MJCF names for a file of the URDF."""
         if path.suffix.lower() in _READABLE:
             return path
-        folder = self.output.resolve().with_name(f"{self.output.stem}_meshes")
-        return folder / f"{path.stem}.obj"
+        if path not in self._places:  # two of one name may come from different folders
+            folder = self.output.resolve().with_name(f"{self.output.stem}_meshes")
+            self._places[path] = folder / f"{free_name(path.stem, self._stems)}.obj"
+        return self._places[path]
 
     def _made(self, path: Path) -> bytes | None:
         """Writes a mesh in a format that MuJoCo reads, all its parts in one."""

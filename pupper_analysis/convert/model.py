@@ -90,7 +90,7 @@ def convert_model(
         _refuse_given(options, source)
         draft = urdf_draft(file, output)
         urdf, mjcf = output, source
-    written = _write(output, draft)
+    written = _write(output, draft, force=force)
     comparison = compare_models(urdf, mjcf, packages=packages, tolerances=FINE)
     verification, failures = None, [difference.message for difference in comparison.differences]
     failures += comparison.objections
@@ -127,8 +127,15 @@ def _stood(urdf: Path, mjcf: Path, feet: Feet | None) -> StandVerification:
     return verify_stand(robot, sunk_stand(robot), duration=DURATION)
 
 
-def _write(output: Path, draft: Draft) -> list[Path]:
-    """Writes the meshes, and the file last: it is there once all that it names is there."""
+def _write(output: Path, draft: Draft, *, force: bool) -> list[Path]:
+    """Writes the meshes, and the file last: it is there once all that it names is there.
+
+    Raises:
+        OutputError: If a mesh would replace a file without ``force``.
+    """
+    there = [path for path in draft.meshes if path.exists()]
+    if there and not force:
+        raise OutputError(there[0], "it exists; add --force (force=True) to replace it")
     for path, content in draft.meshes.items():
         with whole_file(path) as buffer:
             buffer.write(content)

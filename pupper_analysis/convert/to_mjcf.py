@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import tempfile
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -34,6 +35,10 @@ Array = NDArray[np.float64]
 
 _LIMBS = 2
 """A base that carries so many limbs or more is free, as in ``load_robot``."""
+
+
+_READ = ("link", "joint", "material")
+"""What is read of a <robot>: <transmission>, <gazebo>, <mujoco> ... are other programs'."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,7 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     worldbody = root.find("worldbody")
     bodies.add(worldbody, free=free)
     notes = [*urdf.notes, *mend_inertials(urdf, worldbody)]
-    left = [*bodies.notes, *meshes.notes]
+    left = [*bodies.notes, *meshes.notes, *_unsaid(urdf)]
     if options.merge_fixed:
         merged = merge_fixed(worldbody)
         if merged:
@@ -94,7 +99,7 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
         notes.append(equip.add_imu(root, bodies))
     else:
         notes.append("the base is fixed in the world")
-        notes += _put_held(root, _trial(root, meshes), bodies, options)
+        notes += _put_held(root, _trial(root, urdf, meshes), bodies, options)
     meshes.write(asset)
     _leave_out_empty(root)
     put_defaults(root)
@@ -114,6 +119,26 @@ def _skeleton(name: str) -> etree._Element:
     element(root, "asset")
     element(root, "worldbody")
     return root
+
+
+def _unsaid(urdf: UrdfFile) -> list[str]:
+    """Says what else no MJCF, or none of this package's, has from the URDF."""
+    some = []
+    speeds = [
+        float(limit.get("velocity"))
+        for limit in urdf.root.findall("joint/limit")
+        if limit.getparent().get("type") != "fixed" and float(limit.get("velocity")) != 0
+    ]
+    if speeds:
+        some.append(
+            f"velocity limits of {len(speeds)} joints ({min(speeds):g} to {max(speeds):g}): an "
+            "MJCF has none"
+        )
+    textured = len(list(urdf.root.iter("texture")))
+    if textured:
+        some.append(f"{textured} textures")
+    others = Counter(str(node.tag) for node in urdf.root if node.tag not in _READ)
+    return some + [f"{count} <{tag}>" for tag, count in others.items()]
 
 
 def _is_free(urdf: UrdfFile, bodies: UrdfBodies) -> bool:
@@ -147,10 +172,10 @@ def _put_stand(
     """
     try:
         robot = _loaded(root, urdf, meshes, options.feet)
-    except ModelError as error:  # its source is the draft, which nobody knows
+    except ModelError as error:
         if options.feet is not None:
-            raise ModelError(urdf.path, error.problem) from error
-        model = _trial(root, meshes)
+            raise
+        model = _trial(root, urdf, meshes)
         _put_held(root, model, bodies, options)
         return [], error.problem
     notes = [note for note in robot.notes if not note.startswith("armature is the MJCF's")]
@@ -159,7 +184,7 @@ def _put_stand(
         equip.add_contacts(root, robot)
         stand = sunk_stand(robot)
         kp, kd = stand_gains(robot, stand, options.sag, options.damping_ratio)
-        equip.add_home(root, robot, stand, kp)
+        equip.add_home(root, bodies, robot, stand, kp)
         if options.sag is not None or options.damping_ratio is not None:
             notes = [note for note in notes if "no position servos" not in note]
             notes.append(_said(kp, kd))
@@ -197,19 +222,23 @@ def _said(kp: Array, kd: Array) -> str:
 
 def _loaded(root: etree._Element, urdf: UrdfFile, meshes: Meshes, feet: Feet | None) -> Robot:
     """Loads the robot from the MJCF as far as it is made."""
-    with _draft(root, meshes) as path:
+    with _draft(root, urdf, meshes) as path:
         return load_robot(urdf=urdf.path, mjcf=path, feet=feet)
 
 
-def _trial(root: etree._Element, meshes: Meshes) -> mujoco.MjModel:
+def _trial(root: etree._Element, urdf: UrdfFile, meshes: Meshes) -> mujoco.MjModel:
     """Compiles the MJCF as far as it is made."""
-    with _draft(root, meshes) as path:
+    with _draft(root, urdf, meshes) as path:
         return read_mjcf(path).compile()
 
 
 @contextmanager
-def _draft(root: etree._Element, meshes: Meshes) -> Iterator[Path]:
-    """Writes the MJCF as far as it is made, without what only looks are for."""
+def _draft(root: etree._Element, urdf: UrdfFile, meshes: Meshes) -> Iterator[Path]:
+    """Writes the MJCF as far as it is made, without what only looks are for.
+
+    Raises:
+        ModelError: What is raised about the draft, which nobody knows, as about the URDF.
+    """
     draft = copy.deepcopy(root)
     for geom in list(draft.iter("geom")):
         if geom.get("class") == "visual":
@@ -219,7 +248,12 @@ def _draft(root: etree._Element, meshes: Meshes) -> Iterator[Path]:
         meshes.write(draft.find("asset"), used=used, trial=Path(folder))
         path = Path(folder) / "draft.xml"
         path.write_text(etree.tostring(draft, encoding="unicode"))
-        yield path
+        try:
+            yield path
+        except ModelError as error:
+            if str(path) in error.source:
+                raise ModelError(urdf.path, error.problem) from error
+            raise
 
 
 def _leave_out_empty(root: etree._Element) -> None:

@@ -26,6 +26,12 @@ Array = NDArray[np.float64]
 _UNKNOWN_VELOCITY = 100.0
 """Velocity limit of joints (rad/s): no MJCF states one, and every URDF must; beyond any motor's."""
 
+_NAMED = 3
+"""Names in a row that are listed."""
+
+_GRAVITY = (0.0, 0.0, -9.81)
+"""That of Pinocchio, and whoever else loads a URDF (m/s^2)."""
+
 _FREE = mujoco.mjtJoint.mjJNT_FREE.value
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE.value
 _BALL = mujoco.mjtJoint.mjJNT_BALL.value
@@ -225,6 +231,7 @@ def urdf_draft(file: MjcfFile, output: Path) -> Draft:
     links.add(root, base)
     links.add_sites(root)
     left = [*links.left, *shapes.left, *_couplings(root, model), *_others(model)]
+    left += _surroundings(model, set(links.links))
     if links.unlimited:
         left.append(f"{links.unlimited} joints have no effort limit; in a URDF that is 0")
     _add_transmissions(root, model)
@@ -273,9 +280,15 @@ def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[str]:
         name = kind.name.removeprefix("mjEQ_").lower()
         one, two = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
         line = np.array(model.eq_data[index, :5])
-        if kind == mujoco.mjtEq.mjEQ_JOINT and two >= 0 and not line[2:].any():
+        plain = kind == mujoco.mjtEq.mjEQ_JOINT and two >= 0 and not line[2:].any()
+        if plain and model.eq_active0[index]:
             follower, leader = str(model.joint(one).name), str(model.joint(two).name)
-            if follower in joints and leader in joints:
+            if (
+                follower in joints
+                and leader in joints
+                and follower != leader
+                and joints[follower].find("mimic") is None
+            ):
                 rest = model.qpos0[model.jnt_qposadr[[one, two]]]
                 offset = float(rest[0] + line[0] - line[1] * rest[1])
                 element(
@@ -298,18 +311,26 @@ def _others(model: mujoco.MjModel) -> list[str]:
     if model.dof_armature[dofs].any():
         low, high = (float(f(model.dof_armature[dofs])) for f in (np.min, np.max))
         some.append(f"armature ({low:g} to {high:g} kg m^2): crosscheck takes it from the MJCF")
-    base = model.dof_damping[: 6 * int((~moving).sum())]
-    if base.any():
-        some.append(f"damping of the free joint ({float(base.max()):g} N s/m)")
+    fixed = np.setdiff1d(np.arange(model.nv), dofs)
+    for values, what, unit in (
+        (model.dof_damping, "damping", "N s/m"),
+        (model.dof_frictionloss, "friction", "N"),
+        (model.dof_armature, "armature", "kg"),
+    ):
+        if values[fixed].any():
+            some.append(f"{what} of the free joint ({float(values[fixed].max()):g} {unit})")
     if model.jnt_stiffness[moving].any():
         some.append(f"springs of {int((model.jnt_stiffness[moving] != 0).sum())} joints")
     if model.body_gravcomp.any():
         some.append(f"gravity compensation of {int((model.body_gravcomp != 0).sum())} bodies")
+    elsewhere = sum(not is_at_one_joint(model, number) for number in range(model.nu))
     for count, what in (
         (model.ntendon, "tendons"),
         (model.nkey, "keyframes"),
         (model.nsensor, "sensors"),
         (model.nexclude, "excluded contacts"),
+        (model.npair, "pairs of geoms that touch"),
+        (elsewhere, "actuators that are not at a joint"),
     ):
         if count:
             some.append(f"{count} {what}")
@@ -317,6 +338,36 @@ def _others(model: mujoco.MjModel) -> list[str]:
     servos = int((model.actuator_biastype == affine).sum())
     if servos:
         some.append(f"the gains of {servos} servos; their joints have transmissions")
+    return some
+
+
+def _surroundings(model: mujoco.MjModel, robot: set[int]) -> list[str]:
+    """Says what is around the robot, and on it, that no URDF has.
+
+    Args:
+        model: The model.
+        robot: The bodies that are links.
+    """
+    others = [body for body in range(1, model.nbody) if body not in robot]
+    away = [*others] if 0 in robot else [0, *others]
+    some = []
+    if others:
+        names = [model.body(body).name or f"{body}" for body in others]
+        shown = ", ".join(map(repr, names[:_NAMED])) + (", ..." if len(names) > _NAMED else "")
+        some.append(f"{len(others)} bodies that the robot does not carry: {shown}")
+    for count, what in (
+        (int(np.isin(model.geom_bodyid, away).sum()), "geoms of the world and of such bodies"),
+        (int(np.isin(model.site_bodyid, away).sum()), "sites there"),
+        (model.ncam, "cameras"),
+        (model.nlight, "lights"),
+    ):
+        if count:
+            some.append(f"{count} {what}")
+    gravity = model.opt.gravity
+    if not np.allclose(gravity, _GRAVITY):
+        some.append(f"gravity ({', '.join(f'{value:g}' for value in gravity)}) m/s^2")
+    if model.opt.density or model.opt.viscosity:
+        some.append("the fluid around the robot")
     return some
 
 

@@ -41,10 +41,17 @@ class Shapes:
         self._materials: dict[tuple[float, ...], str] = {}
         self._names: set[str] = set()
         self._files: dict[str, str] = {}
+        self._moved: dict[str, pin.SE3] = {}
+        self._lost: dict[str, str] = {}
         for mesh in file.spec.meshes:
-            found = _path_of(file, mesh)
+            found, name = _path_of(file, mesh), mesh.name or Path(mesh.file).stem
+            if found is None and mesh.file:
+                self._lost[name] = mesh.file
             if found is not None:
-                name = mesh.name or Path(mesh.file).stem
+                self._moved[name] = pin.SE3(
+                    rotation_from_quaternion(np.array(mesh.refquat) / np.linalg.norm(mesh.refquat)),
+                    np.array(mesh.refpos),
+                )
                 self._files[name] = Path(os.path.relpath(found, folder)).as_posix()
 
     def add(self, link: etree._Element, body: int, inside: pin.SE3) -> None:
@@ -102,7 +109,10 @@ class Shapes:
         mesh = int(model.geom_dataid[geom])
         name = str(model.mesh(mesh).name)
         if name not in self._files:
-            self.left.append(f"mesh {name!r}: it is in no file that other programs could read")
+            why = "it is in no file that other programs could read"
+            if name in self._lost:  # MuJoCo does not tell the folder of an <attach>ed model
+                why = f"its file {self._lost[name]!r} is not in the MJCF's folder for meshes"
+            self.left.append(f"mesh {name!r}: {why}")
             return []
         # MuJoCo moves a mesh to its com and principal axes, and the geom along.
         own = pin.SE3(
@@ -112,7 +122,15 @@ class Shapes:
         attributes = {"filename": self._files[name]}
         if not np.array_equal(scale, np.ones(3)):
             attributes["scale"] = words(scale)
-        return [("mesh", attributes, placed * own.inverse())]
+        # Before it scaled them, MuJoCo moved the file's numbers: v' = S R^T (v - p).
+        moved = self._moved[name]
+        turned = not np.allclose(moved.rotation, np.eye(3))
+        if turned and not np.allclose(scale, scale[0]):
+            self.left.append(f"mesh {name!r}: it is turned before it is scaled unevenly")
+            return []
+        moved = pin.SE3(moved.rotation, scale * moved.translation)
+        where = placed * own.inverse() * moved.inverse()
+        return [("mesh", attributes, where)]
 
     def _paint(self, shape: etree._Element, geom: int) -> None:
         """Adds a visual's color: a material is defined where it is first used."""

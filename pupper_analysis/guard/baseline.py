@@ -62,7 +62,7 @@ def read_baseline(path: Path) -> tuple[Entry, ...]:
         return ()
     file = read_toml(path)
     version = file.values.get("version")
-    if version != _VERSION:
+    if version != _VERSION or isinstance(version, bool):
         raise ModelError(
             source_name(path, file.line_of(("version",))),
             f"version = {version!r} is not one that is read; there is {_VERSION}",
@@ -147,7 +147,7 @@ def same(one: Any, two: Any) -> bool:
         here, there = _numbers(one), _numbers(two)
         if here is None or there is None:
             return len(one) == len(two) and all(map(same, one, two))
-        return len(here) == len(there) and _near(here, there)
+        return _near(here, there)
     numbers = _numbers([one]), _numbers([two])
     if numbers[0] is None or numbers[1] is None:
         return bool(one == two) and isinstance(one, bool) == isinstance(two, bool)
@@ -173,7 +173,7 @@ def _numbers(values: Iterable[Any]) -> list[float] | None:
 def _near(here: list[float], there: list[float]) -> bool:
     finite = [abs(value) for value in (*here, *there) if math.isfinite(value)]
     allowed = _SAME * max(finite, default=0.0)
-    return all(
+    return len(here) == len(there) and all(
         a == b or abs(a - b) <= allowed or (math.isnan(a) and math.isnan(b))
         for a, b in zip(here, there, strict=True)
     )

@@ -15,6 +15,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.errors import ModelError
+
 Array = NDArray[np.float64]
 
 
@@ -147,8 +149,15 @@ def from_pinocchio(
         base: A name for the base.
         joint_names: The joints.
         frames: {name: BODY frame of the model}.
+
+    Raises:
+        ModelError: If a joint is called like the base: bodies go by the joints that move them.
     """
     names = set(joint_names)
+    if base in names:
+        raise ModelError(
+            model.name, f"a joint that moves is called like its base, {base!r}; rename it"
+        )
     floating = model.nv > len(names)
     root = 1 if floating else 0
     owner = {0: base, root: base}

@@ -212,6 +212,10 @@ def check_joint(
             f'{what} is {kind} without a <limit>; add <limit lower="" upper="" effort="" '
             'velocity=""/>' + (', or make it "continuous"' if kind == "revolute" else ""),
         )
+    moves = kind in ("revolute", "continuous", "prismatic")
+    # Pinocchio's world, and its joint of a free base: it takes this one for them, or drops masses.
+    if name == "universe" or (name == "root_joint" and moves):
+        raise refusal_at(path, joint, f"{what}: Pinocchio's own joint is called so; rename it")
     for tag in ("parent", "child"):
         end = joint.find(tag)
         if end.get("link") not in links:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError, UnknownNameError
@@ -243,7 +244,7 @@ def leg_length(robot: Robot, qpos: Array) -> float:
     config, model = Configuration(robot, qpos), robot.pin_model
     lengths = []
     for point, frame in robot.foot_frames.items():
-        joint = model.frames[model.getFrameId(frame)].parentJoint
+        joint = model.frames[model.getFrameId(frame, pin.FrameType.BODY)].parentJoint
         places = [config.foot_positions()[point]]
         for index in reversed(list(model.supports[joint])):
             if model.names[index] in robot.joint_names:

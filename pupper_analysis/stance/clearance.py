@@ -71,6 +71,7 @@ class Shapes:
         self.tasks: dict[object, Any] = {}
         self.limits: tuple[Array, Array] | None = None
         self.wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _primitives(robot))
+        _leave_names_to_links(self.wrapper.model)
         self._objects = list(self.wrapper.collision_model.geometryObjects)
         self._links = [self.wrapper.model.frames[o.parentFrame].name for o in self._objects]
         self._paired = False
@@ -243,7 +244,7 @@ class Shapes:
         feet: dict[int, tuple[str, coal.Sphere, coal.Transform3s]] = {}  # by their joint
         flat: set[int] = set()
         for foot, frame in robot.foot_frames.items():
-            number = model.getFrameId(frame)
+            number = model.getFrameId(frame, pin.FrameType.BODY)
             if foot not in robot.soles:
                 flat.add(int(model.frames[number].parentJoint))
                 continue
@@ -326,3 +327,14 @@ def _primitives(robot: Robot) -> str:
             if shape.find("geometry/mesh") is not None:
                 link.remove(shape)
     return to_text(root)
+
+
+def _leave_names_to_links(model: pin.Model) -> None:
+    """Renames frames of joints that are named like a link: PlaCo asks for names alone."""
+    links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
+    taken = {frame.name for frame in model.frames}
+    for frame in model.frames:
+        if frame.type != pin.FrameType.BODY and frame.name in links:
+            while frame.name in taken:
+                frame.name += " (joint)"
+            taken.add(frame.name)

@@ -7,7 +7,7 @@ import subprocess
 import tarfile
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -52,7 +52,10 @@ class Source:
             raise ModelError(self._known(error.source), self._known(error.problem)) from error
 
     def _known(self, text: str) -> str:
-        return text if self.root is None else text.replace(f"{self.root}/", f"{self.revision}:")
+        if self.root is None:
+            return text
+        top = f"{self.revision}:"
+        return text.replace(f"{self.root}/", top).replace(str(self.root), top)
 
 
 @contextmanager
@@ -69,7 +72,12 @@ def opened(given: str | Path) -> Iterator[Source]:
     text = str(given)
     revision, separator, inside = text.partition(":")
     # A path that exists is meant; and "C:\\robot.urdf" is a path, too.
-    if Path(text).exists() or not separator or not inside or len(revision) < 2:
+    if (
+        Path(text).exists()
+        or not separator
+        or not inside
+        or (len(revision) < 2 and revision != "@")
+    ):
         yield Source(Path(text), text)
         return
     if revision.startswith("-"):
@@ -82,6 +90,10 @@ def opened(given: str | Path) -> Iterator[Source]:
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder).resolve()
         _extract(text, top, revision, root)
+        if not (root / relative).exists():  # `export-ignore` keeps files out of archives
+            (root / relative).parent.mkdir(parents=True, exist_ok=True)
+            content = _git(text, "cat-file", "blob", f"{revision}:{relative}")
+            (root / relative).write_bytes(content.encode(errors="surrogateescape"))
         yield Source(root / relative, text, revision, root)
 
 
@@ -126,7 +138,10 @@ def _extract(given: str, top: Path, revision: str, root: Path) -> None:
                 for member in archive:
                     wanted = member.name.lower().endswith(_NEEDED)
                     if wanted and (member.isfile() or member.issym()):
-                        archive.extract(member, root, filter="data")
+                        with suppress(
+                            tarfile.FilterError
+                        ):  # a link that leads out of the repository
+                            archive.extract(member, root, filter="data")
         except tarfile.TarError as error:
             process.kill()
             refusal = process.stderr.read()
