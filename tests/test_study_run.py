@@ -384,10 +384,11 @@ def test_killed_at_any_moment_it_goes_on(tmp_path: Path) -> None:
         if process.poll() is not None:
             break
         os.kill(process.pid, signal.SIGKILL)
-        process.wait()
+        process.communicate()
         kills += 1
         assert left_over(process.pid) == []  # its workers have gone with it
         assert rows_of(folder) >= before
+    process.communicate()
     assert kills >= 2
     assert process.returncode == 0
     assert rows_of(folder) == 24  # each once
