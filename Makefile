@@ -18,7 +18,7 @@ export PYTHONNOUSERSITE := 1
 unexport PYTHONPATH PYTHONHOME
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow test-lowest fuzz coverage benchmark benchmark-quick lint types docs wheel clean
+.PHONY: help setup analyze test test-slow test-lowest test-longest fuzz coverage benchmark benchmark-quick lint types docs wheel clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s  %s\n", $$1, $$2}' Makefile
@@ -32,7 +32,10 @@ test: $(VENV)/.ready ## run the tests, without the long proofs
 	$(BIN)/python -m pytest -m "not slow"
 
 test-slow: $(VENV)/.ready ## run the long proofs
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m "slow and not longest"
+
+test-longest: $(VENV)/.ready ## run the longest proofs: ten minutes
+	$(BIN)/python -m pytest -m longest
 
 test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed
 	$(LOWEST)/bin/python -m pytest -m "not slow" -W ignore::DeprecationWarning $(LOWEST_TESTS)
