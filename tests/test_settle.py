@@ -435,6 +435,17 @@ def test_long_leg_of_v3_does_not_last() -> None:
         assert any("touches the ground" in failure for failure in run.failures)
 
 
+def test_a_little_above_the_minimum_no_stiffness_is_left_out() -> None:
+    """A long step on the way to rest may end on another branch; MuJoCo stands with all of these."""
+    robot, stand = load("v3"), stand_of("v3")
+    found = [steady_state(robot, stand, kp=kp) for kp in np.arange(2.30, 2.72, 0.02)]
+    assert all(one.stable for one in found)
+    assert not any(one.failures for one in found)
+    heights = [float(one.qpos[2]) for one in found]
+    assert (np.diff(heights) > 0).all()
+    assert heights[0] == pytest.approx(0.1004, abs=5e-4)  # MuJoCo's, after 12 s: 0.1004 m
+
+
 @pytest.mark.slow
 def test_minimum_stiffness_of_pinned_feet() -> None:
     robot, stand = load("long-leg"), stand_of("long-leg")
