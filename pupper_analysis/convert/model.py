@@ -39,9 +39,11 @@ def convert_model(
     packages: Mapping[str, Path] | None = None,
     force: bool = False,
 ) -> Conversion:
-    """Converts a URDF into an MJCF.
+    """Converts a URDF into an MJCF, or an MJCF into a URDF.
 
-    All that the URDF states is kept, number by number: masses, products of inertia, frames, limits,
+    Of an MJCF the URDF has what MuJoCo compiles it to; what no URDF can say is ``left``.
+
+    All that a URDF states is kept, number by number: masses, products of inertia, frames, limits,
     damping, friction, effort limits as force ranges, mimic joints as equalities, shapes for
     collision and for looks apart, scales of meshes. What a simulation needs besides is added: a
     floor and a free joint, feet, position servos, pairs of bodies that overlap where they stand, a
@@ -49,7 +51,8 @@ def convert_model(
     returns: cross-checked with the source, and its robot stood for 12 s.
 
     Args:
-        source: Path of the URDF.
+        source: Path of the URDF, or of the MJCF; then only ``output``, ``packages`` and ``force``
+            are for it.
         output: Path of the new file.
         feet: The feet's links, or {foot: link}; by default they are found, as by ``load_robot``.
         fixed_base: Whether the base is fixed in the world; by default a base with two limbs or more
