@@ -34,7 +34,7 @@ test: $(VENV)/.ready ## run the tests, without the long proofs
 test-slow: $(VENV)/.ready ## run the long proofs
 	$(BIN)/python -m pytest -m "slow and not longest"
 
-test-longest: $(VENV)/.ready ## run the longest proofs: ten minutes
+test-longest: $(VENV)/.ready ## run the longest proofs: some four minutes
 	$(BIN)/python -m pytest -m longest
 
 test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed
