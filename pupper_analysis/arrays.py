@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from types import MappingProxyType
 from typing import Any
 
@@ -21,6 +22,19 @@ INERTIA_ENTRIES = {
     "iyz": (1, 2),
 }
 """The six entries of an inertia by their names in a URDF, in the order of an MJCF's fullinertia."""
+
+
+def inertia_entries(tensor: Array) -> Array:
+    """Returns the six entries of an inertia (3, 3), in the order of ``INERTIA_ENTRIES``."""
+    return np.array([tensor[place] for place in INERTIA_ENTRIES.values()])
+
+
+def inertia_tensor(entries: Iterable[float]) -> Array:
+    """Returns the inertia (3, 3) of six entries, in the order of ``INERTIA_ENTRIES``."""
+    tensor = np.zeros((3, 3))
+    for value, (row, column) in zip(entries, INERTIA_ENTRIES.values(), strict=True):
+        tensor[row, column] = tensor[column, row] = value
+    return tensor
 
 
 def plain_state(instance: object) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -193,6 +195,17 @@ def mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> Place:
     if difference.kind == "frame":
         name = matched.robot.description.frames[element][1]
         tries = [("site", name, None), ("body", name, None), ("geom", name, None)]
+    return first_place(file, kind, tries)
+
+
+def first_place(file: MjcfFile, kind: str, tries: Sequence[tuple[str, str, str | None]]) -> Place:
+    """Returns where a kind of number is stated, or else the first of its elements that is there.
+
+    Args:
+        file: The MJCF.
+        kind: Of the difference.
+        tries: Tag, name and child of the elements that may state it.
+    """
     for tag, name, below in tries:
         place = None if below else file.stated(tag, name, MJCF_ATTRIBUTES.get(kind, ()))
         if place is not None:

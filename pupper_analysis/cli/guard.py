@@ -6,7 +6,12 @@ from pathlib import Path
 
 import click
 
-from pupper_analysis.cli.models import package_folders, package_option
+from pupper_analysis.cli.models import (
+    fine_tolerance_option,
+    package_folders,
+    package_option,
+    with_changes,
+)
 from pupper_analysis.cli.shared import (
     CONTEXT,
     assignment,
@@ -14,7 +19,6 @@ from pupper_analysis.cli.shared import (
     finish,
     format_option,
     json_option,
-    number,
 )
 
 
@@ -98,13 +102,7 @@ def check_command(
     help="A joint's old and new name, if neither name nor place tells. May be repeated.",
 )
 @package_option
-@click.option(
-    "--tolerance",
-    "changes",
-    multiple=True,
-    metavar="KIND=VALUE",
-    help="What is let be, as of crosscheck (1e-9). May be repeated.",
-)
+@fine_tolerance_option
 @json_option
 def diff_command(
     old: str,
@@ -136,7 +134,7 @@ def diff_command(
     from pupper_analysis.report.versions import print_diff
 
     names = dict(assignment("map", text) for text in pairs)
-    tolerances = Tolerances.strict().changed(dict(number("tolerance", text) for text in changes))
+    tolerances = with_changes(Tolerances.strict(), changes)
     check_outputs(json_path)
     result = diff_models(
         old, new, names=names, packages=package_folders(packages), tolerances=tolerances

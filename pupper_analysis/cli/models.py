@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,6 +19,9 @@ from pupper_analysis.cli.shared import (
     write_page,
 )
 from pupper_analysis.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pupper_analysis.checks.tolerances import Tolerances
 
 package_option = click.option(
     "--package",
@@ -50,6 +54,20 @@ frame_option = click.option(
     metavar="FRAME",
     help="Compare this frame. Repeatable; else all that both files have.",
 )
+
+
+fine_tolerance_option = click.option(
+    "--tolerance",
+    "changes",
+    multiple=True,
+    metavar="KIND=VALUE",
+    help="What is let be, as of crosscheck (1e-9). May be repeated.",
+)
+
+
+def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:
+    """Returns tolerances with the changes of --tolerance KIND=VALUE."""
+    return tolerances.changed(dict(number("tolerance", text) for text in changes))
 
 
 @click.command(context_settings=CONTEXT, short_help="Find what makes a URDF and an MJCF disagree.")
@@ -124,7 +142,7 @@ def crosscheck(
     names = mapped_names(pairs, map_file)
     folders = package_folders(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()
-    tolerances = tolerances.changed(dict(number("tolerance", text) for text in changes))
+    tolerances = with_changes(tolerances, changes)
     check_outputs(json_path, report_path)
     comparison = compare_models(
         urdf,

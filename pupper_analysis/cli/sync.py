@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli.models import (
+    fine_tolerance_option,
     frame_option,
     map_file_option,
     map_option,
     mapped_names,
     package_folders,
     package_option,
+    with_changes,
 )
-from pupper_analysis.cli.shared import CONTEXT, check_outputs, finish, json_option, number
+from pupper_analysis.cli.shared import CONTEXT, check_outputs, finish, json_option
 
 if TYPE_CHECKING:
     from pupper_analysis.sync.models import Sync
@@ -44,13 +46,7 @@ if TYPE_CHECKING:
 @click.option(
     "--coarse", is_flag=True, help="Leave what crosscheck tolerates: 5 to 6 digits are the same."
 )
-@click.option(
-    "--tolerance",
-    "changes",
-    multiple=True,
-    metavar="KIND=VALUE",
-    help="What is let be, as of crosscheck (1e-9). May be repeated.",
-)
+@fine_tolerance_option
 @json_option
 def sync_command(
     urdf: Path,
@@ -89,8 +85,7 @@ def sync_command(
     from pupper_analysis.sync.models import FINE, sync_models
 
     names, folders = mapped_names(pairs, map_file), package_folders(packages)
-    tolerances = Tolerances() if coarse else FINE
-    tolerances = tolerances.changed(dict(number("tolerance", text) for text in changes))
+    tolerances = with_changes(Tolerances() if coarse else FINE, changes)
     check_outputs(json_path)
 
     def run(chosen: tuple[str, ...], dry: bool) -> Sync:

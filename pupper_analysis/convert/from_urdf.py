@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
+from pupper_analysis.checks.matching_urdf import end_link, root_link
 from pupper_analysis.convert.meshes import Meshes
 from pupper_analysis.convert.xml_text import element, free_name, halved, is_zero, words
 from pupper_analysis.errors import ConfigurationError, ModelError
@@ -57,9 +58,8 @@ class UrdfBodies:
         self._links = {str(link.get("name")): link for link in root.findall("link")}
         self._joints: dict[str, list[etree._Element]] = {}
         for joint in root.findall("joint"):
-            self._joints.setdefault(_end(joint, "parent"), []).append(joint)
-        children = {_end(joint, "child") for joint in root.findall("joint")}
-        self.root = next(link for link in self._links if link not in children)
+            self._joints.setdefault(end_link(joint, "parent"), []).append(joint)
+        self.root = str(root_link(root).get("name"))
         self.floats = self._take_floating()
         self._colors = {
             str(material.get("name")): str(material.find("color").get("rgba"))
@@ -75,7 +75,7 @@ class UrdfBodies:
         if len(below) != 1 or below[0].get("type") != "floating":
             return False
         if self._links[self.root].find("inertial") is None:
-            self.root = _end(below[0], "child")
+            self.root = end_link(below[0], "child")
             return True
         return False
 
@@ -118,7 +118,7 @@ class UrdfBodies:
             for shape in link.findall(kind):
                 self._add_shape(body, name, kind, shape)
         for joint in self._joints.get(name, ()):
-            child = self._links[_end(joint, "child")]
+            child = self._links[end_link(joint, "child")]
             xyz, rpy = _origin(joint)
             inner = element(body, "body", name=str(child.get("name")), pos=xyz, euler=rpy)
             self._add_joint(inner, joint, child)
@@ -202,7 +202,7 @@ class UrdfBodies:
             weighs = mass is not None and float(mass.get("value")) > 0
             for below in self._joints.get(str(this.get("name")), ()):
                 if below.get("type") == "fixed":
-                    waiting.append(self._links[_end(below, "child")])
+                    waiting.append(self._links[end_link(below, "child")])
         if not weighs:
             raise refusal_at(
                 self.urdf.path,
@@ -274,10 +274,6 @@ class UrdfBodies:
         return known
 
 
-def _end(joint: etree._Element, tag: str) -> str:
-    return str(joint.find(tag).get("link"))
-
-
 def _stated(parent: etree._Element | None, attribute: str) -> str | None:
     """Returns an attribute, if it is there and not zero."""
     text = None if parent is None else parent.get(attribute)
@@ -302,12 +298,10 @@ def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
     if is_zero(mass) and all(is_zero(text) for text in texts):
         return
     if rpy is not None:
-        tensor = np.zeros((3, 3))
-        for text, (row, column) in zip(texts, INERTIA_ENTRIES.values(), strict=True):
-            tensor[row, column] = tensor[column, row] = float(text)
+        tensor = inertia_tensor(map(float, texts))
         turn = pin.rpy.rpyToMatrix(np.array(rpy.split(), dtype=float))
         turned = turn @ tensor @ turn.T
-        texts = words([turned[place] for place in INERTIA_ENTRIES.values()]).split()
+        texts = words(inertia_entries(turned)).split()
     diagonal = all(is_zero(text) for text in texts[3:])
     element(
         body,

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.arrays import inertia_entries, inertia_tensor
 from pupper_analysis.convert.xml_text import words
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -31,9 +31,7 @@ def inertia_of(inertial: etree._Element) -> pin.Inertia:
     """Returns what an <inertial> states, in its body's frame."""
     lever = np.array((inertial.get("pos") or "0 0 0").split(), dtype=float)
     texts = (inertial.get("fullinertia") or f"{inertial.get('diaginertia')} 0 0 0").split()
-    tensor = np.zeros((3, 3))
-    for text, (row, column) in zip(texts, INERTIA_ENTRIES.values(), strict=True):
-        tensor[row, column] = tensor[column, row] = float(text)
+    tensor = inertia_tensor(map(float, texts))
     result = pin.Inertia.Zero()
     result.mass, result.lever, result.inertia = float(str(inertial.get("mass"))), lever, tensor
     return result
@@ -46,14 +44,13 @@ def add_to(body: etree._Element, inertia: pin.Inertia) -> None:
     if own is not None:
         total = inertia_of(own) + inertia
         body.remove(own)
-    tensor = np.array(total.inertia)
     joints = [child for child in body if child.tag in ("joint", "freejoint")]
     node = etree.Element(
         "inertial",
         {
             "pos": words(total.lever),
             "mass": words(total.mass),
-            "fullinertia": words([tensor[place] for place in INERTIA_ENTRIES.values()]),
+            "fullinertia": words(inertia_entries(np.array(total.inertia))),
         },
     )
     body.insert(len(joints), node)

@@ -12,7 +12,7 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES, rotation_from_quaternion
+from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, rotation_from_quaternion
 from pupper_analysis.convert.conversion import Draft
 from pupper_analysis.convert.tidy import to_text
 from pupper_analysis.convert.urdf_shapes import Shapes, put_placement
@@ -181,7 +181,7 @@ class UrdfLinks:
             inertial = element(link, "inertial")
             element(inertial, "origin", xyz=words(moved.lever))
             element(inertial, "mass", value=words(mass))
-            entries = words([np.array(moved.inertia)[at] for at in INERTIA_ENTRIES.values()])
+            entries = words(inertia_entries(np.array(moved.inertia)))
             element(inertial, "inertia", **dict(zip(INERTIA_ENTRIES, entries.split(), strict=True)))
         self.shapes.add(link, body, inside)
 

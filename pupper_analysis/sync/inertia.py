@@ -8,8 +8,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES
-
 Array = NDArray[np.float64]
 
 _TRIANGLE = 1e-6
@@ -81,19 +79,6 @@ def same(one: Mass, two: Mass, tolerance: float = 1e-11) -> bool:
         and float(np.abs(one.com - two.com).max()) <= tolerance
         and float(np.abs(one.inertia - two.inertia).max()) <= tolerance * size
     )
-
-
-def entries(tensor: Array) -> Array:
-    """Returns the six entries of a tensor."""
-    return np.array([tensor[place] for place in INERTIA_ENTRIES.values()])
-
-
-def tensor(values: Array) -> Array:
-    """Returns the tensor of six entries."""
-    result = np.zeros((3, 3))
-    for value, (row, column) in zip(values, INERTIA_ENTRIES.values(), strict=True):
-        result[row, column] = result[column, row] = value
-    return result
 
 
 def turned_like(wanted: Array, own: Array, near: Array) -> Array | None:

@@ -11,11 +11,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.arrays import inertia_entries, rotation_from_quaternion
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.sync.digits import Digits
 from pupper_analysis.sync.frames import Key, mass_of
-from pupper_analysis.sync.inertia import Mass, entries, same, total, turned_like
+from pupper_analysis.sync.inertia import Mass, same, total, turned_like
 from pupper_analysis.sync.mjcf_elements import within
 from pupper_analysis.sync.orientation import Units, orientation_change, stated_rotation
 from pupper_analysis.sync.xml_bytes import Element
@@ -110,7 +110,7 @@ def _plans(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_P
     words = {
         "pos": side.digits.words([], wanted.com, 1.0),
         "mass": side.digits.words([], np.array([wanted.mass])),
-        "fullinertia": side.digits.words([], entries(wanted.inertia)),
+        "fullinertia": side.digits.words([], inertia_entries(wanted.inertia)),
     }
     stated = {name: text for name, text in words.items() if text is not None}
     said = "its mass comes from its shapes, so an <inertial> was put in that says otherwise"
@@ -161,7 +161,7 @@ def inertial_changes(
         return changes
     if element.get("diaginertia") is None:
         words = (element.get("fullinertia") or "").split()
-        text = digits.words(words, entries(wanted.inertia))
+        text = digits.words(words, inertia_entries(wanted.inertia))
         return changes if text is None else changes | {"fullinertia": text}
     return changes | _principal(element, wanted.inertia, units, digits)
 

@@ -10,16 +10,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
 from pupper_analysis.models.parameters import Joint, Parameters
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.sync.digits import SAME, Digits
 from pupper_analysis.sync.frames import Key, Sides, mass_of, placement
 from pupper_analysis.sync.inertia import (
     Mass,
-    entries,
     same,
-    tensor,
     total,
     turned_like,
 )
@@ -264,7 +262,7 @@ def _stated(link: Element) -> Mass | None:
         return None
     values = inertial.child("inertia")
     own = np.array([float((values and values.get(name)) or 0) for name in INERTIA_ENTRIES])
-    mass = Mass(float(weight.get("value") or 0), np.zeros(3), tensor(own))
+    mass = Mass(float(weight.get("value") or 0), np.zeros(3), inertia_tensor(own))
     return mass.moved(origin(inertial.child("origin")))
 
 
@@ -285,8 +283,8 @@ def inertial_changes(link: Element, wanted: Mass, digits: Digits) -> Changes:
     stated = [None if entry is None else entry.get(name) for name in INERTIA_ENTRIES]
     inside = rotation.T @ wanted.inertia @ rotation
     turn = None
-    numbers_now = tensor(np.array([float(word or 0) for word in stated]))
-    of_tensor = dict(_tensor_changes(stated, entries(inside), digits))
+    numbers_now = inertia_tensor(np.array([float(word or 0) for word in stated]))
+    of_tensor = dict(_tensor_changes(stated, inertia_entries(inside), digits))
     if len(of_tensor) > 1:
         turn = turned_like(wanted.inertia, numbers_now, rotation)
     pose = pin.SE3(rotation if turn is None else turn, wanted.com)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pupper_analysis.checks.matching_urdf import fixed_links
 from pupper_analysis.checks.places import (
-    MJCF_ATTRIBUTES,
     MJCF_SECTION,
     URDF_CHILD,
     WHOLE,
     bodies_moving_with,
+    first_place,
     links_moving_with,
 )
 from pupper_analysis.checks.versions.version import Version
@@ -73,9 +73,4 @@ def _in_mjcf(version: Version, file: MjcfFile, kind: str, element: str) -> Place
         tries = [("site", element, None), ("body", element, None)]
     if kind == "effort":
         tries.insert(0, ("actuator", element, None))
-    for tag, name, below in tries:
-        place = None if below else file.stated(tag, name, MJCF_ATTRIBUTES.get(kind, ()))
-        if place is not None:
-            return place
-    places = [file.place(*one) for one in tries]
-    return next((place for place in places if place.line is not None), places[0])
+    return first_place(file, kind, tries)
