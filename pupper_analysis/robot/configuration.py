@@ -154,8 +154,8 @@ class Configuration:
     def foot_places(self, feet: Iterable[str]) -> Array:
         """Returns the centres (n, 3) of some feet's spheres, in the world (m)."""
         placements, numbers = self._data.oMf, self._structure.feet
-        places = np.array([placements[numbers[foot]].translation for foot in feet])
-        return places.reshape(-1, 3)
+        places = [placements[numbers[foot]].translation.tolist() for foot in feet]
+        return np.array(places, dtype=float).reshape(-1, 3)
 
     def foot_jacobians(self) -> dict[str, Array]:
         """Returns the Jacobian of each foot's centre, {foot: (3, nv)}, in world axes.

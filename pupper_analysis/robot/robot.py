@@ -137,7 +137,8 @@ class Robot:
     @property
     def effort_limits(self) -> Array:
         """(nu,) effort limits of the URDF (N m)."""
-        return np.array(self.pin_model.effortLimit[self.pin_convention.v_index])
+        limits: Array = self.pin_model.effortLimit.take(self.pin_convention.v_index)
+        return limits
 
     @property
     def velocity_limits(self) -> Array:

@@ -127,7 +127,8 @@ class Structure:
 
     def inertia(self, upper: Array) -> Array:
         """Returns a symmetric matrix (nv, nv) of the model, whose upper triangle counts."""
-        return upper.take(self._upper)
+        symmetric: Array = upper.take(self._upper)
+        return symmetric
 
     def square(self, matrix: Array) -> Array:
         """Returns any matrix (nv, nv) of the model in public order."""
