@@ -260,20 +260,19 @@ class Configuration:
                 axes, in which they do not change.
         """
         model, data, structure = self._model, self._data, self._structure
-        external = pin.StdVec_Force()
-        external.extend([pin.Force.Zero() for _ in range(model.njoints)])
+        external = pin.StdVec_Force(model.njoints, pin.Force.Zero())
         turning = np.zeros((structure.nv, structure.nv))
-        for jacobian, (foot, wrench) in zip(
-            self._jacobians(tuple(wrenches)), wrenches.items(), strict=True
-        ):
-            joint = structure.parents[foot]
-            force, moment = wrench[:3], wrench[3:]
-            centre = data.oMf[structure.feet[foot]].translation
-            about_origin = pin.Force(force, moment + pin.skew(centre) @ force)
-            external[joint] = external[joint] + data.oMi[joint].actInv(about_origin)
+        if wrenches:
+            jacobians, pushes = self._jacobians(wrenches), np.array(list(wrenches.values()))
             # Pinocchio's turn with their link: they would change by omega x w.
-            both = np.concatenate([pin.skew(force), pin.skew(moment)])
-            turning += jacobian.T @ both @ jacobian[3:]
+            skews = crosses(pushes.reshape(-1, 3)).reshape(-1, 6, 3)
+            changes = (skews @ jacobians[:, 3:]).reshape(-1, structure.nv)
+            turning = jacobians.reshape(-1, structure.nv).T @ changes
+            centres = crosses(self.foot_places(wrenches))
+            pushes[:, 3:] += (centres @ pushes[:, :3, None])[:, :, 0]  # about the origin
+            for foot, wrench in zip(wrenches, pushes, strict=True):
+                joint = structure.parents[foot]
+                external[joint] += data.oMi[joint].actInv(pin.Force(wrench))
         held = structure.workspace()
         rates = pin.computeStaticTorqueDerivatives(model, held.data, self._q, external)
         changed: Array = structure.square(np.atleast_2d(rates)) - turning

@@ -91,23 +91,25 @@ class Equilibrium:
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
         self.yielding: dict[str, float] = {}  # m/N: creep in this step per force
         self.friction, self.lift = DryFriction.of(robot), lift
-        self.joint_friction = np.zeros(robot.nu)
+        self.joint_friction, self._joints = np.zeros(robot.nu), np.arange(6, robot.nv)
         self.moments: dict[str, Array] = {}  # N m: on feet, in the ground's frame
 
     def depths(self, config: Configuration) -> dict[str, float]:
         """Returns how deep every foot is in the ground or its step; negative: above it (m)."""
-        cosine = float(self.normal[2])
+        cosine, radius = float(self.normal[2]), self.robot.foot_radius
+        feet = self.robot.feet
         return {
-            foot: self.robot.foot_radius[foot]
-            - (float(centre[2]) - self.ground.height(centre[:2], foot)) * cosine
-            for foot, centre in config.foot_positions().items()
+            foot: radius[foot] - (z - self.ground.height((x, y), foot)) * cosine
+            for foot, (x, y, z) in zip(feet, config.foot_places(feet).tolist(), strict=True)
         }
 
     def sunk(self, forces: Array) -> Array:
         """Returns how deep the feet that touch sink (n,) under forces (n, 3)."""
         asked = tuple(zip(self.anchors, forces[:, 2].tolist(), strict=True))
         if asked != self._sunk[0]:
-            depths = [self.laws[foot].depth(force) for foot, force in asked]
+            # By the last step, or the last place, they are known nearly.
+            known = {foot: depth for (foot, _), depth in zip(*self._sunk, strict=True)}
+            depths = [self.laws[foot].depth(force, known.get(foot)) for foot, force in asked]
             self._sunk = asked, np.array(depths)
         return self._sunk[1].copy()
 
@@ -133,6 +135,8 @@ class Equilibrium:
 
     def _turning(self) -> Array:
         """Returns the moments (n, 3) on the feet that touch."""
+        if not self.moments:
+            return np.zeros((len(self.anchors), 3))
         moments = [self.moments.get(foot, np.zeros(3)) for foot in self.anchors]
         return np.array(moments).reshape(-1, 3)
 
@@ -179,7 +183,7 @@ class Equilibrium:
         by_qpos[:n] = touch.balance_rates(forces, self._turning())
         servos = self.kp * (self.target - qpos[7:])
         moving = (servos > self.lower) & (servos < self.upper)
-        by_qpos[:n, :n][np.arange(6, n), np.arange(6, n)] += np.where(moving, self.kp, 0.0)
+        by_qpos[self._joints, self._joints] += np.where(moving, self.kp, 0.0)
         by_qpos[n:] = touch.place_rates().reshape(-1, n)
         if self.feet == "sliding":
             by_qpos[n:].reshape(-1, 3, n)[:, :2] *= _WEAK
@@ -204,7 +208,9 @@ class Equilibrium:
             kept = 1 - _RHO * diagonal[row, 0]
             by_force[tangents, tangents] = np.eye(2) - kept * turn
             by_force[tangents, 3 * row + 2] = -mu * along
-        return np.hstack([by_qpos, np.vstack([-jacobian.T, by_force])])
+        whole = np.empty((n + forces.size, n + forces.size))
+        whole[:, :n], whole[:n, n:], whole[n:, n:] = by_qpos, -jacobian.T, by_force
+        return whole
 
     def _yields(self) -> Array:
         return np.array(
@@ -213,6 +219,8 @@ class Equilibrium:
 
     def _begun(self) -> Array:
         """Returns the slips (n, 2) from which the feet that touch stick, or slip on (m)."""
+        if not self.crept:
+            return np.zeros((len(self.anchors), 2))
         begun = [self.crept.get(foot, np.zeros(2)) for foot in self.anchors]
         return np.array(begun).reshape(-1, 2)
 
@@ -226,12 +234,14 @@ class Equilibrium:
         if self.feet == "sliding":
             return []
         found = []
-        for row, (foot, force, place) in enumerate(zip(self.anchors, forces, places, strict=True)):
-            mu, tried = self.friction.sliding[foot], force[:2] - _RHO * place[:2]
+        rows = zip(self.anchors, forces.tolist(), places.tolist(), strict=True)
+        for row, (foot, force, place) in enumerate(rows):
+            (x, y, pressing), (slip_x, slip_y, _) = force, place
+            tried = x - _RHO * slip_x, y - _RHO * slip_y
             # Without friction where it pulls: so nothing jumps when it is let go of there.
-            mu = mu if force[2] > 0 else 0.0
-            if np.linalg.norm(tried) > mu * force[2]:
-                found.append((row, mu, tried))
+            mu = self.friction.sliding[foot] if pressing > 0 else 0.0
+            if math.hypot(*tried) > mu * pressing:
+                found.append((row, mu, np.array(tried)))
         return found
 
     def solve(self, guess: Solution) -> Solution | None:
@@ -357,14 +367,6 @@ class Equilibrium:
         """Returns tangential force per velocity (N s/m); infinite where a foot pulls."""
         law = self.laws[foot]
         return law.viscosity(depth) if depth > -law.margin else math.inf
-
-    def friction_left(self, forces: dict[str, Array]) -> float:
-        """Returns the least of mu f_n - |f_t|, in parts of the weight."""
-        left = [
-            self.robot.contacts[foot].sliding_friction * force[2] - np.linalg.norm(force[:2])
-            for foot, force in forces.items()
-        ]
-        return float(min(left) / (self.robot.total_mass * np.linalg.norm(self.robot.gravity)))
 
     def stiffness(self, solution: Solution) -> float:
         """Returns the least eigenvalue of the Hessian where the feet allow it to move."""
