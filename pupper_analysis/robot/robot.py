@@ -88,7 +88,9 @@ class Robot:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        return plain_state(self)
+        state = plain_state(self)
+        state.pop("structure", None)  # worked out again, quicker than it travels
+        return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():

@@ -208,9 +208,7 @@ class Equilibrium:
             kept = 1 - _RHO * diagonal[row, 0]
             by_force[tangents, tangents] = np.eye(2) - kept * turn
             by_force[tangents, 3 * row + 2] = -mu * along
-        whole = np.empty((n + forces.size, n + forces.size))
-        whole[:, :n], whole[:n, n:], whole[n:, n:] = by_qpos, -jacobian.T, by_force
-        return whole
+        return np.hstack([by_qpos, np.vstack([-jacobian.T, by_force])])
 
     def _yields(self) -> Array:
         return np.array(
