@@ -26,7 +26,6 @@ LEVELS = 8
 """So many smaller pushes per direction are tried once a limit is found."""
 
 
-
 @dataclass(frozen=True, eq=False)
 class PushRecovery(Tabular):
     """How hard a stand can be pushed, in each of n directions.

@@ -1,4 +1,4 @@
-"""Where standing robots are pushed: simulations with a force on the base, and what comes of them."""
+"""Where robots are pushed: simulations with a force on the base, and what comes of them."""
 
 from __future__ import annotations
 
