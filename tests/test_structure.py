@@ -150,11 +150,23 @@ def test_joints_may_be_in_any_order(any_robot: pa.Robot) -> None:
         data, turn = model.createData(), convention.velocity_map(mixed)
         upper = np.triu(np.atleast_2d(pin.crba(model, data, convention.q(mixed))))
         full = upper + np.triu(upper, 1).T
-        found = structure.inertia(pin.crba(structure.model, held.data, q))
+        found = structure.inertia(pin.crba(structure.loaded(), held.data, q))
         numbers_agree(found, turn.T @ full @ turn)
         forces = pin.computeGeneralizedGravity(model, data, convention.q(mixed))
         own = pin.computeGeneralizedGravity(structure.model, held.data, q)
         numbers_agree(structure.dual(own), turn.T @ forces)
+
+
+def test_armature_that_changes_is_heeded() -> None:
+    robot = pa.load_variant("v3")
+    config = pa.Configuration(robot, robot.home)
+    before, rest = config.mass_matrix(), config.forward_dynamics(np.zeros(robot.nv))
+    robot.pin_model.armature[robot.pin_convention.v_index] += 0.25
+    np.testing.assert_allclose(
+        np.diag(config.mass_matrix() - before)[6:], np.full(robot.nu, 0.25), rtol=1e-12
+    )
+    slower = config.forward_dynamics(np.zeros(robot.nv))
+    assert np.abs(slower[6:]).max() < 0.5 * np.abs(rest[6:]).max()
 
 
 def test_nobody_changes_a_velocity_of_zero(any_robot: pa.Robot) -> None:

@@ -235,7 +235,7 @@ class Configuration:
 
     def mass_matrix(self) -> Array:
         """Returns the joint-space inertia matrix M (nv, nv), armature included."""
-        return self._structure.inertia(pin.crba(self._model, self._data, self._q))
+        return self._structure.inertia(pin.crba(self._structure.loaded(), self._data, self._q))
 
     def bias_forces(self) -> Array:
         """Returns h (nv,): Coriolis, centrifugal and gravity forces.
@@ -288,7 +288,7 @@ class Configuration:
             ConfigurationError: If the vector has a wrong length or a value is not finite.
         """
         wanted = self._structure.velocity(_vector("force", force, self.robot.nv))
-        acceleration = pin.aba(self._model, self._data, self._q, self._v, wanted)
+        acceleration = pin.aba(self._structure.loaded(), self._data, self._q, self._v, wanted)
         return self._structure.dual(acceleration)
 
     def foot_accelerations(self, qacc: ArrayLike) -> dict[str, Array]:

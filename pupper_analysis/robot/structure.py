@@ -62,7 +62,8 @@ class Structure:
         joint_names: Sequence[str],
         foot_frames: Mapping[str, str],
     ) -> None:
-        self.model = in_public_coordinates(model, convention, joint_names)
+        self.model = in_public_coordinates(model, joint_names)
+        self._given, self._convention = model, convention
         self.floating = convention.floating
         self.nv = convention.base_nv + len(joint_names)
         self.nq = self.nv + self.floating
@@ -86,6 +87,7 @@ class Structure:
         rest.flags.writeable = False
         self.rest = rest[:]
         self._own = PinocchioConvention.of(self.model, joint_names)
+        self._armature = b""
         columns = np.concatenate([np.arange(convention.base_nv), self._own.v_index])
         one, other = np.meshgrid(columns, columns, indexing="ij")
         self._upper = np.minimum(one, other) * self.nv + np.maximum(one, other)
@@ -109,6 +111,16 @@ class Structure:
                 numbers.
         """
         self._spare = spare
+
+    def loaded(self) -> pin.Model:
+        """Returns the model with the armature that the robot's has now: it may be changed."""
+        given = self._given.armature
+        if given.tobytes() != self._armature:
+            armature, free = np.zeros(self.nv), self._convention.base_nv
+            armature[:free] = given[:free]
+            armature[self._own.v_index] = given[self._convention.v_index]
+            self.model.armature, self._armature = armature, given.tobytes()
+        return self.model
 
     def q(self, qpos: Array) -> Array:
         """Returns the model's q of a public qpos (nq,) whose quaternion is normalised."""
@@ -145,10 +157,8 @@ class Structure:
         return own
 
 
-def in_public_coordinates(
-    model: pin.Model, convention: PinocchioConvention, joint_names: Sequence[str]
-) -> pin.Model:
-    """Returns the same robot as a Pinocchio model whose coordinates are the public ones.
+def in_public_coordinates(model: pin.Model, joint_names: Sequence[str]) -> pin.Model:
+    """Returns the same robot, without armature, in a model whose coordinates are the public ones.
 
     What moves freely does so by a translation, whose velocity is in the world's axes, and a ball
     joint, whose velocity is in its own: MuJoCo's free joint. Nothing has to be turned then that
@@ -157,7 +167,6 @@ def in_public_coordinates(
 
     Args:
         model: The robot, its base on a free flyer.
-        convention: The maps between public coordinates and the model's.
         joint_names: In actuator order.
     """
     own = pin.Model()
@@ -176,11 +185,6 @@ def in_public_coordinates(
     for frame in list(model.frames)[1:]:
         joint = numbers[frame.parentJoint]
         own.addFrame(pin.Frame(frame.name, joint, 0, frame.placement, frame.type), False)
-    armature = np.zeros(own.nv)
-    armature[: convention.base_nv] = model.armature[: convention.base_nv]
-    own_index = PinocchioConvention.of(own, joint_names).v_index
-    armature[own_index] = model.armature[convention.v_index]
-    own.armature = armature
     return own
 
 

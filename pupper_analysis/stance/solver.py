@@ -277,6 +277,9 @@ class Solver:
         inside: The com may be anywhere in the support polygon with the task's margin, instead of
             at ``goal.place``.
         apart: Heed the task's least distance between links.
+
+    Attributes:
+        tasks: PlaCo's tasks, which other goals may have as well.
     """
 
     def __init__(
@@ -288,12 +291,12 @@ class Solver:
         if apart:
             shapes.pair()  # before the state is set: it moves the robot
         if inside or apart or len(shapes.robot.soles) < len(shapes.robot.feet):
-            self._tasks = Tasks(shapes, goal, inside=inside, apart=apart)
+            self.tasks = Tasks(shapes, goal, inside=inside, apart=apart)
         else:  # tasks that differ in numbers alone
             kept = shapes.tasks
             if goal.by_base not in kept:
                 kept[goal.by_base] = Tasks(shapes, goal, inside=False, apart=False)
-            self._tasks = kept[goal.by_base]
+            self.tasks = kept[goal.by_base]
 
     def run(self, joints: Array, place: Array | None = None) -> Point:
         """Solves from joint positions (nu,); the base begins where it puts the com in its place.
@@ -303,9 +306,9 @@ class Solver:
             place: (2,) where the com, or the base, begins (m); by default where it shall be.
         """
         wrapper, convention = self.shapes.wrapper, self.shapes.robot.pin_convention
-        tasks = self._tasks
+        tasks = self.tasks
         tasks.aim(self.goal)
-        q = self._begin(joints, self.goal.place if place is None else place)
+        q = self.begin(joints, self.goal.place if place is None else place)
         # A trust region: where a step makes things worse it is undone, and the next one is shorter.
         radius, iterations, slow = _TRUST_RADIUS, 0, 0
         error, last = math.inf, 0.0
@@ -343,13 +346,10 @@ class Solver:
         miss = max([foot.error_norm() for _, foot in tasks.feet])
         return Point(convention.qpos(wrapper.state.q), miss, iterations)
 
-    def _begin(self, joints: Array, place: Array) -> Array:
+    def begin(self, joints: Array, place: Array) -> Array:
         """Puts PlaCo's robot upright, its com or base over a place (2,) (m); returns its q."""
-        convention, wrapper, goal = (
-            self.shapes.robot.pin_convention,
-            self.shapes.wrapper,
-            self.goal,
-        )
+        convention, goal = self.shapes.robot.pin_convention, self.goal
+        wrapper = self.shapes.wrapper
         w, i, j, k = goal.turn
         base = (*place.tolist(), goal.height, w, i, j, k)
         bent = np.minimum(np.maximum(joints, goal.lower), goal.upper)

@@ -264,7 +264,7 @@ class Equilibrium:
 
     def _rub(self, solution: Solution, share: float) -> bool:
         """Moves friction, by a share, to what lifts the base most, or least; tells if it can."""
-        derivative = self.derivative(solution.qpos, self._stacked(solution))
+        derivative = self.derivative(solution.qpos, self.stacked(solution))
         height = np.zeros(len(derivative))
         height[2] = np.sign(self.lift)
         try:
@@ -282,13 +282,13 @@ class Equilibrium:
             self.moments[foot] = (1 - share) * before + share * moment
         return True
 
-    def _stacked(self, solution: Solution) -> Array:
+    def stacked(self, solution: Solution) -> Array:
         """Returns the forces (n, 3) on the feet that touch."""
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
 
     def _newton(self, guess: Solution) -> Solution | None:
         qpos, n = guess.qpos, self.robot.nv
-        forces = self._stacked(guess)
+        forces = self.stacked(guess)
         residuals: list[float] = []
         for _ in range(_MAX_ITERATIONS):
             residual = self.residual(qpos, forces)
@@ -346,7 +346,7 @@ class Equilibrium:
 
     def slipping(self, solution: Solution) -> tuple[str, ...]:
         """Returns the pinned feet that slip."""
-        forces = self._stacked(solution)
+        forces = self.stacked(solution)
         _, places, _ = self.terms(solution.qpos, forces)
         places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
         names = tuple(self.anchors)
@@ -354,7 +354,7 @@ class Equilibrium:
 
     def begin_creep(self, solution: Solution, seconds: float) -> None:
         """Begins a step of creep, with the viscosities of where it begins."""
-        _, places, _ = self.terms(solution.qpos, self._stacked(solution))
+        _, places, _ = self.terms(solution.qpos, self.stacked(solution))
         self.crept = dict(zip(self.anchors, places[:, :2], strict=True))
         self.yielding = {
             foot: seconds / self.viscosity(foot, depth)
@@ -368,7 +368,7 @@ class Equilibrium:
 
     def stiffness(self, solution: Solution) -> float:
         """Returns the least eigenvalue of the Hessian where the feet allow it to move."""
-        n, forces = self.robot.nv, self._stacked(solution)
+        n, forces = self.robot.nv, self.stacked(solution)
         derivative = self.derivative(solution.qpos, forces)
         touch = self.touch(solution.qpos)
         config, places, jacobian = touch.config, touch.places, touch.jacobians.reshape(-1, n)
