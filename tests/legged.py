@@ -85,6 +85,30 @@ def quadruped(
     return _written(folder, "\n".join([*urdf, "</robot>"]), mjcf)
 
 
+def planar(pair: Pair, aside: float = 2e-6) -> Pair:
+    """Takes the hips' roll joints out of a quadruped: its legs swing in planes, as Solo 8's.
+
+    The trunk's com is a little off the middle, as it is in files of real robots.
+    """
+    urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
+    for joint in urdf.findall("joint"):
+        if str(joint.get("name")).endswith("_roll"):
+            joint.set("type", "fixed")
+            for tag in ("axis", "limit"):
+                joint.remove(joint.find(tag))  # type: ignore[arg-type]
+    urdf.find("link/inertial/origin").set("xyz", f"0 {aside} 0")  # type: ignore[union-attr]
+    mjcf.find("worldbody/body/inertial").set("pos", f"0 {aside} 0")  # type: ignore[union-attr]
+    for parent in list(mjcf.iter()):
+        for child in list(parent):
+            if str(child.get("name", child.get("joint", ""))).endswith("_roll"):
+                parent.remove(child)
+    for key in mjcf.findall("keyframe"):
+        mjcf.remove(key)
+    pair.urdf.write_text(ElementTree.tostring(urdf, encoding="unicode"))
+    pair.mjcf.write_text(ElementTree.tostring(mjcf, encoding="unicode"))
+    return pair
+
+
 def fused(pair: Pair) -> Pair:
     """Takes the trunk off a quadruped's MJCF: its legs are in the world, as MuJoCo converts URDFs.
 

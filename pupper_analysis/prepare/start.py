@@ -19,6 +19,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import branches, combinations, limbs
 from pupper_analysis.stance.clearance import Shapes, shapes_of
 from pupper_analysis.stance.problem import Goal, goal_of
+from pupper_analysis.stance.search import begin_inside
 from pupper_analysis.stance.solver import TASK_TOLERANCE, Solver, measure
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
@@ -233,6 +234,9 @@ def _first_solved(shapes: Shapes, goal: Goal, seeds: Sequence[Array]) -> Stand |
             stand = measure(shapes, goal, point.qpos, point.iterations)
             if stand.solved:
                 return stand
+        inside = begin_inside(shapes, goal, joints, goal.place)
+        if inside is not None:
+            return inside
     return None
 
 

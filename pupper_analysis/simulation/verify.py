@@ -18,7 +18,7 @@ from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.passive import passive_forces
 from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
-from pupper_analysis.simulation.stability import too_stiff
+from pupper_analysis.simulation.stability import creeping, too_stiff
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import drop_at
@@ -176,7 +176,8 @@ def verify_stand(
     found = _measured(robot, stand, drive, prediction, states, watch, light)
     found = replace(found, feedforward=feedforward)
     failures = _failures(robot, stand, states, watch, found)
-    failures += too_stiff(robot, stand, drive) if failures else []
+    if failures:
+        failures += [*too_stiff(robot, stand, drive), *creeping(robot, stand, prediction)]
     if feedforward:
         failures += _deviations(robot, stand, watch, found, alone=not failures)
     return replace(found, passed=not failures, failures=tuple(failures))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.com_reach import moves_com
 from pupper_analysis.stance.footholds import footholds, sunk_into
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
@@ -24,7 +25,7 @@ class Goal:
     """A task in numbers, for one robot.
 
     Attributes:
-        task: The task, with its height filled in.
+        task: The task, with its height and com filled in.
         targets: {foot: (3,)} of the feet's centres.
         depths: {foot that carries: m} how deep these are in the ground.
         stance_feet: The feet that carry.
@@ -80,6 +81,15 @@ def goal_of(
         targets = sunk_into(
             robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
         )
+    if task.com is None or task.height is None:
+        task = copy.copy(task)  # its values have been checked
+        if task.com is None:
+            anywhere = task.offset is None and not moves_com(robot)
+            object.__setattr__(task, "com", "inside" if anywhere else "centre")
+        if task.height is None:
+            object.__setattr__(task, "height", robot.stand_height)
+    assert task.height is not None
+    assert task.com is not None
     centre = contacts.mean(axis=0)
     if like is not None and like.task.joint_margin == task.joint_margin:
         lower, upper = like.lower, like.upper
@@ -109,10 +119,6 @@ def goal_of(
             "com_margin",
             f"{task.com_margin} m is more than the {inside:.4g} m that the support polygon leaves",
         )
-    if task.height is None:
-        task = copy.copy(task)  # its values have been checked
-        object.__setattr__(task, "height", robot.stand_height)
-    assert task.height is not None
     return Goal(
         task=task,
         targets=targets,
