@@ -58,7 +58,7 @@ def test_its_sag_is_mujocos(tmp_path: Path) -> None:
     sag = pa.steady_state(robot, stand)
     assert not sag.failures
     seen = pa.verify_stand(robot, stand, feedforward=False, duration=8.0)
-    assert sag.height_loss == pytest.approx(seen.height_loss, rel=1e-4)
+    assert sag.height_loss == pytest.approx(seen.height_loss, rel=1e-3)  # feet creep by micrometres
     assert sag.height_loss > 1e-3
 
 

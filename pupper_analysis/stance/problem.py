@@ -81,13 +81,7 @@ def goal_of(
         targets = sunk_into(
             robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
         )
-    if task.com is None or task.height is None:
-        task = copy.copy(task)  # its values have been checked
-        if task.com is None:
-            anywhere = task.offset is None and not moves_com(robot)
-            object.__setattr__(task, "com", "inside" if anywhere else "centre")
-        if task.height is None:
-            object.__setattr__(task, "height", robot.stand_height)
+    task = _filled(robot, task)
     assert task.height is not None
     assert task.com is not None
     centre = contacts.mean(axis=0)
@@ -131,6 +125,19 @@ def goal_of(
         lower=lower,
         upper=upper,
     )
+
+
+def _filled(robot: Robot, task: StandTask) -> StandTask:
+    """Returns a task with the robot's own height and com, where it leaves them open."""
+    if task.com is not None and task.height is not None:
+        return task
+    task = copy.copy(task)  # its values have been checked
+    if task.com is None:
+        anywhere = task.offset is None and not moves_com(robot)
+        object.__setattr__(task, "com", "inside" if anywhere else "centre")
+    if task.height is None:
+        object.__setattr__(task, "height", robot.stand_height)
+    return task
 
 
 def _same_feet(one: StandTask, other: StandTask) -> bool:

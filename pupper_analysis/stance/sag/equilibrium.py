@@ -121,7 +121,7 @@ class Equilibrium:
     def terms(self, qpos: Array, forces: Array) -> tuple[Array, Array, Array]:
         """Returns the balance (nv,), slips and depths (n, 3), and the Jacobian (3 n, nv)."""
         touch = self.touch(qpos)
-        balance = touch.config.gravity() - touch.push(forces, self._turning())
+        balance = touch.config.load() - touch.push(forces, self._turning())
         balance[6:] -= self.torques(qpos) + self.joint_friction
         return balance, touch.places.copy(), touch.jacobians.reshape(-1, len(balance))
 
