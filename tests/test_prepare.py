@@ -243,11 +243,35 @@ def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
     assert held.contact_forces.keys() == set(robot.soles["right_tilt_link"])
 
 
-def test_a_step_under_a_flat_foot_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("shape", sorted(BIPED_FEET.keys() - {"cylinder"}))  # its points turn
+def test_a_flat_foot_stands_on_a_step(shape: str, tmp_path: Path) -> None:
+    robot = load(biped(tmp_path, BIPED_FEET[shape]))
+    ground = pa.Ground(heights={"left_tilt_link": 0.03})
+    stand = pa.sunk_stand(robot, pa.StandTask(ground=ground))
+    heights = {
+        foot: min(stand.contact_points[point][2] for point in points)
+        for foot, points in robot.soles.items()
+    }
+    assert heights["left_tilt_link"] - heights["right_tilt_link"] == pytest.approx(0.03, abs=1e-9)
+    found = pa.verify_stand(robot, stand)
+    assert found.passed, found.failures
+    assert max(found.torque_error, found.force_error) < 1e-4
+
+
+def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
-    task = pa.StandTask(ground=pa.Ground(heights={"left_tilt_link": 0.02}))
-    with pytest.raises(pa.ConfigurationError, match="a step under left_tilt_link"):
-        pa.solve_stand(robot, task)
+    heights = {"left_tilt_link": 0.02, "right_tilt_link": 0.045}
+    ground = pa.Ground(slope=0.08, uphill=0.5, heights=heights)
+    stand = pa.sunk_stand(robot, pa.StandTask(ground=ground))
+    for foot, points in robot.soles.items():
+        for point in points:
+            place = stand.contact_points[point]
+            assert ground.height(place[:2], foot) == pytest.approx(place[2], abs=1e-9)
+    assert pa.verify_stand(robot, stand).mujoco_foot_error < 1e-9
+    sag = pa.steady_state(robot, stand)
+    assert not sag.failures
+    on_one = pa.StandTask(ground=ground, swing={"left_tilt_link": 0.03})
+    assert pa.verify_stand(robot, pa.sunk_stand(robot, on_one)).passed
 
 
 def test_one_foot_with_one_point_is_not_enough(tmp_path: Path) -> None:

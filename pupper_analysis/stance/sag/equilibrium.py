@@ -74,6 +74,7 @@ class Equilibrium:
         self.frame = pin.Quaternion.FromTwoVectors(self.normal, UP).matrix()
         self.laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
         self.target = stand.qpos[7:]
+        self._sole = {point: sole for sole, points in robot.soles.items() for point in points}
         config = Configuration(robot, stand.qpos)
         self.anchors = {
             foot: Anchor(stand.foot_targets[foot], config.frame_rotation(robot.foot_frames[foot]))
@@ -93,7 +94,7 @@ class Equilibrium:
         cosine = float(self.normal[2])
         return {
             foot: self.robot.foot_radius[foot]
-            - (float(centre[2]) - self.ground.height(centre[:2], foot)) * cosine
+            - (float(centre[2]) - self.ground.height(centre[:2], self._sole[foot])) * cosine
             for foot, centre in config.foot_positions().items()
         }
 
