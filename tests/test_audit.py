@@ -22,6 +22,8 @@ from pupper_analysis.checks.audit.pairs import mirror_name, mirror_pairs
 from pupper_analysis.checks.audit.registry import rules_table
 from pupper_analysis.checks.audit.rules.joints import expected_axis
 from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.report.html.document import Text
+from pupper_analysis.report.html.sentences import said
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN = {
@@ -391,6 +393,7 @@ def test_a_slip_is_found_where_it_is(case: Case, tmp_path: Path, sound: dict[str
     assert finding.line == line_of(path.read_text(), *case.line)
     rule = RULES[case.rule]
     assert (finding.why, finding.todo) == (rule.why, rule.todo)
+    assert isinstance(said(finding.message), Text), finding.message
     assert finding.severity.rank >= rule.severity.rank
     assert case.format in rule.formats
 

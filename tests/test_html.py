@@ -211,7 +211,9 @@ def test_what_is_seen_in_a_language_is_of_that_language() -> None:
 
 
 SAME = {"kd", "kp \\ kd", "yourdfpy (URDF)", "URDF: {file}", "MJCF: {file}"} | {
-    "{angle} {value} deg"
+    "{angle} {value} deg",
+    "{element}: {message}",
+    "{rule}: {why} {todo}",
 }
 """What is the same in both languages: symbols and names."""
 
@@ -419,8 +421,9 @@ def test_the_overlay_marks_what_differs() -> None:
     assert marked == {"base_link"}
     told = {body["name"]: body["told"] for body in drawn["bodies"] if "told" in body}
     assert list(told) == ["base_link"]
-    assert "mass 1.625 kg in the URDF" in told["base_link"]
-    assert {joint["told"] for joint in drawn["joints"]} == {""}
+    assert "mass 1.625 kg in the URDF" in told["base_link"]["en"]
+    assert "质量在 URDF 中为 1.625 kg" in told["base_link"]["zh"]
+    assert all(joint["told"] == {"en": "", "zh": ""} for joint in drawn["joints"])
 
 
 def test_the_two_files_lie_on_each_other() -> None:

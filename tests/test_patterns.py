@@ -26,11 +26,16 @@ from scipy.spatial.transform import Rotation
 from test_comparison_report import lines
 from test_mutations import sources
 
+from pupper_analysis.report.html.document import Text
+from pupper_analysis.report.html.sentences import said
+
 
 def first_line(files: Files) -> str:
     comparison = compared(files)
     assert not comparison.agree
     assert comparison.complete
+    causes = [cause.message for cause in comparison.causes]
+    assert all(isinstance(said(cause), Text) for cause in causes), causes
     return lines(comparison)[0]
 
 

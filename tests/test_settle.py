@@ -1,5 +1,6 @@
 """The predicted sag, each number two ways: against differences, balances, MuJoCo, simulations."""
 
+import contextlib
 from dataclasses import replace
 
 import mujoco
@@ -10,9 +11,10 @@ from conftest import NAMES, SKELETON_NAMES, changed, load, mujoco_at, stand_of
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.servos import servos
+from pupper_analysis.stance.sag import equilibrium
 from pupper_analysis.stance.sag import steady_state as settle
 from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
-from pupper_analysis.stance.sag.solution import move
+from pupper_analysis.stance.sag.solution import Solution, goes_round, move
 from pupper_analysis.stance.sag.steady_state import minimum_stiffness, steady_state
 from pupper_analysis.stance.sag.way import Way
 
@@ -468,6 +470,60 @@ def test_minimum_stiffness_of_sliding_feet() -> None:
     assert pa.verify_stand(fast, stand, kp=1.05 * kp, **options).passed
     below = pa.verify_stand(fast, stand, kp=0.9 * kp, **options)
     assert any("touches the ground" in failure for failure in below.failures)
+
+
+def searches(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Solution | None, int]]:
+    """What every search of Newton's finds from now on, and how many steps it takes."""
+    looked, ended = [0], []
+    derivative, newton = Equilibrium.derivative, Equilibrium._newton
+
+    def counted(self: Equilibrium, *args: np.ndarray) -> np.ndarray:
+        looked[0] += 1
+        return derivative(self, *args)
+
+    def watched(self: Equilibrium, guess: Solution) -> Solution | None:
+        begun = looked[0]
+        found = newton(self, guess)
+        ended.append((found, looked[0] - begun))
+        return found
+
+    monkeypatch.setattr(Equilibrium, "derivative", counted)
+    monkeypatch.setattr(Equilibrium, "_newton", watched)
+    return ended
+
+
+def test_a_search_that_goes_round_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = searches(monkeypatch)
+    robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=1.5))  # its stand ends half way
+    with pytest.raises(pa.NoEquilibriumError, match="of the feed-forward is taken away"):
+        steady_state(robot, pa.solve_stand(robot))
+    lost = [steps for found, steps in ended if found is None]
+    assert len(lost) >= 5
+    assert sum(lost) < 10 * len(lost)  # all took 25 steps
+
+
+@pytest.mark.parametrize("torso", [1.0, 3.0, 5.0])
+def test_a_search_that_finds_something_does_not_go_round(
+    monkeypatch: pytest.MonkeyPatch, torso: float
+) -> None:
+    monkeypatch.setattr(equilibrium, "goes_round", lambda _: False)
+    ended = searches(monkeypatch)
+    for leg in (0.8, 1.1, 1.4):
+        robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=leg, torso_mass_scale=torso))
+        with contextlib.suppress(pa.NoEquilibriumError):
+            steady_state(robot, pa.solve_stand(robot))
+    found = [one.residuals for one, _ in ended if one is not None]
+    assert len(found) >= 6
+    for residuals in found:
+        assert not any(goes_round(residuals[:end]) for end in range(len(residuals)))
+
+
+def test_what_goes_round() -> None:
+    assert goes_round([0.1, 3.0, 0.02, 3.1, 0.0201, 3.105])
+    assert goes_round([1.0, 7.0, 0.16, 0.003, 0.88, 0.16, 0.003, 0.88])
+    assert not goes_round([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125])
+    assert not goes_round([1.0, 0.02, 1.0, 0.01, 1.0, 0.005])  # every other one comes nearer
+    assert not goes_round([0.5, 0.5, 0.5])
 
 
 def test_instability_is_reported() -> None:

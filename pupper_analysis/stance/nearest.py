@@ -1,4 +1,4 @@
-"""How near feet can come to places that are out of reach."""
+"""How near the feet can come to targets that are out of reach."""
 
 from __future__ import annotations
 

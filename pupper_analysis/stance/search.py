@@ -14,6 +14,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import Branch, Limb, branches, combinations
 from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.clearing import clear_starts
 from pupper_analysis.stance.nearest import nearest
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.solver import TASK_TOLERANCE, Point, Solver, Stand, measure
@@ -30,8 +31,14 @@ joints turn all the way round, with four branches each."""
 _ROUNDS = 4
 """How often the branches are looked for anew from where the feet have come much nearer."""
 
+_CLEAR_STARTS = 24
+"""Choices of clear branches that are tried where feet are in place and a part is in the ground."""
+
 _CLEARED = 4
 """Stands with a part in the ground that are tried once more with it kept out (SLSQP, slow)."""
+
+_TURNS = 4
+"""How often one is; with less than a millimetre left two were enough."""
 
 _CLOSE = 5e-3
 """Where feet miss by less (m), every branch is tried from there; the com may have gone far."""
@@ -231,12 +238,31 @@ def _search_inside(
             if solves(random.uniform(low, high), place):
                 return found[-1]
     reached = [stand for stand in found if stand.foot_error < TASK_TOLERANCE]
+    if reached:  # and a part is in the ground: elsewhere, or bent otherwise, it may not be
+        least_off = max(reached, key=lambda stand: stand.room)
+        clear_of_it = clear_starts(shapes, goal, least_off.qpos, _inner(goal))
+        for start, place in islice(clear_of_it, _CLEAR_STARTS):
+            if solves(start, place):
+                return found[-1]
+        reached = [stand for stand in found if stand.foot_error < TASK_TOLERANCE]
     for stand in sorted(reached, key=lambda stand: stand.room, reverse=True)[:_CLEARED]:
-        clear = nearest(shapes, goal, stand.qpos, clear=True)
-        cleared = _exactly(shapes, goal, Point(clear.qpos, clear.foot_error, 0))
-        if cleared.solved:
+        if (cleared := _cleared(shapes, goal, stand)).solved:
             return cleared
     return max(found, key=lambda stand: (stand.foot_error < TASK_TOLERANCE, -stand.foot_error))
+
+
+def _cleared(shapes: Shapes, goal: Goal, stand: Stand) -> Stand:
+    """Returns a stand near another one of which a part is in the ground, or what came of it.
+
+    At the edge of what is possible the feet and the ground are each satisfied at the other's
+    expense, by turns, and less of it every time.
+    """
+    for _ in range(_TURNS):
+        clear = nearest(shapes, goal, stand.qpos, clear=True)
+        stand = _exactly(shapes, goal, Point(clear.qpos, clear.foot_error, 0))
+        if stand.solved or stand.foot_error >= TASK_TOLERANCE:
+            break
+    return stand
 
 
 def _exactly(shapes: Shapes, goal: Goal, point: Point) -> Stand:
@@ -259,13 +285,17 @@ def _places(goal: Goal) -> list[Array]:
 
 def pushed_inside(place: Array, goal: Goal) -> Array:
     """Returns the nearest place (2,) to one that has the task's margin in the support polygon."""
-    polygon = shapely.Polygon(support_polygon(goal.contacts))
-    inner = polygon.buffer(-(goal.task.com_margin + TASK_TOLERANCE), join_style="mitre")
-    point = shapely.Point(place)
+    inner, point = _inner(goal), shapely.Point(place)
     if inner.is_empty or inner.contains(point):
         return place
     line = shapely.shortest_line(inner, point)  # from the polygon to the point
     return np.array(line.coords[0])
+
+
+def _inner(goal: Goal) -> shapely.Polygon:
+    """Returns where in the support polygon the com has the task's margin."""
+    polygon = shapely.Polygon(support_polygon(goal.contacts))
+    return polygon.buffer(-(goal.task.com_margin + TASK_TOLERANCE), join_style="mitre")
 
 
 def starts(robot: Robot, goal: Goal) -> Iterator[Array]:

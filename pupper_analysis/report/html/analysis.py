@@ -14,7 +14,6 @@ from pupper_analysis.report.html.document import (
     Lines,
     Name,
     Number,
-    Said,
     Section,
     Table,
     Words,
@@ -22,6 +21,7 @@ from pupper_analysis.report.html.document import (
     vector,
 )
 from pupper_analysis.report.html.loads import load_blocks, view_block
+from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.simulated import (
     edge_note,
     motions_of,
@@ -43,7 +43,7 @@ def analysis_section(analysis: Analysis, robot: Robot | None) -> Section:
     """
     blocks: list[Block] = []
     if analysis.failures:
-        blocks.append(Lines(tuple(map(Said, analysis.failures)), "bad", text("What failed")))
+        blocks.append(Lines(tuple(map(said, analysis.failures)), "bad", text("What failed")))
     runs = (analysis.verification, analysis.sagging)
     blocks.append(view_block(robot, analysis.stand, analysis.statics, motions_of(runs)))
     blocks += _structure(analysis, robot)
@@ -64,7 +64,7 @@ def analysis_section(analysis: Analysis, robot: Robot | None) -> Section:
         tuple(blocks),
         analysis.verified,
         text("VERIFIED") if analysis.verified else text("FAILED"),
-        (*map(Said, analysis.failures), *_surprises(analysis)),
+        (*map(said, analysis.failures), *_surprises(analysis)),
     )
 
 
@@ -89,10 +89,10 @@ def _surprises(analysis: Analysis) -> Iterable[Words]:
         )
     else:
         yield text("Commanded the pose alone, without feed-forward, it does not stand:")
-        yield from map(Said, without.failures)
+        yield from map(said, without.failures)
     if analysis.sweep.at_edge:
         yield edge_note(analysis.sweep)
-    yield from map(Said, analysis.notes)
+    yield from map(said, analysis.notes)
 
 
 def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[Block]:
@@ -172,7 +172,7 @@ def _joints(analysis: Analysis, robot: Robot | None) -> Table:
             *(located if places else ()),
         ),
         tuple(rows),
-        (*notes, *map(Said, analysis.notes)),
+        (*notes, *map(said, analysis.notes)),
         (
             text("Limits from the URDF; armature, damping and friction from the MJCF."),
             page("conventions.md", "Coordinates"),
@@ -271,7 +271,7 @@ def _check(analysis: Analysis) -> Block:
             Column(text("verdict"), left=True),
         ),
         tuple(rows),
-        tuple(map(Said, check.notes)),
+        tuple(map(said, check.notes)),
         (
             text("Two models in two engines; kinematics also by yourdfpy."),
             page("physics.md", "The cross-check"),

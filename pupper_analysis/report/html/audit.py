@@ -12,11 +12,11 @@ from pupper_analysis.report.html.document import (
     Lines,
     Name,
     Number,
-    Said,
     Section,
     Table,
     Text,
 )
+from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.sources import page, quoted
 from pupper_analysis.report.html.words import text, word
 
@@ -29,13 +29,16 @@ def audit_section(audit: Audit) -> Section:
     if audit.findings:
         blocks += [_findings(audit), _advice(audit.findings)]
     if audit.notes:
-        blocks.append(Lines(tuple(map(Said, audit.notes)), "warn", text("Left out")))
+        blocks.append(Lines(tuple(map(said, audit.notes)), "warn", text("Left out")))
     told = [
         text("{count} of severity {severity}", count=count, severity=word(severity))
         for severity, count in audit.counts.items()
     ]
     told.append(text("by {count} rules", count=len(audit.rules_run)))
-    worst = [Said(f"{one.element}: {one.message}") for one in audit.findings[:3]]
+    worst = [
+        text("{element}: {message}", element=said(one.element), message=said(one.message))
+        for one in audit.findings[:3]
+    ]
     return Section(
         Name(Path(audit.file).name),
         tuple(blocks),
@@ -62,8 +65,8 @@ def _findings(audit: Audit) -> Table:
                 word(str(one.severity)),
                 Name(one.rule),
                 word(RULES[one.rule].title) if one.rule in RULES else Name(""),
-                Name(one.element),
-                Said(one.message),
+                said(one.element),
+                said(one.message),
                 Name(f"{Path(one.file).name}{line}"),
                 Name(quoted(f"{one.file}{line}", audit.file)),
             )
@@ -88,5 +91,9 @@ def _findings(audit: Audit) -> Table:
 
 def _advice(findings: tuple[Finding, ...]) -> Lines:
     """Returns why each rule matters, and what to do, once per rule."""
-    said = {one.rule: f"{one.rule}: {one.why} {one.todo}" for one in reversed(findings)}
-    return Lines(tuple(map(Said, reversed(said.values()))), title=text("Why, and what to do"))
+    ruled = {one.rule: one for one in reversed(findings)}
+    lines = tuple(
+        text("{rule}: {why} {todo}", rule=Name(rule), why=said(one.why), todo=said(one.todo))
+        for rule, one in reversed(ruled.items())
+    )
+    return Lines(lines, title=text("Why, and what to do"))

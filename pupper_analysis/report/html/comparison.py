@@ -21,7 +21,6 @@ from pupper_analysis.report.html.document import (
     Lines,
     Name,
     Number,
-    Said,
     Section,
     Sides,
     Table,
@@ -30,6 +29,7 @@ from pupper_analysis.report.html.document import (
     number,
 )
 from pupper_analysis.report.html.overlay import overlay_of
+from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.sources import page, quoted
 from pupper_analysis.report.html.words import text, word
 from pupper_analysis.results import short
@@ -55,11 +55,11 @@ def comparison_section(comparison: Comparison) -> Section:
     if scene is not None:
         blocks.append(View(text("The two files over each other"), scene, text(_OVERLAY)))
     for part in comparison.parts:
-        blocks.append(Lines((Said(part),), "bad", text("Only in one file")))
+        blocks.append(Lines((said(part),), "bad", text("Only in one file")))
     for cause in causes:
         first = comparison.differences[cause.differences[0]]
         made = text("This alone makes {count} differences.", count=len(cause.differences))
-        blocks.append(_sides(comparison, first, Said(cause.message), made))
+        blocks.append(_sides(comparison, first, said(cause.message), made))
     for group in groups[:SHOWN]:
         more: list[Words] = []
         if len(group) > 1:
@@ -67,7 +67,7 @@ def comparison_section(comparison: Comparison) -> Section:
             more.append(
                 text("Likewise on {count} more: {names}", count=len(group) - 1, names=Name(names))
             )
-        blocks.append(_sides(comparison, group[0], Said(group[0].message), *more))
+        blocks.append(_sides(comparison, group[0], said(group[0].message), *more))
     if len(groups) > SHOWN:
         blocks.append(
             Lines((text("{count} more are in the table alone.", count=len(groups) - SHOWN),))
@@ -78,7 +78,7 @@ def comparison_section(comparison: Comparison) -> Section:
     blocks.append(_quantities(comparison))
     notes = [*matching_notes(comparison), *comparison.check.notes, *comparison.engines]
     if notes:
-        blocks.append(Lines(tuple(map(Said, notes)), title=text("Notes")))
+        blocks.append(Lines(tuple(map(said, notes)), title=text("Notes")))
     agree = comparison.agree
     return Section(
         Name(f"{Path(comparison.urdf).name} ↔ {Path(comparison.mjcf).name}"),
@@ -87,7 +87,7 @@ def comparison_section(comparison: Comparison) -> Section:
         text("AGREE") if agree else text("DISAGREE"),
         (
             text("{count} differences", count=len(comparison.differences)),
-            Said(first_to_mend(comparison, causes, groups)),
+            said(first_to_mend(comparison, causes, groups)),
         ),
     )
 
@@ -105,7 +105,7 @@ def _sides(comparison: Comparison, difference: Difference, title: Words, *notes:
     return Sides(
         title,
         tuple(columns),
-        (*notes, *map(Said, difference.made_of), Said(effects_in_words(difference))),
+        (*notes, *map(said, difference.made_of), said(effects_in_words(difference))),
     )
 
 
@@ -169,7 +169,7 @@ def _explained(comparison: Comparison) -> Iterable[Block]:
             )
         )
     if comparison.objections:
-        yield Lines(tuple(map(Said, comparison.objections)), "bad", text("Objections"))
+        yield Lines(tuple(map(said, comparison.objections)), "bad", text("Objections"))
 
 
 def _quantities(comparison: Comparison) -> Table:

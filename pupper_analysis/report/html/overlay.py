@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import mujoco
@@ -14,7 +15,9 @@ from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.report.formats import visible
+from pupper_analysis.report.html.document import Text
 from pupper_analysis.report.html.scene import bodies_of, extent_of, geoms_of, packed, short_numbers
+from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.words import text
 
 Array = NDArray[np.float64]
@@ -41,7 +44,7 @@ def overlay_of(comparison: Comparison) -> dict[str, Any] | None:
     told = _told(comparison, model)
     bodies, (geoms, meshes) = bodies_of(model), geoms_of(model)
     for body, messages in told.items():
-        bodies[body - 1]["told"] = "; ".join(map(visible, messages))
+        bodies[body - 1]["told"] = _in_both(messages)
     for geom in geoms:
         geom["marked"] = geom["body"] + 1 in told
     root = _root(comparison, model)
@@ -119,7 +122,15 @@ def _joints(comparison: Comparison, model: mujoco.MjModel) -> list[dict[str, Any
                 "body": int(model.jnt_bodyid[joint]) - 1,
                 "anchor": short_numbers(model.jnt_pos[joint]),
                 "axis": short_numbers(model.jnt_axis[joint]),
-                "told": "; ".join(map(visible, messages)),
+                "told": _in_both(messages),
             }
         )
     return listed
+
+
+def _in_both(messages: Iterable[str]) -> dict[str, str]:
+    """Returns {language: sentences}, empty texts where there is none."""
+    sentence = said("; ".join(messages))
+    if isinstance(sentence, Text):
+        return {"en": visible(sentence.en), "zh": visible(sentence.zh)}
+    return dict.fromkeys(("en", "zh"), visible(sentence.text))

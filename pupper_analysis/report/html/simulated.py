@@ -18,7 +18,6 @@ from pupper_analysis.report.html.document import (
     Name,
     Number,
     Plot,
-    Said,
     Table,
     Text,
     Words,
@@ -26,6 +25,7 @@ from pupper_analysis.report.html.document import (
 )
 from pupper_analysis.report.html.loads import proof
 from pupper_analysis.report.html.scene import Motion
+from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.sources import page
 from pupper_analysis.report.html.words import joined, text, word
 from pupper_analysis.simulation.gain_sweep import GainSweep
@@ -62,7 +62,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[Block]:
         both, ("with feed-forward it fails", "without feed-forward it fails"), strict=True
     ):
         if one.failures:
-            yield Lines(tuple(map(Said, one.failures)), "warn", text(title))
+            yield Lines(tuple(map(said, one.failures)), "warn", text(title))
     yield height_plot(both, float(analysis.stand.qpos[2]))
 
 

@@ -8,7 +8,8 @@ from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.report.html.document import Name, Said, Text, Words
+from pupper_analysis.report.html.document import Name, Text, Words
+from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
 
@@ -37,7 +38,7 @@ def files(robot: Robot | None) -> Text:
 
 def source_of(robot: Robot | None) -> list[Words]:
     """Returns which two files a robot is from, and what was assumed on loading them."""
-    return [files(robot), *map(Said, () if robot is None else robot.notes)]
+    return [files(robot), *map(said, () if robot is None else robot.notes)]
 
 
 def is_derived(robot: Robot) -> bool:

@@ -16,7 +16,6 @@ from pupper_analysis.report.html.document import (
     Lines,
     Name,
     Plot,
-    Said,
     Section,
     Table,
     Words,
@@ -24,6 +23,7 @@ from pupper_analysis.report.html.document import (
 )
 from pupper_analysis.report.html.loads import load_blocks, proof, view_block
 from pupper_analysis.report.html.scene import Motion
+from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.simulated import height_plot, motions_of, run_rows
 from pupper_analysis.report.html.sources import page, source_of
 from pupper_analysis.report.html.tasks import task_text
@@ -36,7 +36,7 @@ def stance_section(stance: Stance, robot: Robot | None) -> Section:
     run = stance.verification
     blocks: list[Block] = []
     if run.failures:
-        blocks.append(Lines(tuple(map(Said, run.failures)), "bad", text("What failed")))
+        blocks.append(Lines(tuple(map(said, run.failures)), "bad", text("What failed")))
     blocks.append(view_block(robot, stance.sunk or stance.stand, stance.statics, motions_of([run])))
     blocks.append(Lines((task_text(stance.stand.task), *source_of(robot), *_told(stance))))
     blocks += load_blocks(
@@ -65,7 +65,7 @@ def stance_section(stance: Stance, robot: Robot | None) -> Section:
         tuple(blocks),
         stance.passed,
         text("HOLDS") if stance.passed else text("FAILS"),
-        (task_text(stance.stand.task), *map(Said, run.failures), *_told(stance)),
+        (task_text(stance.stand.task), *map(said, run.failures), *_told(stance)),
     )
 
 
@@ -78,7 +78,7 @@ def _told(stance: Stance) -> Iterable[Words]:
     settled = stance.settled
     if settled is None:
         yield text("Without feed-forward, no sag is predicted:")
-        yield Said(stance.unsettled)
+        yield said(stance.unsettled)
     else:
         yield text(
             "Without feed-forward it settles at {height} m: servos give {servo} mm, the ground "
@@ -87,7 +87,7 @@ def _told(stance: Stance) -> Iterable[Words]:
             servo=f"{1e3 * settled.servo_sag:.2f}",
             contact=f"{1e3 * settled.contact_sag:.2f}",
         )
-        yield from map(Said, settled.failures)
+        yield from map(said, settled.failures)
     if stance.minimum_stiffness is not None:
         yield text(
             "Minimum stiffness of servos that carry it without feed-forward: {kp} N m/rad",
@@ -122,7 +122,7 @@ def push_section(pushed: PushedStance, robot: Robot | None) -> Section:
             number(recovery.impulses[index], ".2f"),
             number(recovery.velocity_steps[index], ".3f"),
             number(recovery.tipping_estimate[index], ".2f"),
-            Said(recovery.failures[index]),
+            said(recovery.failures[index]),
         )
         for index, angle in enumerate(recovery.directions)
     ]
@@ -164,7 +164,7 @@ def push_section(pushed: PushedStance, robot: Robot | None) -> Section:
         ),
         pushed.passed,
         text("LASTS") if pushed.passed else text("FAILS"),
-        (weakest, Said(recovery.weakest_failure)),
+        (weakest, said(recovery.weakest_failure)),
     )
 
 
@@ -245,11 +245,11 @@ def path_section(there: PathThere, robot: Robot | None) -> Section:
     motion = Motion(text("the path"), path.time, path.qpos)
     blocks.insert(0, view_block(robot, there.stand, None, [motion]))
     if tracking.failures:
-        blocks.insert(0, Lines(tuple(map(Said, tracking.failures)), "bad", text("What failed")))
+        blocks.insert(0, Lines(tuple(map(said, tracking.failures)), "bad", text("What failed")))
     return Section(
         Name(there.name),
         tuple(blocks),
         there.passed,
         text("TRACKED") if there.passed else text("FAILED"),
-        (task_text(there.stand.task), *map(Said, tracking.failures)),
+        (task_text(there.stand.task), *map(said, tracking.failures)),
     )

@@ -180,7 +180,7 @@ def _interface() -> dict[str, Any]:
         "theme": "Light or dark",
         "sections": "Sections",
         "summary": "Summary",
-        "english_only": "Sentences with a bar before them come from the results, in English alone.",
+        "english_only": "Sentences with a bar before them have no translation.",
         "made_by": "Made by pupper_analysis. Units are SI, unless a header says otherwise.",
         "licences": "Licences of the scripts in this file",
     }

@@ -16,7 +16,7 @@ from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import gains
 from pupper_analysis.stance.sag.pliancy import foot_pliancy, sole_pliancy
-from pupper_analysis.stance.sag.solution import Anchor, Solution, move
+from pupper_analysis.stance.sag.solution import Anchor, Solution, goes_round, move
 from pupper_analysis.stance.sag.touch import Touch
 from pupper_analysis.stance.stand import Stand
 
@@ -285,7 +285,7 @@ class Equilibrium:
                 step = np.array(np.linalg.solve(self.derivative(qpos, forces), -residual), float)
             except np.linalg.LinAlgError:
                 return None
-            if not np.abs(step[:n]).max() < _TRUST:
+            if not np.abs(step[:n]).max() < _TRUST or goes_round(residuals):
                 return None
             qpos, forces = move(qpos, step[:n]), forces + step[n:].reshape(-1, 3)
         return None

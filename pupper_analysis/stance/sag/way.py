@@ -76,7 +76,7 @@ class Way:
                 if not wrong:
                     self.share, self.solution = wanted, found
                     continue
-                if self._event(list(wrong), wanted):
+                if self._event(list(wrong), wanted, found):
                     continue
             step /= 2
             if step < _LEAST_STEP:
@@ -144,15 +144,26 @@ class Way:
         self.iterations += 0 if found is None else len(found.residuals) - 1
         return found
 
-    def _event(self, feet: list[str], wanted: float) -> bool:
+    def _event(self, feet: list[str], wanted: float, there: Solution) -> bool:
         """Goes on to where, before ``wanted``, the first of some feet touches or lets go.
+
+        Args:
+            feet: What is wrong at ``wanted``.
+            wanted: The share there.
+            there: The equilibrium there.
 
         Returns:
             Whether that place was found.
         """
+        known: dict[float, Solution | None] = {wanted: there}  # feet ask for the same places
+
+        def at(share: float) -> Solution | None:
+            if share not in known or self.system.lift:  # friction is not of the share alone
+                known[share] = self._at(share)
+            return known[share]
 
         def amount(share: float, foot: str) -> float:
-            found = self._at(share)
+            found = at(share)
             if found is None:
                 raise ArithmeticError
             return self.system.wrong(foot, found)
@@ -170,9 +181,10 @@ class Way:
                 return False
             if share < place:
                 first, place = foot, share
-        found = self._at(place)
+        found = at(place)
         if found is None:
             return False
+        self._command(place)
         self.share = place
         self._switch(first, found)
         return True

@@ -5,6 +5,7 @@
   const chinese = () => root.lang.startsWith("zh");
   window.report = {
     words: () => words[chinese() ? "zh" : "en"],
+    language: () => (chinese() ? "zh" : "en"),
     listeners: [],
   };
 

@@ -339,7 +339,8 @@
       const data = this.data;
       if (kind === "joint") {
         const joint = data.joints[index];
-        if (joint.told !== undefined) return `${joint.name}: ${joint.told || words.same}`;
+        if (joint.told !== undefined)
+          return `${joint.name}: ${joint.told[window.report.language()] || words.same}`;
         const limit = joint.limit === null ? "" : ` / ${joint.limit} N m`;
         const torque = joint.torque === null ? "" :
           `; ${words.torque} ${joint.torque.toFixed(3)} N m${limit}`;
@@ -348,7 +349,7 @@
       }
       if (kind === "body") {
         const { name, mass, told } = data.bodies[index];
-        return `${name}: ${words.mass} ${mass.toFixed(3)} kg${told ? `; ${told}` : ""}`;
+        return `${name}: ${words.mass} ${mass.toFixed(3)} kg${told ? `; ${told[window.report.language()]}` : ""}`;
       }
       if (kind === "com")
         return `${words.com}: (${data.com.map((value) => value.toFixed(4)).join(", ")}) m`;
