@@ -197,12 +197,7 @@ def _prepared(
             "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
         )
     notes += _edgy(bare, feet)
-    balls = [f.name for f in feet if any(is_ball(bare.mj_model, point) for point in f.points)]
-    if balls:
-        notes.append(
-            f"round meshes of {', '.join(balls)}: balls that fit to them touch the ground instead, "
-            "as MuJoCo's contacts of a mesh jump from vertex to vertex"
-        )
+    notes += _balls(bare, feet)
     robot = build_robot(with_feet(bare, feet))
     notes += _planar(robot)
     robot = _started(robot, known, notes)
@@ -249,6 +244,23 @@ def _named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> str:
         texts.append(f"{foot.name} on {body}" + (f", {count} contact points" if count > 1 else ""))
     how = "feet" if given else "no feet were named; taken were the lowest limbs' ends"
     return f"{how}: {'; '.join(texts)}"
+
+
+def _balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
+    """Says which meshes balls take the place of."""
+    balls = [f for f in feet if any(is_ball(robot.mj_model, point) for point in f.points)]
+    for names, what in (
+        (
+            [foot.name for foot in balls if len(foot.points) == 1],
+            "round meshes of {}: balls that fit",
+        ),
+        ([foot.name for foot in balls if len(foot.points) > 1], "soles of {}: small balls fitted"),
+    ):
+        if names:
+            yield (
+                f"{what.format(', '.join(names))} to them touch the ground instead, as MuJoCo's "
+                "contacts of a mesh jump from vertex to vertex"
+            )
 
 
 def _edgy(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
