@@ -137,7 +137,10 @@ def _outline(
 def _tip(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> tuple[ContactPoint, ...]:
-    """Returns the one contact point of a foot that cannot lie flat, where it is lowest."""
+    """Returns the one contact point of a foot that cannot lie flat, where it is lowest.
+
+    A mesh that is not round there has a small ball in the middle of what is lowest.
+    """
     down = np.array([0.0, 0.0, -1.0])
     geom = min(geoms, key=lambda geom: lowest(model, data, [geom]), default=None)
     if geom is None:
@@ -147,6 +150,10 @@ def _tip(
     if not radius and len(outline) > 3:
         points = np.array([point for point, _ in outline])
         place, radius = _fitted(points, place, down)
+        if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value:
+            on = points[(place - points) @ down < _FLAT]
+            radius = BALL
+            place = place + (on.mean(axis=0) - place) * (1, 1, 0) - radius * down
     own = int(model.geom_bodyid[geom])
     center = data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own])
     return (ContactPoint(geom, center, radius),)

@@ -27,6 +27,7 @@ from pupper_analysis.prepare.feet import (
     named_foot,
     with_feet,
 )
+from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.build import add_floor, build_robot, floor_of, rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.feet import limb_ends
@@ -196,7 +197,6 @@ def _prepared(
             f"at zero angles the last joint of foot {worst} is {1e3 * apart[worst]:.0f} mm off in "
             "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
         )
-    notes += _edgy(bare, feet)
     notes += _balls(bare, feet)
     robot = build_robot(with_feet(bare, feet))
     notes += _planar(robot)
@@ -248,37 +248,30 @@ def _named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> str:
 
 def _balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
     """Says which meshes balls take the place of."""
-    balls = [f for f in feet if any(is_ball(robot.mj_model, point) for point in f.points)]
-    for names, what in (
-        (
-            [foot.name for foot in balls if len(foot.points) == 1],
-            "round meshes of {}: balls that fit",
-        ),
-        ([foot.name for foot in balls if len(foot.points) > 1], "soles of {}: small balls fitted"),
-    ):
-        if names:
+    kinds: dict[str, list[str]] = {}
+    for foot in feet:
+        if any(is_ball(robot.mj_model, point) for point in foot.points):
+            edgy = len(foot.points) == 1 and foot.points[0].radius == BALL
+            kind = "soles" if len(foot.points) > 1 else "edges" if edgy else "round"
+            kinds.setdefault(kind, []).append(foot.name)
+    why = "as MuJoCo's contacts of a mesh jump from vertex to vertex"
+    for kind, names in kinds.items():
+        which = ", ".join(names)
+        if kind == "round":
             yield (
-                f"{what.format(', '.join(names))} to them touch the ground instead, as MuJoCo's "
-                "contacts of a mesh jump from vertex to vertex"
+                f"round meshes of {which}: balls that fit to them touch the ground instead, {why}"
             )
-
-
-def _edgy(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
-    """Says which feet touch with one point of a mesh that is not round there."""
-    model = robot.mj_model
-    mesh = mujoco.mjtGeom.mjGEOM_MESH.value
-    names = [
-        foot.name
-        for foot in feet
-        for point in foot.points
-        if len(foot.points) == 1 and not point.radius and model.geom_type[point.geom] == mesh
-    ]
-    if names:
-        yield (
-            f"feet {', '.join(names)} touch the ground with meshes that are not round: where they "
-            "touch changes as they sink in, so that forces may be off by several percent; a sphere "
-            "as collision geom would mend that"
-        )
+        elif kind == "soles":
+            yield (
+                f"soles of {which} are meshes: small balls at their corners touch the ground "
+                f"instead, {why}"
+            )
+        else:
+            yield (
+                f"feet {which} are meshes that are not round: small balls where they are lowest in "
+                f"the start pose touch the ground instead, {why}; a sphere as collision geom would "
+                "be the robot's own"
+            )
 
 
 def _planar(robot: Robot) -> Iterator[str]:
