@@ -122,6 +122,29 @@ def aside(pair: Pair, y: float) -> Pair:
     return pair
 
 
+def from_the_ground(pair: Pair, by: float) -> Pair:
+    """Puts the frame of a biped's base lower in both files, as where it is between the feet."""
+
+    def lifted(element: ElementTree.Element | None, word: str) -> None:
+        assert element is not None
+        x, y, z = (element.get(word) or "0 0 0").split()
+        element.set(word, f"{x} {y} {float(z) + by!r}")
+
+    urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
+    lifted(urdf.find("link/inertial/origin"), "xyz")
+    for joint in urdf.findall("joint"):
+        if joint.find("parent").get("link") == "pelvis":  # type: ignore[union-attr]
+            lifted(joint.find("origin"), "xyz")
+    base = mjcf.find("worldbody/body")
+    assert base is not None
+    for child in base:
+        if child.tag != "freejoint":
+            lifted(child, "pos")
+    pair.urdf.write_text(ElementTree.tostring(urdf, encoding="unicode"))
+    pair.mjcf.write_text(ElementTree.tostring(mjcf, encoding="unicode"))
+    return pair
+
+
 def planar(pair: Pair) -> Pair:
     """Takes the hips' roll joints out of a quadruped: its legs swing in planes, as Solo 8's."""
     return aside(held(pair, "_roll"), 2e-6)

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from legged import BIPED_FEET, Pair, biped, fused, quadruped
+from legged import BIPED_FEET, Pair, biped, from_the_ground, fused, quadruped
 
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
@@ -305,6 +305,21 @@ def test_the_margin_of_a_contact_counts(tmp_path: Path) -> None:
 def test_feet_of_a_robot_that_lies_are_found_all_the_same(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path, keyframe="0 2.4 -2.6"))
     assert len(robot.soles) == 4
+
+
+def test_a_base_frame_on_the_ground_between_the_feet(tmp_path: Path) -> None:
+    """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been."""
+    plain = load(biped(tmp_path))
+    robot = load(from_the_ground(biped(tmp_path), 0.78))
+    assert "0.880 m higher, to the base's com" in said(robot, "below all limbs")
+    # The pelvis' com is 0.1 m above the frame that it has otherwise.
+    height = plain.stand_height
+    one = pa.solve_stand(plain, pa.StandTask(height=height))
+    two = pa.solve_stand(robot, pa.StandTask(height=height + 0.1))
+    np.testing.assert_allclose(two.qpos[7:], one.qpos[7:], atol=1e-8)
+    assert two.qpos[2] - one.qpos[2] == pytest.approx(0.1, abs=1e-9)
+    stands(robot)
+    assert not [note for note in plain.notes if "below all limbs" in note]
 
 
 def test_preparing_changes_no_file(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare import drives, start, touching
 from pupper_analysis.prepare.base import free_base
+from pupper_analysis.prepare.base_frame import lift_base_frame
 from pupper_analysis.prepare.feet import (
     Foot,
     apart_at,
@@ -169,6 +170,7 @@ def _prepared(
     known = start.chosen(mjcf, start.keyframes(spec), keyframe)
     if not fixed_base:
         spec = free_base(urdf, spec, notes)
+        lift_base_frame(spec, notes)
     matched = match(urdf, replace(mjcf, spec=spec), names=joints, complete=True)
     notes += [*matched.notes, *_said(matched)]
     description = replace(matched.robot.description, name=name or spec.modelname)
