@@ -172,8 +172,8 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
         raise ConfigurationError(
             "robot",
             f"{robot.name} touches the ground at {len(robot.feet)} points alone "
-            f"({', '.join(robot.feet)}): the support polygon needs an area, of 3 round feet or a "
-            "flat one, on a leg of 5 joints or more",
+            f"({', '.join(robot.feet)}): the support polygon needs an area, of 3 round feet or of "
+            "a flat one that its leg can lay flat",
         )
     if len(stance_feet) < 3:
         raise ConfigurationError(
