@@ -39,7 +39,7 @@ _CLEARED = 4
 """Stands with a part in the ground that are tried once more with it kept out (SLSQP, slow)."""
 
 _TURNS = 4
-"""How often one is; with less than a millimetre left two were enough."""
+"""How often, while less than ``_ALMOST`` of the part is left in the ground; two were enough."""
 
 _CLOSE = 5e-3
 """Where feet miss by less (m), every branch is tried from there; the com may have gone far."""
@@ -262,7 +262,7 @@ def _cleared(shapes: Shapes, goal: Goal, stand: Stand) -> Stand:
     for _ in range(_TURNS):
         clear = nearest(shapes, goal, stand.qpos, clear=True)
         stand = _exactly(shapes, goal, Point(clear.qpos, clear.foot_error, 0))
-        if stand.solved or stand.foot_error >= TASK_TOLERANCE:
+        if stand.solved or stand.foot_error >= TASK_TOLERANCE or stand.room < -_ALMOST:
             break
     return stand
 
