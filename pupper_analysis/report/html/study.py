@@ -238,7 +238,7 @@ def _sure(outcome: StudyOutcome) -> list[Block]:
     blocks: list[Block] = []
     found = outcome.certainty
     if found is not None:
-        rows = [
+        rows: list[tuple[Text | Name, Chance]] = [
             (text("It stays up on its servos"), found.stands),
             (text("All motors are under their limits"), found.all_motors),
             (text("Both"), found.both),
