@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
     from pupper_analysis.simulation.payload import PayloadTrial, payload_trial
     from pupper_analysis.simulation.push import PushRecovery, push_recovery
+    from pupper_analysis.simulation.push_trial import PushTrial, push_trial
     from pupper_analysis.simulation.tracking import PathTracking, track_path
     from pupper_analysis.simulation.verify import StandVerification, verify_stand
     from pupper_analysis.stance.optimize.best import BestStance, best_stance
@@ -137,6 +138,8 @@ _HOME = {
     "NotSettlingError": "errors",
     "PushRecovery": "simulation.push",
     "push_recovery": "simulation.push",
+    "PushTrial": "simulation.push_trial",
+    "push_trial": "simulation.push_trial",
     "SteadyStateBand": "stance.sag.band",
     "steady_state_band": "stance.sag.band",
     "SteadyState": "stance.sag.steady_state",
@@ -241,6 +244,7 @@ __all__ = [
     "PayloadTrial",
     "PupperAnalysisError",
     "PushRecovery",
+    "PushTrial",
     "RepositoryCheck",
     "Robot",
     "StancePath",
@@ -284,6 +288,7 @@ __all__ = [
     "payload_limit",
     "payload_trial",
     "push_recovery",
+    "push_trial",
     "reachable_heights",
     "read_study",
     "sobol_indices",

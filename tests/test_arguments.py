@@ -31,7 +31,14 @@ FUNCTIONS = [
     name for name in pa.__all__ if inspect.isfunction(getattr(pa, name)) and name not in APART
 ]
 JUNK = ("v3", b"v3", -1, 0, 1e308, math.nan, None, object(), [], {}, [None], {"x": None}, ())
-SLOW = {"push_recovery", "best_stance", "payload_trial", "fastest_path", "sweep_gains"}
+SLOW = {
+    "push_recovery",
+    "best_stance",
+    "payload_trial",
+    "push_trial",
+    "fastest_path",
+    "sweep_gains",
+}
 
 
 @pytest.fixture
@@ -57,6 +64,7 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
         "stances": [pa.StandTask(), pa.StandTask(pitch=0.01)],
         "seconds": 0.5,
         "mass": 0.1,
+        "impulse": 0.1,
         "configurations": 2,
         "low": 0.5,
         "high": 1.5,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 
 import mujoco
@@ -117,3 +118,41 @@ def test_combinations_begin_with_what_is_in_reach_and_near() -> None:
     pairs = [(row[first.joints[0]], row[second.joints[0]]) for row in chosen]
     assert pairs == [(0.1, 0.2), (1.0, 0.2), (0.1, 0.0), (1.0, 0.0)]
     assert len({row.tobytes() for row in chosen}) == len(list(itertools.chain(chosen)))
+
+
+BESIDE_A_STEP = pa.StandTask(
+    height=0.1080530850699608,
+    roll=0.2369110561876388,
+    foot_offsets={"RL": (0.016726622926013145, -0.0031684613124968973)},
+    swing={"RR": 0.011109525082513838},
+    ground=pa.Ground(0.22402126126057564, -1.5789089193633834, {"FR": 0.0151867, "RL": 0.0079027}),
+    com="inside",
+    com_margin=0.018870068691670343,
+)
+ON_A_STEEP_SLOPE = pa.StandTask(
+    height=0.12886978562632848,
+    pitch=0.9830113688699735,
+    yaw=-0.1852603102694485,
+    foot_offsets={"RL": (-0.008297196379652478, 0.004187460646046973)},
+    swing={"RR": 0.008706375168235695},
+    ground=pa.Ground(1.0320377889349654, math.pi),
+    com="inside",
+)
+
+
+@pytest.mark.parametrize(
+    ("task", "angle", "values"),
+    [
+        (BESIDE_A_STEP, "roll", (0.17, 0.1771509, 0.178, 0.1785, 0.18)),
+        (ON_A_STEEP_SLOPE, "yaw", (-0.175, -0.1797689, -0.1841322, -0.185, -0.1852)),
+    ],
+)
+def test_a_thigh_in_the_ground_is_lifted_out_by_another_branch_elsewhere(
+    task: pa.StandTask, angle: str, values: tuple[float, ...]
+) -> None:
+    """Where it is out of the ground the com is centimetres away, and other legs are bent too."""
+    robot = load("v3")
+    for value in values:  # some of them were found before, and those between them refused
+        stand = pa.solve_stand(robot, replace(task, **{angle: value}), explain=False)
+        assert stand.ground_clearance is not None
+        assert stand.ground_clearance.distance > -1e-6

@@ -25,6 +25,7 @@ ROOMS = (
     ("convert",),
     ("analysis", "study"),
     ("report",),
+    ("live",),
     ("pupper",),
     ("cli",),
 )

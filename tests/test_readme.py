@@ -82,7 +82,8 @@ def commands(text: str) -> list[str]:
 README_COMMANDS = [
     pytest.param(command, marks=pytest.mark.slow if command.split()[1] in ("best", "push") else ())
     for command in commands(README)
-    if "mini_cheetah" not in command and command.split()[1] != "analyze"  # run by test_cli
+    # The first two are run by test_cli; a page is served until it is ended: by test_live_browser.
+    if "mini_cheetah" not in command and command.split()[1] not in ("analyze", "live")
 ]
 
 

@@ -105,7 +105,7 @@ def study_stance(
         with contextlib.suppress(NoStiffnessError):
             least = minimum_stiffness(robot, stand)
     with contextlib.suppress(StanceUnreachableError):
-        sunk = sunk_stand(robot, stand.task, explain=False)
+        sunk = sunk_stand(robot, stand, explain=False)
     held = sunk or stand
     return Stance(
         name=robot.name,

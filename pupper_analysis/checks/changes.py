@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from pupper_analysis.arrays import INERTIA_ENTRIES
-from pupper_analysis.checks.differences import Difference, Effect
+from pupper_analysis.checks.differences import Difference, Effect, Stated
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.words import (
     FORMATS,
@@ -26,15 +26,9 @@ from pupper_analysis.models.parameters import Body, Joint, Parameters
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class Change(Stated):
     """A difference between two sets of parameters, and how to take it over."""
 
-    kind: str
-    element: str
-    urdf: object
-    mjcf: object
-    unit: str
-    message: str
     apply: Callable[[Parameters, Parameters], Parameters]
     felt: bool  # by the dynamics
 

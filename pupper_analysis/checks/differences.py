@@ -13,6 +13,9 @@ from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
 
+OF_BODIES_AND_PLACES = ("mass", "com", "inertia", "position", "rotation", "axis", "frame")
+LIMITS = ("lower limit", "upper limit", "effort")
+
 ORDER = (
     "joint",
     "name",
@@ -21,18 +24,10 @@ ORDER = (
     "base frame",
     "zero",
     "gravity",
-    "mass",
-    "com",
-    "inertia",
-    "position",
-    "rotation",
-    "axis",
-    "frame",
+    *OF_BODIES_AND_PLACES,
     "damping",
     "armature",
-    "lower limit",
-    "upper limit",
-    "effort",
+    *LIMITS,
     "velocity",
     "friction",
     "mimic",
@@ -54,7 +49,6 @@ CONVENTIONS = ("base frame", "zero")
 """Kinds of difference after which the two are still one robot, in other coordinates."""
 
 _STRUCTURE = ("joint", "name", "type", "parent", *CONVENTIONS, "gravity")
-_LIMITS = ("lower limit", "upper limit", "effort")
 _FELT = 1e-3  # least relative effect that goes before limits and efforts
 _SCREW = 0.01  # likewise of a body's mass
 _MAIN = ("mass matrix", "gravity", "foot positions", "joint positions")
@@ -77,8 +71,8 @@ class Effect(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Difference(Result):
-    """One number, or vector, in which the two files differ.
+class Stated:
+    """What two sides state of one thing.
 
     Attributes:
         kind: ``mass``, ``com``, ``inertia``, ``position``, ``rotation``, ``axis``, ``lower limit``,
@@ -95,10 +89,6 @@ class Difference(Result):
         mjcf: The MJCF's, in the URDF's frames.
         unit: Of both.
         message: The difference in plain words.
-        effects: {quantity: what it does}.
-        urdf_place: File and line, where known.
-        mjcf_place: File and line, where known.
-        made_of: Of which links or bodies the value is made, where there are several, in words.
     """
 
     kind: str
@@ -107,6 +97,19 @@ class Difference(Result):
     mjcf: object
     unit: str
     message: str
+
+
+@dataclass(frozen=True, eq=False)
+class Difference(Stated, Result):
+    """One number, or vector, in which the two files differ; its first attributes are `Stated`'s.
+
+    Attributes:
+        effects: {quantity: what it does}.
+        urdf_place: File and line, where known.
+        mjcf_place: File and line, where known.
+        made_of: Of which links or bodies the value is made, where there are several, in words.
+    """
+
     effects: dict[str, Effect]
     urdf_place: str | None = None
     mjcf_place: str | None = None
@@ -149,7 +152,7 @@ class Difference(Result):
             return 1
         if every >= _FELT:
             return 2
-        return 3 if self.kind in _LIMITS else 4
+        return 3 if self.kind in LIMITS else 4
 
 
 @dataclass(frozen=True, eq=False)

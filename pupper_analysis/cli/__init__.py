@@ -10,6 +10,7 @@ import click
 
 from pupper_analysis.cli.convert import convert_command
 from pupper_analysis.cli.guard import check_command, diff_command
+from pupper_analysis.cli.live import live_command
 from pupper_analysis.cli.models import audit_command, crosscheck
 from pupper_analysis.cli.motions import path, push
 from pupper_analysis.cli.process import Ended, endings, go_on, patient_output
@@ -137,6 +138,7 @@ for _command in (
     study_command,
     audit_command,
     check_command,
+    live_command,
     view,
     drop,
 ):

@@ -48,6 +48,14 @@ OWN = (
     ),
     click.option("--keyframe", metavar="NAME", help="The MJCF's keyframe to start from."),
 )
+LOAD = (
+    click.option(
+        "--payload", type=float, default=0.0, metavar="KG", help="A mass welded to the base (kg)."
+    ),
+    click.option(
+        "--payload-at", default="0,0,0", metavar="X,Y,Z", help="Where, in the base's frame (m)."
+    ),
+)
 BASE = (
     click.option("--height", type=LENGTH, help="Base above the contact points (m)."),
     click.option("--roll", type=ANGLE, default=0.0, help="Roll of the base (rad)."),
@@ -116,6 +124,8 @@ class RobotAndTask:
     base: str | None
     leg_scale: float | None
     torso_mass_scale: float | None
+    payload: float
+    payload_at: str
     height: float | None
     roll: float
     pitch: float
@@ -144,51 +154,42 @@ class RobotAndTask:
 
     def robots(self, names: tuple[str, ...], *, default: tuple[str, ...]) -> list[Robot]:
         """Returns the variants of these names and of a base, or the robot of the two files."""
-        from pupper_analysis.pupper.load import load_variant
+        return [self._as_asked(robot) for robot in self._bare(names, default)]
+
+    def _as_asked(self, robot: Robot) -> Robot:
+        """Returns a robot with the payload and the integrator that were asked for."""
+        from pupper_analysis.robot.payload import with_payload
         from pupper_analysis.robot.servos import with_integrator
+
+        place = point("payload-at", self.payload_at, 3)
+        return with_integrator(with_payload(robot, self.payload, place), self.integrator)
+
+    def _bare(self, names: tuple[str, ...], default: tuple[str, ...]) -> list[Robot]:
+        """Returns the robots as their files have them."""
+        from pupper_analysis.pupper.load import load_variant
 
         derived = derived_variant(self.base, self.leg_scale, self.torso_mass_scale)
         variants: list[str | VariantSpec] = [*dict.fromkeys(names)]
         if derived is not None:
             variants.append(derived)
         if not self.own:
-            robots = [load_variant(variant) for variant in variants or default]
-            return [with_integrator(robot, self.integrator) for robot in robots]
+            return [load_variant(variant) for variant in variants or default]
         if variants:
             raise ConfigurationError(
                 "NAME", "give a variant's name, or --base and its scales, or --urdf and --mjcf"
             )
-        if self.urdf is None or self.mjcf is None:
-            raise ConfigurationError("--urdf, --mjcf", "a robot of your own needs both")
-        return [with_integrator(self._own_robot(self.urdf, self.mjcf), self.integrator)]
+        from pupper_analysis.prepare.load import load_robot
+
+        given = files_given(self.urdf, self.mjcf, self.feet, self.pairs, self.keyframe)
+        with working("preparing the robot: feet, start pose, servos"):
+            robot = load_robot(**given)
+        print_notes(robot)
+        return [robot]
 
     @property
     def own(self) -> bool:
         """Whether the robot is given by files."""
         return bool(self.urdf or self.mjcf or self.feet or self.pairs or self.keyframe)
-
-    def _own_robot(self, urdf: Path, mjcf: Path) -> Robot:
-        """Loads the robot of two files, and prints what was assumed."""
-        from pupper_analysis.prepare.load import load_robot
-        from pupper_analysis.report.console import console, escape
-
-        named = [foot if "=" in foot else f"{foot}={foot}" for foot in self.feet]
-        frames: dict[str, str | tuple[str, str]] = {}
-        for foot, frame in (assignment("foot", text) for text in named):
-            link, colon, place = frame.partition(":")
-            frames[foot] = (link, place) if colon else frame
-        with working("preparing the robot: feet, start pose, servos"):
-            robot = load_robot(
-                urdf=urdf,
-                mjcf=mjcf,
-                feet=frames or None,
-                joints=dict(assignment("map", text) for text in self.pairs),
-                keyframe=self.keyframe,
-            )
-        out = console()
-        for note in robot.notes:
-            out.print(f"note: {escape(note)}", soft_wrap=True)
-        return robot
 
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
         """Returns the servos' stiffness and damping at a robot's joints; None: the model's own."""
@@ -221,6 +222,43 @@ class RobotAndTask:
         )
 
 
+def files_given(
+    urdf: Path | None,
+    mjcf: Path | None,
+    feet: tuple[str, ...],
+    pairs: tuple[str, ...],
+    keyframe: str | None,
+) -> dict[str, Any]:
+    """Returns what ``load_robot`` is given for the robot of two files.
+
+    Raises:
+        ConfigurationError: If one of them is not given.
+    """
+    if urdf is None or mjcf is None:
+        raise ConfigurationError("--urdf, --mjcf", "a robot of your own needs both")
+    named = [foot if "=" in foot else f"{foot}={foot}" for foot in feet]
+    frames: dict[str, str | tuple[str, str]] = {}
+    for foot, frame in (assignment("foot", text) for text in named):
+        link, colon, place = frame.partition(":")
+        frames[foot] = (link, place) if colon else frame
+    return {
+        "urdf": urdf,
+        "mjcf": mjcf,
+        "feet": frames or None,
+        "joints": dict(assignment("map", text) for text in pairs),
+        "keyframe": keyframe,
+    }
+
+
+def print_notes(robot: Robot) -> None:
+    """Prints what was assumed of a robot of two files."""
+    from pupper_analysis.report.console import console, escape
+
+    out = console()
+    for note in robot.notes:
+        out.print(f"note: {escape(note)}", soft_wrap=True)
+
+
 def robot_and_task(command: Command) -> Command:
     """Gives a command the options of robot, stance and servos, as one ``RobotAndTask``."""
     names = [field.name for field in fields(RobotAndTask)]
@@ -230,7 +268,7 @@ def robot_and_task(command: Command) -> Command:
         asked = RobotAndTask(**{name: values.pop(name) for name in names})
         command(asked, **values)
 
-    return options(OWN, VARIANT, BASE, TASK, SERVOS)(gathered)
+    return options(OWN, VARIANT, LOAD, BASE, TASK, SERVOS)(gathered)
 
 
 def derived_variant(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
-from pupper_analysis.report.console import escape
+from pupper_analysis.report.console import escape, print_notes
 from pupper_analysis.report.formats import Annotation, Case
 
 STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.INFO: "cyan"}
@@ -25,8 +25,7 @@ def print_rules(out: Console) -> None:
 
 def print_audit(out: Console, audit: Audit) -> None:
     """Prints the findings, the worst first, each with its place and what to do."""
-    for note in audit.notes:
-        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+    print_notes(out, audit.notes)
     groups: dict[tuple[str, str], list[Finding]] = {}
     for finding in audit.findings:
         groups.setdefault((finding.rule, finding.message), []).append(finding)

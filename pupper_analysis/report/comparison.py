@@ -12,7 +12,7 @@ from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.engines import EDGES, EXTRAS
 from pupper_analysis.checks.patterns import Cause
-from pupper_analysis.report.console import SafeTable, escape
+from pupper_analysis.report.console import SafeTable, escape, print_notes
 from pupper_analysis.report.formats import Annotation, Case
 
 SHOWN = 20
@@ -52,8 +52,7 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
     for objection in comparison.objections:
         out.print(f"[red]{escape(objection)}[/]", soft_wrap=True)
     _print_quantities(out, comparison)
-    for note in matching_notes(comparison):
-        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+    print_notes(out, matching_notes(comparison))
 
 
 def _print_causes(
@@ -183,8 +182,7 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
         cells = [f"{quantity.edges[side]:.1e}" if side in quantity.edges else "" for side in sides]
         table.add_row(quantity.name, *cells, "" if quantity.passed else escape(quantity.where))
     out.print(table)
-    for note in check.notes:
-        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+    print_notes(out, check.notes)
     for engine in comparison.engines:
         out.print(f"note: the engines differ on one model: {escape(engine)}", style="yellow")
 

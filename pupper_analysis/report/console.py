@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,12 @@ def console() -> Console:
     out = SafeConsole(highlight=False, emoji=False)
     out.width = max(WIDTH, out.width)
     return out
+
+
+def print_notes(out: Console, notes: Iterable[str]) -> None:
+    """Prints what is to be known, a line each however long."""
+    for note in notes:
+        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
 
 
 def titled_table(out: Console, title: str, *columns: str, left: int = 1) -> Table:

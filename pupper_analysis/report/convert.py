@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 
 from pupper_analysis.convert.conversion import Conversion
-from pupper_analysis.report.console import escape
+from pupper_analysis.report.console import escape, print_notes
 
 
 def print_conversion(out: Console, conversion: Conversion) -> None:
@@ -17,8 +17,7 @@ def print_conversion(out: Console, conversion: Conversion) -> None:
     """
     for path in conversion.written:
         out.print(escape(f"written: {path}"), soft_wrap=True)
-    for note in conversion.notes:
-        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+    print_notes(out, conversion.notes)
     for text in conversion.left:
         out.print(f"[red]left:[/] {escape(text)}", soft_wrap=True)
     compared = conversion.comparison

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.markup import escape
 
+from pupper_analysis.report.console import print_notes
 from pupper_analysis.sync.choices import label, line_at
 from pupper_analysis.sync.models import Sync
 
@@ -63,8 +64,7 @@ def print_sync(out: Console, sync: Sync, *, dry_run: bool = False) -> None:
             old = "(not stated)" if edit.old is None else edit.old
             said = f"{edit.file}:{edit.line}: {edit.element}: {edit.attribute}: {old} -> {edit.new}"
             out.print(escape(said), soft_wrap=True)
-    for name, note in sync.notes.items():
-        out.print(f"note: {escape(f'{name}: {note}')}", style="yellow", soft_wrap=True)
+    print_notes(out, (f"{name}: {note}" for name, note in sync.notes.items()))
     for backup in sync.backups:
         out.print(escape(f"the old file is kept: {backup}"), style="dim", soft_wrap=True)
     for left in sync.left:

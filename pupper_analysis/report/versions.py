@@ -6,7 +6,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 
 from pupper_analysis.checks.versions.compare import ModelChange, ModelDiff
-from pupper_analysis.report.console import SafeTable, escape
+from pupper_analysis.report.console import SafeTable, escape, print_notes
 
 _FELT = 1e-3
 """Relative change of a torque or a mass that is shown: less changes no digit that is printed."""
@@ -32,8 +32,7 @@ def print_diff(out: Console, diff: ModelDiff) -> None:
         name = max(diff.left, key=lambda quantity: diff.left[quantity])
         text = f"{diff.left[name]:.1e} of {name} is left that no change explains"
         out.print(f"[red]{text}[/]", soft_wrap=True)
-    for note in diff.notes:
-        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+    print_notes(out, diff.notes)
 
 
 def _effects(change: ModelChange) -> str:

@@ -63,7 +63,9 @@ class GroundLaw:
         else:
             stiffness, damping = -first / dmax**2, -second / dmax
         normal = float(model.body_invweight0[robot.foot_places[foot][0], 0])
-        tangential, mu = normal / float(model.opt.impratio), parameters.sliding_friction
+        # Bounded as MuJoCo bounds it (mj_makeImpedance): an impratio may be infinite.
+        ratio, mu = max(mujoco.mjMINVAL, float(model.opt.impratio)), parameters.sliding_friction
+        tangential = max(mujoco.mjMINVAL, normal / ratio)
         if mu > 0 and model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value:
             tangential *= 1 + mu**2
             normal = tangential * mu**2 / (parameters.condim - 1)  # of its 2 (condim - 1) edges

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
-import mujoco
-import mujoco.rollout
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
@@ -19,32 +16,14 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, servos
-from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.rollout import (
-    FORCED,
-    check_stand,
-    forced_commands,
-    place_on_ground,
-)
-from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import ForceDistribution
+from pupper_analysis.simulation.push_bench import Bench, bench_of
+from pupper_analysis.simulation.rollout import check_stand
+from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 
-PULSE = 0.02
-"""How long a push lasts (s), rounded to whole time steps: short against a fall of some 0.3 s."""
-
-REST_SPEED = 0.01
-"""A base that is faster than this in the last half second has not come to rest (m/s)."""
-
 LEVELS = 8
 """So many smaller pushes per direction are tried once a limit is found."""
-
-_REST = 0.5  # s
-_SAMPLE = 0.004  # s between the states whose contacts are looked at
-_BATCH = 2**25  # numbers (of 8 bytes) that a rollout may take
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,26 +151,18 @@ def push_recovery(
         raise ConfigurationError("resolution", f"{resolution} N s is not positive and finite")
     if resolution < FINEST:
         raise ConfigurationError("resolution", f"{resolution:g} N s is finer than {FINEST:g} N s")
-    config = Configuration(robot, stand.qpos)
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    torques = stand_statics(
-        robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
-    ).joint_torques
-    drive = servos(robot, kp, kd, integrator)
-    positions = stand.joint_positions(robot)
     angles = 2 * math.pi * np.arange(directions) / directions
-    forward = config.base_rotation()[:2, 0]
-    angles_in_world = angles + math.atan2(forward[1], forward[0])
-    bench = _Bench(
-        robot=robot,
-        stand=stand,
-        drive=drive,
-        start=place_on_ground(robot, drive, stand, torques),
-        ctrl=drive.command(robot, positions, torques if feedforward else None),
-        axes=np.column_stack([np.cos(angles_in_world), np.sin(angles_in_world)]),
+    bench = bench_of(
+        robot,
+        stand,
+        angles,
         duration=duration,
+        kp=kp,
+        kd=kd,
+        feedforward=feedforward,
+        integrator=integrator,
     )
-    point = _push_point(robot, stand)
+    config, point, drive = Configuration(robot, stand.qpos), bench.point(), bench.drive
     estimate = tipping_impulses(config, point, bench.axes, stand.stance_feet)
     impulses, bisected, failures = _limits(bench, estimate, resolution)
     weakest = int(np.argmin(impulses))
@@ -275,16 +246,8 @@ def tipping_impulses(
     return impulses
 
 
-def _push_point(robot: Robot, stand: Stand) -> Array:
-    """Returns where MuJoCo applies a body's xfrc_applied: at its com."""
-    data = mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_kinematics(robot.mj_model, data)
-    return np.array(data.xipos[robot.mj_model.body(robot.mj_base).id])
-
-
 def _limits(
-    bench: _Bench, estimate: Array, resolution: float
+    bench: Bench, estimate: Array, resolution: float
 ) -> tuple[Array, Array, tuple[str, ...]]:
     """Returns the limits, those before the check of smaller pushes, and how it fails."""
     count = len(bench.axes)
@@ -313,7 +276,7 @@ def _limits(
 class _Search:
     """For each direction a push that is survived, and a larger one that is not, and how."""
 
-    bench: _Bench
+    bench: Bench
     survived: Array
     failed: Array
     failures: list[str]
@@ -329,64 +292,3 @@ class _Search:
                     self.survived[index] = impulse
                 else:
                     self.failed[index], self.failures[index] = impulse, failure
-
-
-@dataclass(eq=False)
-class _Bench:
-    """Where a robot is pushed; counts how often."""
-
-    robot: Robot
-    stand: Stand
-    drive: Servos
-    start: Array
-    ctrl: Array
-    axes: Array
-    duration: float
-    rollouts: int = field(default=0, init=False)
-
-    def __post_init__(self) -> None:
-        model = self.drive.model
-        self.timestep = float(model.opt.timestep)
-        self.steps = round(self.duration / self.timestep)
-        self.pulse_steps = max(1, round(PULSE / self.timestep))
-        self.watcher = monitor.Watcher(self.robot, model)
-        self.workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
-
-    def push(self, directions: NDArray[np.int64], impulses: Array) -> list[str | None]:
-        """Simulates pushes, all at once, and says of each how the robot fails, or None."""
-        model = self.drive.model
-        width = model.nu + 6 * model.nbody
-        size = max(1, _BATCH // (self.steps * (width + len(self.start))))
-        forces = impulses[:, None] * self.axes[directions] / (self.pulse_steps * self.timestep)
-        failures: list[str | None] = []
-        for begin in range(0, len(forces), size):
-            batch = forces[begin : begin + size]
-            control, force = forced_commands(self.robot, model, self.ctrl, len(batch), self.steps)
-            force[:, : self.pulse_steps, :2] = batch[:, None]
-            starts = np.tile(self.start, (len(batch), 1))
-            workers = self.workers[: len(batch)]
-            states, _ = mujoco.rollout.rollout(model, workers, starts, control, control_spec=FORCED)
-            failures += [self._failure(run) for run in states]
-        self.rollouts += len(forces)
-        return failures
-
-    def _failure(self, states: Array) -> str | None:
-        """Returns why a run is no recovery, or None if it is one."""
-        if monitor.diverged(states, self.timestep):
-            return monitor.divergence(self.drive.integrator, self.timestep)
-        failures = []
-        for state in states[:: max(1, round(_SAMPLE / self.timestep))]:
-            if touching := sorted(self.watcher.touching(state)):
-                moment = self.watcher.data.time
-                failures.append(f"{touching[0]} touches the ground at {moment:.2f} s")
-                break
-        upright = float(self.stand.qpos[2])
-        leaning = monitor.lean(self.robot, self.stand.task.rotation(), states[-1])
-        height = float(monitor.base_heights(self.robot, states[-1]))
-        if monitor.has_fallen(leaning, height, upright):
-            failures.append(monitor.fall(leaning, height))
-        last = states[-round(_REST / self.timestep) :]
-        speed = monitor.base_speed(self.robot, self.drive.model, last, upright)
-        if speed > REST_SPEED:
-            failures.append(f"it has not come to rest: {1e3 * speed:.0f} mm/s at the end")
-        return "; ".join(failures) or None

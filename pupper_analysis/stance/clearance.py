@@ -23,6 +23,8 @@ from pupper_analysis.robot.ground import STEP_HALF_WIDTH, Ground
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 _AS_LARGE = 2.0
 """A shape around a foot's centre is the foot if no point of it is further from its own centre than
@@ -185,6 +187,16 @@ class Shapes:
         q, model = self.robot.pin_convention.q(qpos), self.wrapper.model
         shapes = self.wrapper.collision_model
         pin.updateGeometryPlacements(model, self._data, shapes, self._placed, q)
+
+    def moved_by(self, joints: IntArray) -> BoolArray:
+        """Tells of each shape (n,), feet included, whether one of some joints moves it.
+
+        Args:
+            joints: Their numbers, in actuator order.
+        """
+        model, names = self.wrapper.model, self.robot.joint_names
+        moving = {model.getJointId(names[joint]) for joint in joints}
+        return np.array([bool(moving & set(model.supports[o.parentJoint])) for o in self._objects])
 
     def height_rates(
         self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]

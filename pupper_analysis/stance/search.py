@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice
 
@@ -14,9 +14,11 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import Branch, Limb, branches, combinations
 from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.clearing import clear_starts
+from pupper_analysis.stance.nearest import nearest
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.stance.solver import TASK_TOLERANCE, TOUCHING, Point, Solver, Stand, measure
-from pupper_analysis.statics.support_polygon import polygon_sides, support_polygon
+from pupper_analysis.stance.solver import TASK_TOLERANCE, Point, Solver, Stand, measure
+from pupper_analysis.statics.support_polygon import support_polygon
 
 Array = NDArray[np.float64]
 
@@ -29,8 +31,14 @@ joints turn all the way round, with four branches each."""
 _ROUNDS = 4
 """How often the branches are looked for anew from where the feet have come much nearer."""
 
+_CLEAR_STARTS = 24
+"""Choices of clear branches that are tried where feet are in place and a part is in the ground."""
+
 _CLEARED = 4
 """Stands with a part in the ground that are tried once more with it kept out (SLSQP, slow)."""
+
+_TURNS = 4
+"""How often, while less than ``_ALMOST`` of the part is left in the ground; two were enough."""
 
 _CLOSE = 5e-3
 """Where feet miss by less (m), every branch is tried from there; the com may have gone far."""
@@ -218,12 +226,31 @@ def _search_inside(
             if solves(random.uniform(low, high), place):
                 return found[-1]
     reached = [stand for stand in found if stand.foot_error < TASK_TOLERANCE]
+    if reached:  # and a part is in the ground: elsewhere, or bent otherwise, it may not be
+        least_off = max(reached, key=lambda stand: stand.room)
+        clear_of_it = clear_starts(shapes, goal, least_off.qpos, _inner(goal))
+        for start, place in islice(clear_of_it, _CLEAR_STARTS):
+            if solves(start, place):
+                return found[-1]
+        reached = [stand for stand in found if stand.foot_error < TASK_TOLERANCE]
     for stand in sorted(reached, key=lambda stand: stand.room, reverse=True)[:_CLEARED]:
-        clear = nearest(shapes, goal, stand.qpos, clear=True)
-        cleared = _exactly(shapes, goal, Point(clear.qpos, clear.foot_error, 0))
-        if cleared.solved:
+        if (cleared := _cleared(shapes, goal, stand)).solved:
             return cleared
     return max(found, key=lambda stand: (stand.foot_error < TASK_TOLERANCE, -stand.foot_error))
+
+
+def _cleared(shapes: Shapes, goal: Goal, stand: Stand) -> Stand:
+    """Returns a stand near another one of which a part is in the ground, or what came of it.
+
+    At the edge of what is possible the feet and the ground are each satisfied at the other's
+    expense, by turns, and less of it every time.
+    """
+    for _ in range(_TURNS):
+        clear = nearest(shapes, goal, stand.qpos, clear=True)
+        stand = _exactly(shapes, goal, Point(clear.qpos, clear.foot_error, 0))
+        if stand.solved or stand.foot_error >= TASK_TOLERANCE or stand.room < -_ALMOST:
+            break
+    return stand
 
 
 def _exactly(shapes: Shapes, goal: Goal, point: Point) -> Stand:
@@ -246,13 +273,17 @@ def _places(goal: Goal) -> list[Array]:
 
 def pushed_inside(place: Array, goal: Goal) -> Array:
     """Returns the nearest place (2,) to one that has the task's margin in the support polygon."""
-    polygon = shapely.Polygon(support_polygon(goal.contacts))
-    inner = polygon.buffer(-(goal.task.com_margin + TASK_TOLERANCE), join_style="mitre")
-    point = shapely.Point(place)
+    inner, point = _inner(goal), shapely.Point(place)
     if inner.is_empty or inner.contains(point):
         return place
     line = shapely.shortest_line(inner, point)  # from the polygon to the point
     return np.array(line.coords[0])
+
+
+def _inner(goal: Goal) -> shapely.Polygon:
+    """Returns where in the support polygon the com has the task's margin."""
+    polygon = shapely.Polygon(support_polygon(goal.contacts))
+    return polygon.buffer(-(goal.task.com_margin + TASK_TOLERANCE), join_style="mitre")
 
 
 def starts(robot: Robot, goal: Goal) -> Iterator[Array]:
@@ -303,93 +334,3 @@ def _shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) 
             coms.append(Configuration(robot, bent).center_of_mass()[:2])
         total += float(np.max(np.linalg.norm(np.array(coms) - coms[0], axis=1)))
     return _SLACK * total + _NEAR_MISS
-
-
-def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) -> Stand:
-    """Finds how near the feet can come to targets that are out of reach.
-
-    The sum of the squared distances is minimised over the base's place and the joints, inside their
-    limits, with the base's orientation and height and the com's place as the task has them. PlaCo's
-    Gauss-Newton steps, made for errors that vanish, stop short of that minimum. If ``clear``, no
-    part but the feet may be lower than the task allows.
-    """
-    from scipy import optimize  # slow to import
-
-    robot = shapes.robot
-    free = [0, 1, *range(7, robot.nq)]
-    columns = [0, 1, *range(6, robot.nv)]
-
-    def at(values: Array) -> Configuration:
-        qpos = start.copy()
-        qpos[free] = values
-        return Configuration(robot, qpos)
-
-    def distances(values: Array) -> tuple[float, Array]:
-        config = at(values)
-        positions, jacobians = config.foot_positions(), config.foot_jacobians()
-        total, gradient = 0.0, np.zeros(len(free))
-        for foot, target in goal.targets.items():
-            error = positions[foot] - target
-            total += float(error @ error)
-            gradient += 2 * error @ jacobians[foot][:, columns]
-        return total, gradient
-
-    constraints = [_com_constraint(goal, at, columns)]
-    if clear:
-        ground = goal.task.ground, goal.targets, goal.depths
-
-        def room(values: Array) -> Array:
-            heights = shapes.heights(at(values).qpos, *ground)
-            finite: Array = heights[np.isfinite(heights)]
-            return finite - (goal.task.ground_clearance + TOUCHING)
-
-        def room_rates(values: Array) -> Array:
-            qpos = at(values).qpos
-            finite: Array = shapes.height_rates(qpos, *ground)[
-                np.isfinite(shapes.heights(qpos, *ground))
-            ]
-            return finite
-
-        constraints.append({"type": "ineq", "fun": room, "jac": room_rates})
-    outcome = optimize.minimize(
-        distances,
-        start[free],
-        jac=True,
-        method="SLSQP",
-        bounds=[(None, None), (None, None), *zip(goal.lower, goal.upper, strict=True)],
-        constraints=constraints,
-        options={"ftol": 1e-14, "maxiter": 200},
-    )
-    return measure(shapes, goal, at(outcome.x).qpos, 0)
-
-
-def _com_constraint(
-    goal: Goal, at: Callable[[Array], Configuration], columns: Sequence[int]
-) -> dict[str, object]:
-    """Says to SLSQP where the com, or the base, shall be.
-
-    Args:
-        goal: What shall hold.
-        at: The configuration of the free values.
-        columns: The columns of Jacobians that belong to them.
-    """
-    if goal.task.com == "inside":
-        sides = polygon_sides(goal.contacts)
-        return {
-            "type": "ineq",
-            "fun": lambda values: (
-                sides[:, :2] @ at(values).center_of_mass()[:2] + sides[:, 2] - goal.task.com_margin
-            ),
-            "jac": lambda values: sides[:, :2] @ at(values).com_jacobian()[:2, columns],
-        }
-    if goal.by_base:
-        return {
-            "type": "eq",
-            "fun": lambda values: values[:2] - goal.place,
-            "jac": lambda values: np.eye(2, len(values)),
-        }
-    return {
-        "type": "eq",
-        "fun": lambda values: at(values).center_of_mass()[:2] - goal.place,
-        "jac": lambda values: at(values).com_jacobian()[:2, columns],
-    }

@@ -58,7 +58,9 @@ _MAX_ITERATIONS = 50
 
 
 @checked
-def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = True) -> Stand:
+def sunk_stand(
+    robot: Robot, task: StandTask | Stand | None = None, *, explain: bool = True
+) -> Stand:
     """Finds the stand that satisfies a task on ground as soft as MuJoCo's.
 
     On rigid ground only the feet's places count. MuJoCo's ground gives way by millimetres, in
@@ -70,20 +72,25 @@ def sunk_stand(robot: Robot, task: StandTask | None = None, *, explain: bool = T
 
     Args:
         robot: A robot with a floating base and a ground.
-        task: How to stand; the nominal stand by default.
+        task: How to stand; the nominal stand by default. Or a stand that satisfies a task on rigid
+            ground, which is then not solved again.
         explain: Where the stance is out of reach, find out why.
 
     Returns:
         The stand; its ``depths`` are those of MuJoCo's contacts under its forces.
 
     Raises:
-        ConfigurationError: As ``solve_stand``.
+        ConfigurationError: As ``solve_stand``; or if the stand is another robot's.
         StanceUnreachableError: If it is out of reach, at least with its feet sunk.
         StaticsInfeasibleError: If no contact forces balance it.
         NotSettlingError: If the depths do not settle.
     """
-    task = task or StandTask()
-    stand = solve_stand(robot, task, explain=explain)
+    if isinstance(task, Stand):
+        task.check(robot)
+        stand, task = task, task.task
+    else:
+        task = task or StandTask()
+        stand = solve_stand(robot, task, explain=explain)
     asked = stand.task
     if task.com == "inside":
         x, y, _ = Configuration(robot, stand.qpos).center_of_mass()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
+import signal
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
@@ -17,6 +19,7 @@ from concurrent.futures import (
     wait,
 )
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 
 import numpy as np
@@ -109,7 +112,8 @@ class Crew:
 
     def submit(self, chunk: Chunk) -> Future[Measured]:
         """Hands a chunk over."""
-        return self._now().submit(measured, chunk)
+        with self._beginning():
+            return self._now().submit(measured, chunk)
 
     def check(self) -> None:
         """Finds out whether processes can be begun at all.
@@ -119,7 +123,9 @@ class Crew:
         """
         if self._given is None:
             try:
-                self._now().submit(ready).result()
+                with self._beginning():
+                    begun = self._now().submit(ready)
+                begun.result()
             except BrokenExecutor as error:
                 problem = (
                     "worker processes end as they begin. A script that runs a study needs the line "
@@ -133,6 +139,19 @@ class Crew:
             context = multiprocessing.get_context("spawn")
             self._executor = ProcessPoolExecutor(self.workers, context, initializer=begin)
         return self._executor
+
+    @contextlib.contextmanager
+    def _beginning(self) -> Iterator[None]:
+        """Keeps Ctrl-C from processes that are begun, until they ignore it: see `begin`."""
+        if self._given is not None or not hasattr(signal, "pthread_sigmask"):
+            yield
+            return
+        resource_tracker.ensure_running()  # which, as it begins, lets signals through again
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def _processes(self) -> list[BaseProcess]:
         return list((getattr(self._executor, "_processes", None) or {}).values())

@@ -14,7 +14,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from pupper_analysis.errors import OutputError, StudyError
+from pupper_analysis.errors import MissingPackageError, OutputError, StudyError
 from pupper_analysis.files import whole_file
 from pupper_analysis.study.design import Row
 
@@ -42,14 +42,14 @@ def needed(library: str) -> None:
     """Checks that a library of the extra ``study`` is there.
 
     Raises:
-        StudyError: If not; says how to install it.
+        MissingPackageError: If not; says how to install it.
     """
     import importlib.util
 
     if importlib.util.find_spec(library) is None:
-        extra = {"optuna": "optuna", "distributed": "dask"}.get(library, "study")
-        problem = f"it needs {library}: pip install 'pupper-analysis[{extra}]'"
-        raise StudyError("-", problem)
+        raise MissingPackageError(
+            library, {"optuna": "optuna", "distributed": "dask"}.get(library, "study")
+        )
 
 
 class Store:

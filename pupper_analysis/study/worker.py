@@ -157,6 +157,8 @@ def _time_limit(limit: float | None) -> Iterator[None]:
 def begin() -> None:
     """Makes a process ready to work: it ignores Ctrl-C, and ends when its parent has gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):  # it was kept back so far
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     parent = parent_process()
 
     def follow() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.models.conversion import joint_damping
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.parameters import Parameters
-from pupper_analysis.sync.digits import SAME, Digits
-from pupper_analysis.sync.frames import Key, Sides, placement
+from pupper_analysis.sync.digits import SAME
+from pupper_analysis.sync.frames import Key, placement
 from pupper_analysis.sync.mjcf_anchor import move_anchors
 from pupper_analysis.sync.mjcf_effort import write_effort
 from pupper_analysis.sync.mjcf_elements import MjcfElements
 from pupper_analysis.sync.mjcf_inertials import write_inertial
 from pupper_analysis.sync.orientation import orientation_change
+from pupper_analysis.sync.side import Side
 from pupper_analysis.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
@@ -29,27 +29,17 @@ Array = NDArray[np.float64]
 COPIED = "it stands in no element of its own: the body is a copy of another (replicate, attach)"
 
 
-@dataclass(eq=False)
-class MjcfSide:
+@dataclass(eq=False, kw_only=True)
+class MjcfSide(Side):
     """An MJCF that gets numbers of a URDF.
 
     Attributes:
         file: The file.
         elements: Its elements.
-        sides: Both robots.
-        wanted: What the MJCF's shall be.
-        digits: Writes the numbers.
-        left: {difference: why it cannot be written}.
-        notes: What else is to be said, per difference.
     """
 
     file: MjcfFile
     elements: MjcfElements
-    sides: Sides
-    wanted: Parameters
-    digits: Digits
-    left: dict[Key, str] = field(default_factory=dict)
-    notes: dict[Key, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.robot = self.sides.matched.robot
@@ -102,8 +92,7 @@ class MjcfSide:
 
     def _frame(self, key: Key) -> None:
         name = key[1]
-        if self.sides.urdf.frames[name][0] != self.sides.mjcf.frames[name][0]:
-            self.left[key] = "it is on another body, which is no number to write"
+        if not self.on_same_body(key):
             return
         owner, position = self.wanted.frames[name]
         inside = self.sides.mjcf_frames[owner].inverse() * position

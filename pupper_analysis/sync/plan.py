@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pupper_analysis.checks.attribution import align
+from pupper_analysis.checks.differences import LIMITS, OF_BODIES_AND_PLACES
 from pupper_analysis.checks.matching import match
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.models.mjcf_file import read_mjcf
@@ -19,21 +20,7 @@ from pupper_analysis.sync.mjcf_side import MjcfSide
 from pupper_analysis.sync.urdf_side import UrdfSide
 from pupper_analysis.sync.xml_bytes import Document, Element, read_document
 
-_WRITTEN = (
-    "mass",
-    "com",
-    "inertia",
-    "position",
-    "rotation",
-    "axis",
-    "frame",
-    "lower limit",
-    "upper limit",
-    "effort",
-    "damping",
-    "friction",
-    "zero",
-)
+_WRITTEN = (*OF_BODIES_AND_PLACES, *LIMITS, "damping", "friction", "zero")
 """Kinds of differences that are numbers of both formats."""
 
 _REASONS = {
@@ -128,8 +115,19 @@ def made(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) -> Plan
     document = read_document(files.urdf)
     plan = Plan(files, {files.urdf: document}, elements.documents)
     theirs = list(mjcf.files)
-    into_urdf = UrdfSide(document, both, both.urdf, Digits.of(theirs, [urdf.path]))
-    into_mjcf = MjcfSide(mjcf, elements, both, both.mjcf, Digits.of([urdf.path], theirs))
+    into_urdf = UrdfSide(
+        document=document,
+        sides=both,
+        wanted=both.urdf,
+        digits=Digits.of(theirs, [urdf.path]),
+    )
+    into_mjcf = MjcfSide(
+        file=mjcf,
+        elements=elements,
+        sides=both,
+        wanted=both.mjcf,
+        digits=Digits.of([urdf.path], theirs),
+    )
     for side, other in ((into_urdf, "mjcf"), (into_mjcf, "urdf")):
         keys = [key for key, whose in taken.items() if whose == other]
         plan.left |= {key: reason for key in keys if (reason := _reason(key, other, both))}

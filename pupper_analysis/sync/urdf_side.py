@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
-from pupper_analysis.models.parameters import Joint, Parameters
+from pupper_analysis.models.parameters import Joint
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.sync.digits import SAME, Digits
-from pupper_analysis.sync.frames import Key, Sides, mass_of, placement
+from pupper_analysis.sync.frames import Key, mass_of, placement
 from pupper_analysis.sync.inertia import (
     Mass,
     same,
@@ -22,6 +22,7 @@ from pupper_analysis.sync.inertia import (
     turned_like,
 )
 from pupper_analysis.sync.orientation import numbers, origin, origin_changes
+from pupper_analysis.sync.side import Side
 from pupper_analysis.sync.xml_bytes import Document, Element
 
 Array = NDArray[np.float64]
@@ -39,25 +40,15 @@ _UNKNOWN = {"effort": "0", "velocity": "1000"}
 be none; but a velocity of 0 would be taken for one by whoever plans a motion."""
 
 
-@dataclass(eq=False)
-class UrdfSide:
+@dataclass(eq=False, kw_only=True)
+class UrdfSide(Side):
     """A URDF that gets numbers of an MJCF.
 
     Attributes:
         document: The file.
-        sides: Both robots.
-        wanted: What the URDF's shall be.
-        digits: Writes the numbers.
-        left: {difference: why it cannot be written}.
-        notes: What else is to be said, per difference.
     """
 
     document: Document
-    sides: Sides
-    wanted: Parameters
-    digits: Digits
-    left: dict[Key, str] = field(default_factory=dict)
-    notes: dict[Key, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         root = self.document.root
@@ -105,8 +96,7 @@ class UrdfSide:
     def _frame(self, key: Key) -> None:
         name = key[1]
         joint = self._above[self.sides.matched.robot.description.frames[name][0]]
-        if self.sides.urdf.frames[name][0] != self.sides.mjcf.frames[name][0]:
-            self.left[key] = "it is on another body, which is no number to write"
+        if not self.on_same_body(key):
             return
         owner, position = self.wanted.frames[name]
         inside = self.sides.urdf_frames[owner].inverse() * position

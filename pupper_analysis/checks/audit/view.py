@@ -188,6 +188,10 @@ class View:
                 children[body.parent].append(body)
         return children
 
+    def inertial_part(self, part: str) -> str:
+        """Returns where the mass, origin or inertia of a body stands below it in the format."""
+        return f"inertial/{part}" if self.format == "urdf" else "inertial"
+
     def children(self, name: str) -> list[Body]:
         """Returns the bodies whose parent is the one named."""
         return self._children[name]

@@ -35,9 +35,9 @@ from pupper_analysis.report.figures.style import (
     GREEN,
     RED,
     WIDTH,
+    page_figure,
     put_legend,
     put_style,
-    put_title,
     save,
 )
 from pupper_analysis.robot.robot import Robot
@@ -82,8 +82,7 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
         OutputError: If the file cannot be written.
     """
     lines = skeleton(robot, stand.qpos)
-    figure = Figure(figsize=(WIDTH, 0.6 * WIDTH), dpi=DPI)
-    put_title(figure, f"{robot.name}: how it stands")
+    figure = page_figure(f"{robot.name}: how it stands", 0.6 * WIDTH)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; the contact forces that last"
     figure.text(0.012, 0.925, textwrap.fill(text, 120), size=FONT, va="top")
     _draw_in_space(figure, lines, stand, statics)

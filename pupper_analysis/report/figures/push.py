@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator, NullFormatter
@@ -17,7 +16,6 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.report.figures.style import (
     BLACK,
     BLUE,
-    DPI,
     FONT,
     GREEN,
     GREY,
@@ -25,7 +23,7 @@ from pupper_analysis.report.figures.style import (
     RED,
     SKY,
     WIDTH,
-    put_title,
+    page_figure,
     save,
 )
 from pupper_analysis.simulation.push import PushRecovery
@@ -66,8 +64,7 @@ def push_figure(
     estimated = next(iter(results)) if tipping is None else tipping
     if estimated not in results:
         raise ConfigurationError("tipping", f"{estimated!r} is not one of: {', '.join(results)}")
-    figure = Figure(figsize=(WIDTH, 0.72 * WIDTH), dpi=DPI)
-    put_title(figure, "Largest horizontal push that the stand survives")
+    figure = page_figure("Largest horizontal push that the stand survives", 0.72 * WIDTH)
     axes = figure.add_axes((0.06, 0.09, 0.58, 0.77), projection="polar")
     assert isinstance(axes, PolarAxes)
     axes.set_theta_zero_location("N")  # forward is up; angles grow to the left, as about z

@@ -20,7 +20,6 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.report.figures.style import (
     BLACK,
     BLUE,
-    DPI,
     FONT,
     GREEN,
     GREY,
@@ -28,9 +27,9 @@ from pupper_analysis.report.figures.style import (
     RED,
     SKY,
     WIDTH,
+    page_figure,
     put_legend,
     put_style,
-    put_title,
     save,
 )
 from pupper_analysis.study.cells import check_columns, end_map, mean_map, measures_in, spread_in
@@ -49,8 +48,7 @@ _OUT = "0.93"  # grey of what is not known
 
 def figure_of(title: str, width: float = WIDTH, height: float = 3.4) -> tuple[Figure, Axes]:
     """Returns a figure with one panel."""
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
-    put_title(figure, title)
+    figure = page_figure(title, height, width=width, layout="constrained")
     return figure, figure.add_subplot()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -49,16 +49,23 @@ def panels_of(
         raise ConfigurationError("analyses", "there is no robot to draw")
     columns = min(COLUMNS, len(analyses))
     rows = -(-len(analyses) // columns)
-    figure = Figure(figsize=(WIDTH, rows * row_height + 0.75), dpi=DPI, layout="constrained")
-    put_title(figure, title)
+    figure = page_figure(title, rows * row_height + 0.75, layout="constrained")
     grid = figure.add_gridspec(rows, columns)
     panels = [figure.add_subplot(grid[divmod(index, columns)]) for index in range(len(analyses))]
     return figure, panels
 
 
-def put_title(figure: Figure, title: str) -> None:
-    """Puts a title over a figure."""
+def page_figure(
+    title: str,
+    height: float,
+    *,
+    width: float = WIDTH,
+    layout: Literal["constrained"] | None = None,
+) -> Figure:
+    """Returns an empty figure with a title (inch); ``layout`` is Matplotlib's."""
+    figure = Figure(figsize=(width, height), dpi=DPI, layout=layout)
     figure.suptitle(title, x=0.012, ha="left", size=FONT + 2, weight="bold", parse_math=False)
+    return figure
 
 
 def put_style(axes: Axes, title: str) -> None:

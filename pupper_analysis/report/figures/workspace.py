@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
@@ -15,14 +14,13 @@ from numpy.typing import NDArray
 from pupper_analysis.report.figures.skeleton import Skeleton, hull_corners, skeleton
 from pupper_analysis.report.figures.style import (
     BLUE,
-    DPI,
     FONT,
     GREY,
     RED,
     WIDTH,
+    page_figure,
     put_legend,
     put_style,
-    put_title,
     save,
 )
 from pupper_analysis.robot.ground import Ground
@@ -56,10 +54,8 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
     Raises:
         OutputError: If the file cannot be written.
     """
-    figure = Figure(figsize=(WIDTH, 0.68 * WIDTH), dpi=DPI, layout="constrained")
-    put_title(
-        figure, f"{robot.name}: how far the base can go with its feet planted, each way alone"
-    )
+    title = f"{robot.name}: how far the base can go with its feet planted, each way alone"
+    figure = page_figure(title, 0.68 * WIDTH, layout="constrained")
     start = workspace.start
     panels = figure.subplots(2, 3).flat
     for axes, (direction, interval) in zip(panels, workspace.intervals.items(), strict=True):

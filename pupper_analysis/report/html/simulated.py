@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from pupper_analysis.report.html.document import (
     Column,
     Lines,
     Name,
-    Number,
     Plot,
     Table,
     Text,
@@ -178,41 +177,29 @@ def motions_of(runs: Sequence[StandVerification]) -> list[Motion]:
 
 def run_rows(runs: Sequence[StandVerification]) -> tuple[tuple[Cell, ...], ...]:
     """Returns what simulations made of a stand: a row per quantity, a column per run."""
-    quantities: list[tuple[str, str, list[Number]]] = [
-        ("base height", "m", [number(run.base_height, ".5f") for run in runs]),
-        ("loss of height", "mm", [number(run.height_loss, ".3f", scale=1e3) for run in runs]),
-        ("of it servo sag", "mm", [number(run.servo_sag, ".3f", scale=1e3) for run in runs]),
-        (
-            "of it contact softness",
-            "mm",
-            [number(run.contact_sag, ".3f", scale=1e3) for run in runs],
-        ),
-        (
-            "deviation of height, last second (< 5 mm = stable)",
-            "mm",
-            [number(run.height_deviation, ".5f", scale=1e3) for run in runs],
-        ),
-        (
-            "drift of height, last second",
-            "mm/s",
-            [number(run.height_drift, "+.4f", scale=1e3) for run in runs],
-        ),
-        ("tilt against the task", "°", [number(math.degrees(run.tilt), ".4f") for run in runs]),
-        (
-            "foot slip",
-            "mm",
-            [number(max(run.foot_slip.values()), ".4f", scale=1e3) for run in runs],
-        ),
-        ("joint error", "rad", [number(run.joint_error, ".1e") for run in runs]),
-        (
-            "torque off prediction, of the largest",
-            "%",
-            [number(run.torque_error, ".3f", scale=100) for run in runs],
-        ),
-        (
-            "vertical foot force off prediction",
-            "%",
-            [number(run.force_error, ".3f", scale=100) for run in runs],
-        ),
-    ]
-    return tuple((text(name), *values, Name(unit)) for name, unit, values in quantities)
+    return tuple(
+        (text(name), *(number(of(run), format, scale=scale) for run in runs), Name(unit))
+        for name, unit, of, format, scale in _QUANTITIES
+    )
+
+
+_QUANTITIES: tuple[tuple[str, str, Callable[[StandVerification], float], str, float], ...] = (
+    ("base height", "m", lambda run: run.base_height, ".5f", 1.0),
+    ("loss of height", "mm", lambda run: run.height_loss, ".3f", 1e3),
+    ("of it servo sag", "mm", lambda run: run.servo_sag, ".3f", 1e3),
+    ("of it contact softness", "mm", lambda run: run.contact_sag, ".3f", 1e3),
+    (
+        "deviation of height, last second (< 5 mm = stable)",
+        "mm",
+        lambda run: run.height_deviation,
+        ".5f",
+        1e3,
+    ),
+    ("drift of height, last second", "mm/s", lambda run: run.height_drift, "+.4f", 1e3),
+    ("tilt against the task", "°", lambda run: math.degrees(run.tilt), ".4f", 1.0),
+    ("foot slip", "mm", lambda run: max(run.foot_slip.values()), ".4f", 1e3),
+    ("joint error", "rad", lambda run: run.joint_error, ".1e", 1.0),
+    ("torque off prediction, of the largest", "%", lambda run: run.torque_error, ".3f", 100.0),
+    ("vertical foot force off prediction", "%", lambda run: run.force_error, ".3f", 100.0),
+)
+"""What is shown of a run: name, unit, value in SI units, its format, and what it is scaled by."""

@@ -29,10 +29,6 @@ def _stated(view: View) -> Iterator[tuple[Body, Inertial]]:
             yield body, body.inertial
 
 
-def _child(view: View) -> str:
-    return "inertial/inertia" if view.format == "urdf" else "inertial"
-
-
 @rule(
     "inertia-not-positive-definite",
     Severity.ERROR,
@@ -51,7 +47,7 @@ def not_positive_definite(view: View) -> Iterator[Found]:
         alone = body.moving and len(view.fixed_group(body.name)) == 1
         if least < -max(zero, inertial.rounding) or (alone and least <= zero):
             text = f"its principal moments reach from {least:.4g} to {greatest:.4g} kg m^2"
-            yield Found(view.body_tag, body.name, text, _child(view))
+            yield Found(view.body_tag, body.name, text, view.inertial_part("inertia"))
 
 
 @rule(
@@ -81,7 +77,7 @@ def triangle_inequality(view: View) -> Iterator[Found]:
             )
             if np.allclose(inertial.inertia, inertial.inertia[0, 0], rtol=1e-6):
                 text += ": all six values are equal, so it is that of a rod without width"
-            yield Found(view.body_tag, body.name, text, _child(view))
+            yield Found(view.body_tag, body.name, text, view.inertial_part("inertia"))
 
 
 @rule(
@@ -128,7 +124,7 @@ def implausible(view: View) -> Iterator[Found]:
             )
         else:
             continue
-        yield Found(view.body_tag, body.name, text, _child(view))
+        yield Found(view.body_tag, body.name, text, view.inertial_part("inertia"))
 
 
 def _solid_box(points: Array, mass: float) -> float:

@@ -42,12 +42,11 @@ def mass_not_positive(view: View) -> Iterator[Found]:
             continue
         if inertial.mass == 0 and not inertial.inertia.any():
             continue
-        child = "inertial/mass" if view.format == "urdf" else "inertial"
         largest = float(np.abs(inertial.inertia).max())
         text = (
             f"its mass is {inertial.mass:g} kg, with moments of inertia up to {largest:.3g} kg m^2"
         )
-        yield Found(view.body_tag, body.name, text, child)
+        yield Found(view.body_tag, body.name, text, view.inertial_part("mass"))
 
 
 @rule(
@@ -98,8 +97,7 @@ def com_outside_shapes(view: View) -> Iterator[Found]:
                 f"its com ({x:.4g}, {y:.4g}, {z:.4g}) m is {1e3 * outside:.1f} mm outside its "
                 f"shapes, which are {1e3 * size:.0f} mm long"
             )
-            child = "inertial/origin" if view.format == "urdf" else "inertial"
-            yield Found(view.body_tag, body.name, text, child)
+            yield Found(view.body_tag, body.name, text, view.inertial_part("origin"))
 
 
 @rule(

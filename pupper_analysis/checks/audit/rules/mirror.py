@@ -10,7 +10,7 @@ from pupper_analysis.checks.audit.pairs import Mirror, mirror_pairs, mirror_plan
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.result import Severity
-from pupper_analysis.checks.audit.view import HINGE, Body, Joint, View
+from pupper_analysis.checks.audit.view import HINGE, Body, Inertial, Joint, View
 
 POSITION, MASS, COM, INERTIA, LIMIT = 1e-3, 0.01, 1e-3, 0.1, 0.02
 """Tolerances: m, relative, m, relative, rad or m."""
@@ -71,6 +71,17 @@ def _in_place(view: View) -> Iterator[tuple[Mirror, Body, Body]]:
             yield mirror, one, other
 
 
+def _inertials(view: View) -> Iterator[tuple[Mirror, tuple[Body, Inertial], tuple[Body, Inertial]]]:
+    """Yields the pairs that are where they should be, with the inertials that both have."""
+    for mirror, one, other in _in_place(view):
+        if one.inertial is not None and other.inertial is not None:
+            yield mirror, (one, one.inertial), (other, other.inertial)
+
+
+def _same_mass(one: Body, other: Body) -> bool:
+    return not abs(one.mass - other.mass) > MASS * max(abs(one.mass), abs(other.mass))
+
+
 def _vector(vector: Array) -> str:
     return "(" + ", ".join(f"{value:.4g}" for value in vector + 0.0) + ")"
 
@@ -113,10 +124,9 @@ def mirror_position(view: View) -> Iterator[Found]:
 def mirror_mass(view: View) -> Iterator[Found]:
     """Compares masses, with 1 % of tolerance."""
     for one, other in _body_pairs(view):
-        if abs(one.mass - other.mass) > MASS * max(abs(one.mass), abs(other.mass)):
+        if not _same_mass(one, other):
             text = f"it weighs {other.mass:.4g} kg, {one.name!r} {one.mass:.4g} kg"
-            child = "inertial/mass" if view.format == "urdf" else "inertial"
-            yield Found(view.body_tag, other.name, text, child)
+            yield Found(view.body_tag, other.name, text, view.inertial_part("mass"))
 
 
 @rule(
@@ -128,19 +138,16 @@ def mirror_mass(view: View) -> Iterator[Found]:
 )
 def mirror_com(view: View) -> Iterator[Found]:
     """Compares coms, with 1 mm and 1 % of the distance to the base of tolerance."""
-    for mirror, one, other in _in_place(view):
-        if one.inertial is None or other.inertial is None:
-            continue
-        image = mirror.point(one.pose.point(one.inertial.com))
-        com = other.pose.point(other.inertial.com)
+    for mirror, (one, here), (other, there) in _inertials(view):
+        image = mirror.point(one.pose.point(here.com))
+        com = other.pose.point(there.com)
         gap = float(np.linalg.norm(image - com))
         if gap > COM + 0.01 * float(np.linalg.norm(com)):
             text = (
                 f"its com is at {_vector(com)} m in the base's axes, {1e3 * gap:.3g} mm from the "
                 f"mirror image {_vector(image)} of that of {one.name!r}"
             )
-            child = "inertial/origin" if view.format == "urdf" else "inertial"
-            yield Found(view.body_tag, other.name, text, child)
+            yield Found(view.body_tag, other.name, text, view.inertial_part("origin"))
 
 
 @rule(
@@ -154,16 +161,14 @@ def mirror_inertia(view: View) -> Iterator[Found]:
     """Compares S I S with I', with S the reflection, where the masses agree; tolerance: 10 %."""
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     elements = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
-    for mirror, one, other in _in_place(view):
-        if one.inertial is None or other.inertial is None:
+    for mirror, (one, here), (other, there) in _inertials(view):
+        if not _same_mass(one, other):
             continue
-        if abs(one.mass - other.mass) > MASS * max(abs(one.mass), abs(other.mass)):
-            continue
-        turned = one.pose.rotation @ one.inertial.inertia @ one.pose.rotation.T
+        turned = one.pose.rotation @ here.inertia @ one.pose.rotation.T
         image = mirror.matrix @ turned @ mirror.matrix
-        tensor = other.pose.rotation @ other.inertial.inertia @ other.pose.rotation.T
+        tensor = other.pose.rotation @ there.inertia @ other.pose.rotation.T
         scale = max(float(np.abs(image).max()), float(np.abs(tensor).max()))
-        rounding = 2 * max(one.inertial.rounding, other.inertial.rounding)
+        rounding = 2 * max(here.rounding, there.rounding)
         gap = np.abs(image - tensor)[elements]
         worst = int(np.argmax(gap))
         if gap[worst] > max(INERTIA * scale, min(rounding, 0.5 * scale)):
@@ -171,16 +176,18 @@ def mirror_inertia(view: View) -> Iterator[Found]:
                 f"its {names[worst]} in the base's axes is {tensor[elements][worst]:.3g} kg m^2, "
                 f"that of the mirror image of {one.name!r} is {image[elements][worst]:.3g} kg m^2"
             )
-            child = "inertial/inertia" if view.format == "urdf" else "inertial"
-            yield Found(view.body_tag, other.name, text, child)
+            yield Found(view.body_tag, other.name, text, view.inertial_part("inertia"))
 
 
-def _joint_pairs(view: View) -> Iterator[tuple[Joint, Joint]]:
-    joints = view.joints
+def _joint_pairs(view: View) -> Iterator[tuple[Mirror, Joint, Joint]]:
+    """Yields the pairs of joints that move alike, if there is a plane between them."""
+    mirror, joints = mirror_plane(view), view.joints
+    if mirror is None:
+        return
     for pair in mirror_pairs(joints):
         one, other = (joints[name] for name in pair)
         if one.moves and one.kind == other.kind:
-            yield one, other
+            yield mirror, one, other
 
 
 def _sense(mirror: Mirror, one: Joint, other: Joint) -> float:
@@ -201,10 +208,7 @@ def _sense(mirror: Mirror, one: Joint, other: Joint) -> float:
 )
 def mirror_axis(view: View) -> Iterator[Found]:
     """Compares the lines along which axes lie; either may point either way. Tolerance: 1 degree."""
-    mirror = mirror_plane(view)
-    if mirror is None:
-        return
-    for one, other in _joint_pairs(view):
+    for mirror, one, other in _joint_pairs(view):
         if one.axis.any() and other.axis.any():
             cosine = abs(_sense(mirror, one, other))
             if cosine < np.cos(np.deg2rad(1.0)):
@@ -225,10 +229,7 @@ def mirror_axis(view: View) -> Iterator[Found]:
 )
 def mirror_limits(view: View) -> Iterator[Found]:
     """Compares ranges, turned round if the axes' senses differ, and efforts (1 %)."""
-    mirror = mirror_plane(view)
-    if mirror is None:
-        return
-    for one, other in _joint_pairs(view):
+    for mirror, one, other in _joint_pairs(view):
         sense = _sense(mirror, one, other)
         if abs(sense) < 0.9:
             continue

@@ -69,8 +69,7 @@ def density_implausible(view: View) -> Iterator[Found]:
                 "kg/m^3; "
                 + ("lead has 11300, tungsten 19300" if density > DENSEST else "foam has 10 or more")
             )
-            child = "inertial/mass" if view.format == "urdf" else "inertial"
-            yield Found(view.body_tag, body.name, text, child)
+            yield Found(view.body_tag, body.name, text, view.inertial_part("mass"))
 
 
 @rule(

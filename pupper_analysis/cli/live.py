@@ -1,0 +1,93 @@
+"""``pupper-analysis live``: a page to play with."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pupper_analysis.cli.shared import CONTEXT, working
+from pupper_analysis.cli.stance_options import (
+    OWN,
+    VARIANT,
+    derived_variant,
+    files_given,
+    name_argument,
+    options,
+    print_notes,
+)
+from pupper_analysis.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pupper_analysis.live.source import Source
+
+
+@click.command("live", context_settings=CONTEXT, short_help="A page to play with stances.")
+@name_argument
+@options(OWN, VARIANT)
+@click.option("--state", default="", metavar="STATE", help="How it begins; a page shows its own.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Where it can be reached.")
+@click.option("--port", type=int, help="On which port.  [default: any that is free]")
+@click.option("--no-browser", is_flag=True, help="Open no browser; print the address.")
+def live_command(
+    name: str | None,
+    urdf: Path | None,
+    mjcf: Path | None,
+    feet: tuple[str, ...],
+    pairs: tuple[str, ...],
+    keyframe: str | None,
+    base: str | None,
+    leg_scale: float | None,
+    torso_mass_scale: float | None,
+    state: str,
+    host: str,
+    port: int | None,
+    no_browser: bool,
+) -> None:
+    """Open a page on which sliders ask for a stance, and its torques, forces and sag are shown.
+
+    NAME is a variant (v3 by default). Each browser that opens the page plays on its own. The page
+    can be reached from this machine alone, unless --host says otherwise: then by anyone who can
+    reach the port. It is served until Ctrl-C.
+
+    \b
+    Examples:
+      pupper-analysis live
+      pupper-analysis live long-leg --port 8080 --no-browser
+      pupper-analysis live v3 --state 'height:120;roll:5;lift:FL,20'
+      pupper-analysis live --urdf go1.urdf --mjcf go1.xml
+
+    \b
+    Exit status: 130 ended by Ctrl-C, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.live.server import Page, serve
+    from pupper_analysis.live.state import parse
+    from pupper_analysis.live.viser_parts import viser
+
+    viser()  # before anything is loaded
+    begin = parse(state)
+    derived = derived_variant(base, leg_scale, torso_mass_scale)
+    source: Source
+    if urdf or mjcf or feet or pairs or keyframe:
+        if name is not None or derived is not None:
+            raise ConfigurationError(
+                "NAME", "give a variant's name, or --base and its scales, or --urdf and --mjcf"
+            )
+        from pupper_analysis.live.source import Pair
+
+        with working("preparing the robot: feet, start pose, servos"):
+            source = Pair.of(files_given(urdf, mjcf, feet, pairs, keyframe))
+        print_notes(source.robot({}))
+    else:
+        from pupper_analysis.pupper.live import Variants
+        from pupper_analysis.pupper.variants import variant_spec
+
+        if name is not None and derived is not None:
+            raise ConfigurationError("NAME", "give a variant's name, or --base and its scales")
+        source = Variants(derived if derived is not None else variant_spec(name or "v3"))
+    with working("making the page"):
+        page = Page(source, begin, host=host, port=port)
+    click.echo(f"{page.address}  (Ctrl-C ends it)")
+    serve(page, browser=not no_browser, wait=threading.Event().wait)

@@ -1,0 +1,1 @@
+"""A page to play with: sliders in, a stand and what it takes out."""

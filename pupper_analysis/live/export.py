@@ -1,0 +1,167 @@
+"""A page's stance for elsewhere: as Python, as a command, as JSON, as CSV, as a link."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import Any
+from urllib.parse import quote
+
+from pupper_analysis.live.model import Answer, Sag
+from pupper_analysis.live.source import Source, spoken
+from pupper_analysis.live.state import State, metres, plain
+from pupper_analysis.results import to_json
+
+PROGRAM = "pupper-analysis"
+
+_SCRIPT = """\
+import math
+
+import pupper_analysis as pa
+
+robot = {robot}
+task = pa.StandTask({task})
+stand = pa.solve_stand(robot, task)
+statics = pa.stand_statics(robot, stand)
+for joint, torque in zip(robot.joint_names, statics.joint_torques):
+    print(f"{{joint:24}} {{torque:+.4f}} N m")
+print(f"com margin {{1e3 * stand.com_margin:.1f}} mm")
+
+try:
+    settled = pa.steady_state(robot, stand{kp})  # without feed-forward
+    print(f"sags by {{1e3 * settled.height_loss:.2f}} mm")
+except pa.NoEquilibriumError as error:
+    print(error)
+report = pa.verify_stand(robot, pa.sunk_stand(robot, task){gains})  # in MuJoCo
+print("verified" if report.passed else report.failures)
+"""
+
+
+def python(source: Source, state: State) -> str:
+    """Returns a script that makes the same stand."""
+    robot = source.python(state.scales())
+    if state.payload:
+        robot = f"pa.with_payload({robot}, {state.payload!r}, {state.payload_point()!r})"
+    kp = "" if state.kp is None else f", kp={state.kp!r}"
+    kd = "" if state.kd is None else f", kd={state.kd!r}"
+    text = _SCRIPT.format(robot=robot, task=_task(state), kp=kp, gains=kp + kd)
+    return text if "math." in text else text.removeprefix("import math\n\n")
+
+
+def _task(state: State) -> str:
+    """Returns the arguments of a ``StandTask``: those that are not the usual ones."""
+    parts = [] if state.height is None else [f"height={metres(state.height)!r}"]
+    for name in ("roll", "pitch", "yaw"):
+        if value := getattr(state, name):
+            parts.append(f"{name}={_angle(value)}")
+    if state.place == "offset":
+        parts.append(f"offset=({metres(state.offset[0])!r}, {metres(state.offset[1])!r})")
+    if state.place == "inside":
+        parts.append("com='inside'")
+    if state.com_margin:
+        parts.append(f"com_margin={metres(state.com_margin)!r}")
+    if state.moves:
+        moves = {foot: (metres(x), metres(y)) for foot, (x, y) in state.moves.items()}
+        parts.append(f"foot_offsets={moves!r}")
+    if state.lift:
+        parts.append(f"swing={ {state.lift: metres(state.lift_height)}!r}")
+    if state.slope or state.uphill:
+        parts.append(
+            f"ground=pa.Ground(slope={_angle(state.slope)}, uphill={_angle(state.uphill)})"
+        )
+    return ", ".join(parts)
+
+
+def _angle(degrees: float) -> str:
+    return f"math.radians({plain(degrees)})" if degrees else "0.0"
+
+
+def command(source: Source, state: State) -> str:
+    """Returns the command that solves and simulates the same stand."""
+    return spoken([PROGRAM, "stand", *source.arguments(state.scales()), *_options(state)])
+
+
+def live_command(source: Source, state: State) -> str:
+    """Returns the command that opens a page with the same state."""
+    words = [PROGRAM, "live", *source.arguments({})]
+    return spoken([*words, "--state", str(state)] if str(state) else words)
+
+
+def _options(state: State) -> list[str]:
+    """Returns what the command line's options of stance, payload and servos say."""
+    words = [] if state.height is None else [f"--height={metres(state.height)!r}"]
+    for name in ("roll", "pitch", "yaw"):
+        if value := getattr(state, name):
+            words.append(f"--{name}={plain(value)}deg")
+    if state.place == "offset":
+        words.append(f"--offset={_point(state.offset)}")
+    if state.place == "inside":
+        words.append("--com=inside")
+    if state.com_margin:
+        words.append(f"--com-margin={metres(state.com_margin)!r}")
+    words += [f"--move={foot}={_point(move)}" for foot, move in state.moves.items()]
+    if state.lift:
+        words.append(f"--swing={state.lift}={metres(state.lift_height)!r}")
+    for name in ("slope", "uphill"):
+        if value := getattr(state, name):
+            words.append(f"--{name}={plain(value)}deg")
+    if state.payload:
+        words += [f"--payload={state.payload!r}", f"--payload-at={_point(state.payload_at)}"]
+    for name in ("kp", "kd"):
+        if (value := getattr(state, name)) is not None:
+            words.append(f"--{name}={value!r}")
+    return words
+
+
+def _point(point: tuple[float, ...]) -> str:
+    return ",".join(repr(metres(number)) for number in point)
+
+
+def json(source: Source, answer: Answer, sag: Sag | None) -> str:
+    """Returns all that is known of a stance."""
+    content: dict[str, Any] = {
+        "robot": source.python(answer.state.scales()),
+        "state": str(answer.state),
+        "task": answer.task,
+        "stand": answer.stand,
+        "statics": answer.statics,
+        "settled": sag.settled if sag else None,
+        "refusal": str(answer.refusal) if answer.refusal else None,
+    }
+    return to_json(content) + "\n"
+
+
+def table(answer: Answer) -> str:
+    """Returns the joints as CSV: angles (rad), torques and limits (N m), utilisation."""
+    assert answer.robot is not None
+    assert answer.stand is not None
+    assert answer.statics is not None
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["joint", "position_rad", "torque_nm", "limit_nm", "utilisation"])
+    rows = zip(
+        answer.robot.joint_names,
+        answer.stand.joint_positions(answer.robot).tolist(),
+        answer.statics.joint_torques.tolist(),
+        answer.robot.effort_limits.tolist(),
+        answer.statics.motor_utilisation.tolist(),
+        strict=True,
+    )
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def link(address: str, state: State) -> str:
+    """Returns the address of a page with the same state, of a server as a browser reaches it.
+
+    What viser's page takes to be its server's address is, with a state behind it, what the server
+    is asked for: so it learns what it is to show.
+
+    Args:
+        address: Host and port.
+        state: The state.
+    """
+    text = str(state)
+    if not text:
+        return f"http://{address}/"
+    return f"http://{address}/?websocket=ws://{address}/?state={quote(text, safe=':;,.%')}"

@@ -1,0 +1,217 @@
+"""From a state to what there is to show: the Python interface, called for a page.
+
+Nothing here knows of a browser. Every number is that of the public function which its field names.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+
+from pupper_analysis.errors import (
+    NoEquilibriumError,
+    PupperAnalysisError,
+    StanceUnreachableError,
+    StaticsInfeasibleError,
+)
+from pupper_analysis.live.source import Source
+from pupper_analysis.live.state import State
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.push_trial import PushTrial, push_trial
+from pupper_analysis.simulation.verify import StandVerification, verify_stand
+from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.equilibrium import GravityCompensation
+
+_KEPT = 8
+"""Robots that are kept: as many as a hand goes to and fro between; v3 takes some MB."""
+
+SIMULATED = 5.0
+"""s, of a verification: its last second is what settles."""
+
+PUSHED = 4.0
+"""s after a push: a robot that recovers has by then come to rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a state comes to, at once.
+
+    Attributes:
+        state: What was asked.
+        robot: The robot, with its payload; None if there is none.
+        task: The stand task; None if it is none.
+        stand: ``solve_stand``'s; None if it is out of reach.
+        statics: ``stand_statics``'s; None if it cannot be held.
+        refusal: Why one of these is None; a ``StanceUnreachableError`` here is not yet explained.
+    """
+
+    state: State
+    robot: Robot | None
+    task: StandTask | None
+    stand: Stand | None
+    statics: GravityCompensation | None
+    refusal: PupperAnalysisError | None
+
+    @property
+    def unreachable(self) -> bool:
+        """Whether it is out of reach, so that there is more to be said of it."""
+        return isinstance(self.refusal, StanceUnreachableError)
+
+
+@dataclass(frozen=True, eq=False)
+class Sag:
+    """What servos without feed-forward make of a stand.
+
+    Attributes:
+        settled: ``steady_state``'s; None where nothing is predicted.
+        unsettled: Why not.
+    """
+
+    settled: SteadyState | None
+    unsettled: str
+
+
+class Model:
+    """Answers for one robot's states; several threads may ask.
+
+    Args:
+        source: Which robot.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self._robots: OrderedDict[object, Robot] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def made(self, state: State) -> bool:
+        """Whether a state's robot is there, so that nothing has to be made."""
+        with self._lock:
+            return self._key(state) in self._robots
+
+    @staticmethod
+    def _key(state: State) -> object:
+        at = state.payload_point() if state.payload else None
+        return tuple(sorted(state.scales().items())), state.payload, at
+
+    def robot(self, state: State) -> Robot:
+        """Returns a state's robot, with its payload.
+
+        Raises:
+            PupperAnalysisError: If there is none.
+        """
+        key = self._key(state)
+        with self._lock:
+            if key in self._robots:
+                self._robots.move_to_end(key)
+                return self._robots[key]
+        # Made without the lock: other pages go on meanwhile.
+        robot = self.source.robot(state.scales())
+        if state.payload:
+            robot = with_payload(robot, state.payload, state.payload_point())
+        with self._lock:
+            robot = self._robots.setdefault(key, robot)
+            while len(self._robots) > _KEPT:
+                self._robots.popitem(last=False)
+        return robot
+
+    def answer(self, state: State) -> Answer:
+        """Solves a state; what is wrong with it is in the answer."""
+        robot = task = stand = None
+        try:
+            robot = self.robot(state)
+            task = state.task()
+            stand = solve_stand(robot, task, explain=False)
+            statics = stand_statics(robot, stand)
+        except PupperAnalysisError as error:
+            return Answer(state, robot, task, stand, None, error)
+        return Answer(state, robot, task, stand, statics, None)
+
+
+def explained(answer: Answer) -> StanceUnreachableError | None:
+    """Returns why a stance is out of reach, and how far it can go (a second, or some).
+
+    None if it is in reach after all.
+    """
+    assert answer.robot is not None
+    try:
+        solve_stand(answer.robot, answer.task)
+    except StanceUnreachableError as error:
+        return error
+    return None
+
+
+def sag(answer: Answer) -> Sag:
+    """Predicts where the stand settles without feed-forward."""
+    assert answer.robot is not None
+    assert answer.stand is not None
+    try:
+        return Sag(steady_state(answer.robot, answer.stand, kp=answer.state.kp), "")
+    except NoEquilibriumError as error:
+        return Sag(None, str(error))
+    except StaticsInfeasibleError:
+        return Sag(None, "it cannot be held even with feed-forward")
+    except PupperAnalysisError as error:
+        return Sag(None, str(error))
+
+
+def held_stand(answer: Answer) -> Stand:
+    """Returns the stand that is simulated: on soft ground, if that is in reach."""
+    assert answer.robot is not None
+    assert answer.stand is not None
+    try:
+        return sunk_stand(answer.robot, answer.task, explain=False)
+    except PupperAnalysisError:
+        return answer.stand
+
+
+def simulated(answer: Answer, held: Stand, *, feedforward: bool) -> StandVerification:
+    """Simulates the stand.
+
+    Args:
+        answer: How it stands.
+        held: The same on soft ground; see ``held_stand``.
+        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+
+    Raises:
+        PupperAnalysisError: If it cannot be.
+    """
+    assert answer.robot is not None
+    state = answer.state
+    return verify_stand(
+        answer.robot,
+        held,
+        feedforward=feedforward,
+        kp=state.kp,
+        kd=state.kd,
+        duration=SIMULATED,
+    )
+
+
+def pushed(answer: Answer, impulse: float, direction: float, *, feedforward: bool) -> PushTrial:
+    """Pushes the stand.
+
+    Args:
+        answer: How it stands.
+        impulse: N s.
+        direction: From the base's forward (rad).
+        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+
+    Raises:
+        PupperAnalysisError: If it cannot be.
+    """
+    assert answer.robot is not None
+    return push_trial(
+        answer.robot,
+        held_stand(answer),
+        impulse,
+        direction,
+        duration=PUSHED,
+        kp=answer.state.kp,
+        kd=answer.state.kd,
+        feedforward=feedforward,
+    )

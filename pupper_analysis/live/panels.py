@@ -1,0 +1,176 @@
+"""The panels of a page: what it takes on the left, what is asked on the right."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Protocol
+
+from pupper_analysis.live import export, text
+from pupper_analysis.live.controls import Controls
+from pupper_analysis.live.model import Answer, Model, Sag
+from pupper_analysis.live.state import State
+from pupper_analysis.report.formats import visible
+
+
+class Acts(Protocol):
+    """What the buttons of a page do."""
+
+    def changed(self) -> None:
+        """Is told that the controls say something else."""
+
+    def reset(self) -> None:
+        """Goes back to where a page begins."""
+
+    def go_to(self, words: str) -> None:
+        """Goes to a state that is given as a text."""
+
+    def go_to_nearest(self) -> None:
+        """Goes to the ghost."""
+
+    def draw_again(self, labels: bool) -> None:
+        """Shows the names of all joints, or of one."""
+
+    def simulate(self) -> None:
+        """Simulates the stance."""
+
+    def push(self) -> None:
+        """Pushes the stance."""
+
+    def export(self) -> tuple[Answer | None, Sag | None]:
+        """Returns what is shown, whole."""
+
+
+class Panels:
+    """All that a page has beside its scene.
+
+    Args:
+        client: viser's handle of a browser.
+        model: Answers for the robot.
+        address: Host and port, as the browser reaches the server.
+        acts: What buttons do.
+    """
+
+    def __init__(self, client: Any, model: Model, address: str, acts: Acts) -> None:
+        self._client, self._model, self._address, self._acts = client, model, address, acts
+        gui = client.gui
+        robot = model.robot(State())
+        self._feedforward: Any = None
+        left = gui.add_panel()
+        with left.add_tab("What it takes"):
+            self._numbers = gui.add_html(text.waiting("solving …"))
+        left.dock_left()
+        left.set_width(330)
+        self.controls = Controls(gui, robot, model.source.scales, acts.changed)
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Stance"):
+            self.controls.stance()
+            self._nearest = gui.add_button("Go to the nearest stance", visible=False)
+            reset = gui.add_button("Reset all", color="gray")
+        with tabs.add_tab("Body"):
+            self.controls.body()
+        with tabs.add_tab("MuJoCo"):
+            self._simulation(gui, robot.total_mass)
+        with tabs.add_tab("Share"):
+            self._share(gui)
+        self._nearest.on_click(lambda _: acts.go_to_nearest())
+        reset.on_click(lambda _: acts.reset())
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(360)
+
+    def _simulation(self, gui: Any, mass: float) -> None:
+        acts = self._acts
+        self._feedforward = gui.add_checkbox(
+            "feed-forward", False, hint="Command q* + torque / kp, not q* alone."
+        )
+        simulate = gui.add_button("Simulate", hint="5 s of MuJoCo.")
+        most = max(1.0, round(2.0 * mass, 1))  # N s: 2 m/s tip over what is about as high as v3
+        with gui.add_folder("Push"):
+            self._impulse = gui.add_slider("impulse (N s)", 0.0, most, most / 100, most / 10)
+            self._direction = gui.add_slider(
+                "towards (°)", -180.0, 180.0, 5.0, 90.0, hint="0 is forward, 90 is left."
+            )
+            push = gui.add_button("Push")
+        self._beside = gui.add_checkbox("beside the prediction", True)
+        labels = gui.add_checkbox("torques at all joints", False)
+        self._result = gui.add_html(text.nothing("Not simulated yet."))
+        simulate.on_click(lambda _: acts.simulate())
+        push.on_click(lambda _: acts.push())
+        labels.on_update(lambda event: acts.draw_again(bool(event.target.value)))
+
+    def _share(self, gui: Any) -> None:
+        self._state = gui.add_text("state", "", hint="Change it, or paste another one.")
+        self._link = gui.add_text("link", "", hint="Opens a page with this state.")
+        self._live = gui.add_text("this page", "", multiline=True)
+        self._command = gui.add_text("as a command", "", multiline=True)
+        self._python = gui.add_text("as Python", "", multiline=True)
+        self._state.on_update(self._state_typed)
+        for label, name in (
+            ("Save the Python", "stance.py"),
+            ("Save all as JSON", "stance.json"),
+            ("Save the torques as CSV", "torques.csv"),
+        ):
+            button = gui.add_button(label)
+            button.on_click(lambda _, n=name: self._save(n))
+
+    def _state_typed(self, event: Any) -> None:
+        if event.client is not None and self._state.value != str(self.controls.state):
+            self._acts.go_to(self._state.value)
+
+    def _save(self, name: str) -> None:
+        """Sends a file to the browser, of the stance that is shown."""
+        answer, sag = self._acts.export()
+        source = self._model.source
+        if answer is None or (answer.statics is None and name != "stance.py"):
+            self.notify("Nothing to save", "There is no stance in balance.")
+            return
+        content = {
+            "stance.py": lambda: export.python(source, answer.state),
+            "stance.json": lambda: export.json(source, answer, sag),
+            "torques.csv": lambda: export.table(answer),
+        }[name]()
+        self._client.send_file_download(name, content.encode(), save_immediately=True)
+
+    @property
+    def feedforward(self) -> bool:
+        """Whether servos are told the torque in advance."""
+        return bool(self._feedforward.value)
+
+    @property
+    def beside(self) -> bool:
+        """Whether what is simulated is drawn beside the stand, and not over it."""
+        return bool(self._beside.value)
+
+    @property
+    def push_asked(self) -> tuple[float, float]:
+        """How hard (N s), and where to (rad)."""
+        return float(self._impulse.value), math.radians(float(self._direction.value))
+
+    def status(self, html: str) -> None:
+        """Shows what it takes."""
+        self._numbers.content = html
+
+    def result(self, html: str) -> None:
+        """Shows what came of a simulation."""
+        self._result.content = html
+
+    def answered(self, answer: Answer) -> None:
+        """Shows all that follows from a state at once; limits are of the state before."""
+        source, state = self._model.source, answer.state
+        self.limits(None)
+        if answer.robot is not None:
+            self.controls.follow(answer.robot)
+        self._result.content = text.nothing("Not simulated yet.")
+        self._state.value = str(state)
+        self._link.value = export.link(self._address, state)
+        self._live.value = visible(export.live_command(source, state))
+        self._command.value = visible(export.command(source, state))
+        self._python.value = export.python(source, state)
+
+    def limits(self, error: Any) -> None:
+        """Shows how far sliders can go, and a way to the nearest stance; nothing for None."""
+        self.controls.limits({} if error is None else error.limits)
+        self._nearest.visible = error is not None and error.nearest is not None
+
+    def notify(self, title: str, words: str) -> None:
+        """Says something at once."""
+        self._client.add_notification(title, visible(words), auto_close_seconds=12.0, color="red")

@@ -1,0 +1,128 @@
+"""Serves the page: each browser that opens it has a session of its own."""
+
+from __future__ import annotations
+
+import threading
+import webbrowser
+from collections.abc import Callable
+from typing import Any
+
+from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.live import viser_parts
+from pupper_analysis.live.model import Model
+from pupper_analysis.live.session import Session
+from pupper_analysis.live.source import Source
+from pupper_analysis.live.state import State, parse
+
+LOOPBACK = "127.0.0.1"
+
+_LEAVE = 3.0  # s that sessions have to end what they are at
+
+
+class Page:
+    """A page that is served until it is closed.
+
+    Args:
+        source: Which robot it is about.
+        state: What it begins with.
+        host: Where it can be reached: by default from this machine alone.
+        port: Where; any free one by default.
+
+    Attributes:
+        address: What a browser opens.
+        sessions: {browser: its session}.
+
+    Raises:
+        PupperAnalysisError: If there is no such robot.
+        ConfigurationError: If it cannot be served there, or the robot has no such state.
+        MissingPackageError: If viser is not installed.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        state: State | None = None,
+        *,
+        host: str = LOOPBACK,
+        port: int | None = None,
+    ) -> None:
+        viser_parts.viser()  # before the work
+        self._model, self._state = Model(source), state or State()
+        robot = self._model.robot(self._state)
+        self._model.robot(State())
+        check(self._model, self._state)
+        free = viser_parts.free_port(host, port)
+        self.sessions: dict[int, Session] = {}
+        self._lock = threading.Lock()
+        self._server = viser_parts.started(host, free, f"{robot.name}, live")
+        shown = "localhost" if host in ("0.0.0.0", "::") else host
+        shown = f"[{shown}]" if ":" in shown else shown
+        self.address = f"http://{shown}:{self._server.get_port()}/"
+        size = robot.stand_height
+        camera = self._server.initial_camera
+        camera.position = (2.6 * size, -2.3 * size, 1.7 * size)
+        camera.look_at = (0.0, 0.0, 0.4 * size)
+        camera.near = 0.05 * size
+        self._server.on_client_connect(self._opened)
+        self._server.on_client_disconnect(self._left)
+
+    def _opened(self, client: Any) -> None:
+        address, words = viser_parts.asked_for(self._server, client.client_id)
+        state, problem = self._state, ""
+        if words:
+            try:
+                state = parse(words)
+                check(self._model, state)
+            except PupperAnalysisError as error:
+                state, problem = self._state, str(error)
+        session = Session(client, self._model, state, address, problem)
+        with self._lock:
+            self.sessions[client.client_id] = session
+        if client.client_id not in self._server.get_clients():  # it left meanwhile
+            self._left(client)
+
+    def _left(self, client: Any) -> None:
+        with self._lock:
+            session = self.sessions.pop(client.client_id, None)
+        if session is not None:
+            session.close()
+
+    def close(self) -> None:
+        """Ends all sessions, and serves no more."""
+        with self._lock:
+            sessions = [*self.sessions.values()]
+            self.sessions.clear()
+        for session in sessions:
+            session.close()
+        for session in sessions:
+            for thread in session.threads:
+                thread.join(_LEAVE)
+        viser_parts.stopped(self._server)
+
+
+def check(model: Model, state: State) -> None:
+    """Checks that a state is one of a robot.
+
+    Raises:
+        PupperAnalysisError: If not: it has no such foot, or cannot be scaled so.
+    """
+    robot = model.robot(state)
+    state.task()
+    for foot in (*state.moves, *([state.lift] if state.lift else [])):
+        robot.points_of(foot)
+
+
+def serve(page: Page, *, browser: bool, wait: Callable[[], object]) -> None:
+    """Opens a browser, and serves until ``wait`` is over.
+
+    Args:
+        page: The page.
+        browser: Whether to open a browser.
+        wait: Returns, or raises, when it is time to end.
+    """
+    try:
+        if browser:
+            webbrowser.open(page.address)
+        wait()
+    finally:
+        page.close()

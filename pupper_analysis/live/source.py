@@ -1,0 +1,106 @@
+"""Which robot a page is about, and how a script or a command line names it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.prepare.load import load_robot
+from pupper_analysis.robot.robot import Robot
+
+
+class Source(Protocol):
+    """Makes robots, and says how others make them.
+
+    Attributes:
+        scales: {name of a scale that it takes: the base robot's}; none for a robot of two files.
+    """
+
+    @property
+    def scales(self) -> Mapping[str, float]:
+        """{name of a scale that it takes: the base robot's}."""
+
+    def robot(self, scales: Mapping[str, float]) -> Robot:
+        """Makes the robot of some scales; where not given, they are the base robot's.
+
+        Raises:
+            PupperAnalysisError: If there is none.
+        """
+
+    def python(self, scales: Mapping[str, float]) -> str:
+        """Returns the Python expression that makes it, with ``pa`` for the package."""
+
+    def arguments(self, scales: Mapping[str, float]) -> list[str]:
+        """Returns the arguments of a command that name it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The robot of a URDF and an MJCF.
+
+    Attributes:
+        options: What ``load_robot`` was given; the paths are absolute.
+        loaded: The robot.
+    """
+
+    options: Mapping[str, Any]
+    loaded: Robot
+
+    @staticmethod
+    def of(options: Mapping[str, Any]) -> Pair:
+        """Loads it.
+
+        Args:
+            options: What ``load_robot`` is given.
+
+        Raises:
+            ConfigurationError: If it cannot stand.
+            ModelError: As ``load_robot``.
+        """
+        paths = {name: str(Path(options[name]).absolute()) for name in ("urdf", "mjcf")}
+        given = {name: value for name, value in {**options, **paths}.items() if value}
+        robot = load_robot(**given)
+        if not robot.floating or not robot.feet:
+            raise ConfigurationError("robot", f"{robot.name} has no feet to stand on")
+        return Pair(given, robot)
+
+    @property
+    def scales(self) -> Mapping[str, float]:
+        """It has none."""
+        return {}
+
+    def robot(self, scales: Mapping[str, float]) -> Robot:
+        """Returns the robot.
+
+        Raises:
+            ConfigurationError: If it is to be scaled.
+        """
+        if scales:
+            name = next(iter(scales))
+            raise ConfigurationError(name, f"{self.loaded.name} is not made by scaling")
+        return self.loaded
+
+    def python(self, scales: Mapping[str, float]) -> str:  # noqa: ARG002 - it has none
+        """Returns the call of ``load_robot``."""
+        given = ", ".join(f"{name}={value!r}" for name, value in self.options.items())
+        return f"pa.load_robot({given})"
+
+    def arguments(self, scales: Mapping[str, float]) -> list[str]:  # noqa: ARG002 - it has none
+        """Returns the options that the command line takes."""
+        words = ["--urdf", self.options["urdf"], "--mjcf", self.options["mjcf"]]
+        for foot, frame in self.options.get("feet", {}).items():
+            words += ["--foot", f"{foot}={frame if isinstance(frame, str) else ':'.join(frame)}"]
+        for one, other in self.options.get("joints", {}).items():
+            words += ["--map", f"{one}={other}"]
+        if "keyframe" in self.options:
+            words += ["--keyframe", self.options["keyframe"]]
+        return words
+
+
+def spoken(words: list[str]) -> str:
+    """Returns words as one types them."""
+    return shlex.join(words)

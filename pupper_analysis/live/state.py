@@ -1,0 +1,238 @@
+"""What a page asks for, in the units of its sliders; as a text it is the page's address."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+from urllib.parse import quote, unquote
+
+from pupper_analysis.arguments import finite
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.robot.ground import Ground
+from pupper_analysis.stance.task import StandTask
+
+PLACES = ("centre", "inside", "offset")
+"""What decides where the base is: com over the centre, com anywhere inside, or an offset."""
+
+_NUMBERS = {
+    **{"height": 1, "roll": 1, "pitch": 1, "yaw": 1, "offset": 2, "com_margin": 1},
+    **{"slope": 1, "uphill": 1, "payload": 1, "payload_at": 3},
+    **{"leg_scale": 1, "torso_mass_scale": 1, "kp": 1, "kd": 1},
+}
+"""How many numbers a field has, where it has nothing else."""
+
+_LONGEST = 4000
+"""Letters of a state: 50 feet's worth; a longer one is none of ours."""
+
+
+@dataclass(frozen=True)
+class State:
+    """What a page asks for. Lengths are in mm and angles in degrees, as sliders have them.
+
+    Attributes:
+        height: Of the base (mm); the robot's ``stand_height`` by default.
+        roll: deg.
+        pitch: deg.
+        yaw: deg.
+        place: What decides where the base is: ``centre``, ``inside`` or ``offset``.
+        offset: (x, y) of the base from the centre of the feet (mm), for ``offset``.
+        com_margin: Of the com, inside the support polygon (mm).
+        moves: {foot: (x, y) off its nominal place (mm)}.
+        lift: A foot that does not carry; empty: all do.
+        lift_height: How high it is (mm).
+        slope: Of the ground (deg).
+        uphill: Where it rises (deg).
+        payload: Mass of a payload (kg).
+        payload_at: Where it is, in the base's frame (mm).
+        leg_scale: Factor on the legs' length and mass; the robot's own by default.
+        torso_mass_scale: Factor on the torso's mass; the robot's own by default.
+        kp: Servo stiffness of all joints (N m/rad); the model's own by default.
+        kd: Servo damping of all joints (N m s/rad); the model's own by default.
+    """
+
+    height: float | None = None
+    roll: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
+    place: str = "centre"
+    offset: tuple[float, float] = (0.0, 0.0)
+    com_margin: float = 0.0
+    moves: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    lift: str = ""
+    lift_height: float = 20.0
+    slope: float = 0.0
+    uphill: float = 0.0
+    payload: float = 0.0
+    payload_at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    leg_scale: float | None = None
+    torso_mass_scale: float | None = None
+    kp: float | None = None
+    kd: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, count in _NUMBERS.items():
+            value = getattr(self, name)
+            if value is not None:
+                numbers = value if count > 1 else (value,)
+                checked = tuple(finite(name, number) for number in numbers)
+                object.__setattr__(self, name, checked if count > 1 else checked[0])
+        if self.place not in PLACES:
+            problem = f"{self.place!r} is none of {', '.join(PLACES)}"
+            raise ConfigurationError("place", problem)
+        for foot, move in self.moves.items():
+            for number in move:
+                finite(f"move {foot}", number)
+        # A foot that is where it is anyway is not moved.
+        moves = {foot: move for foot, move in self.moves.items() if any(move)}
+        object.__setattr__(self, "moves", moves)
+        finite("lift", self.lift_height)
+
+    def task(self) -> StandTask:
+        """Returns the stand task.
+
+        Raises:
+            ConfigurationError: If it is none.
+        """
+        offset = None
+        if self.place == "offset":
+            offset = (metres(self.offset[0]), metres(self.offset[1]))
+        return StandTask(
+            height=None if self.height is None else metres(self.height),
+            roll=radians(self.roll),
+            pitch=radians(self.pitch),
+            yaw=radians(self.yaw),
+            offset=offset,
+            com="inside" if self.place == "inside" else "centre",
+            com_margin=metres(self.com_margin),
+            foot_offsets={foot: (metres(x), metres(y)) for foot, (x, y) in self.moves.items()},
+            swing={self.lift: metres(self.lift_height)} if self.lift else {},
+            ground=Ground(slope=radians(self.slope), uphill=radians(self.uphill)),
+        )
+
+    def scales(self) -> dict[str, float]:
+        """Returns the scales that are not the robot's own."""
+        found = {name: getattr(self, name) for name in ("leg_scale", "torso_mass_scale")}
+        return {name: value for name, value in found.items() if value is not None}
+
+    def payload_point(self) -> tuple[float, float, float]:
+        """Returns where the payload is, in the base's frame (m)."""
+        x, y, z = self.payload_at
+        return metres(x), metres(y), metres(z)
+
+    def with_task(self, task: StandTask) -> State:
+        """Returns the state that has another task's numbers, as near as a slider has them.
+
+        Args:
+            task: As ``task`` makes them: with the same feet, and the same thing deciding where the
+                base is.
+        """
+        (lift,) = task.swing.values() if task.swing else (self.lift_height * 1e-3,)
+        height = self.height if self.height is None or task.height is None else task.height * 1e3
+        return replace(
+            self,
+            height=None if height is None else _short(height),
+            roll=_short(math.degrees(task.roll)),
+            pitch=_short(math.degrees(task.pitch)),
+            yaw=_short(math.degrees(task.yaw)),
+            offset=self.offset if task.offset is None else _both(task.offset),
+            com_margin=_short(task.com_margin * 1e3),
+            moves={foot: _both(move) for foot, move in task.foot_offsets.items()},
+            lift_height=_short(lift * 1e3),
+            slope=_short(math.degrees(task.ground.slope)),
+        )
+
+    def __str__(self) -> str:
+        """Returns what differs from a page just opened, as ``parse`` reads it."""
+        parts = []
+        usual = State()
+        for name in _NUMBERS:
+            value = getattr(self, name)
+            if value != getattr(usual, name):
+                numbers = value if isinstance(value, tuple) else (value,)
+                parts.append(f"{name}:{','.join(map(plain, numbers))}")
+        if self.place != usual.place:
+            parts.append(f"place:{self.place}")
+        parts += [f"move:{quote(f, safe='')},{plain(x)},{plain(y)}" for f, (x, y) in _items(self)]
+        if self.lift:
+            parts.append(f"lift:{quote(self.lift, safe='')},{plain(self.lift_height)}")
+        return ";".join(parts)
+
+
+def _items(state: State) -> list[tuple[str, tuple[float, float]]]:
+    return sorted(state.moves.items())
+
+
+def metres(millimetres: float) -> float:
+    """Returns a length in m: the number that is typed with as many digits, not its neighbour."""
+    return float(f"{millimetres!r}e-3") if "e" not in repr(millimetres) else millimetres * 1e-3
+
+
+def radians(degrees: float) -> float:
+    """Returns an angle in rad, as the command line reads ``5deg``."""
+    return degrees * (math.pi / 180)
+
+
+def plain(number: float) -> str:
+    """Returns a number in as few letters as say it exactly."""
+    return repr(number).removesuffix(".0")
+
+
+def _short(number: float) -> float:
+    """Returns a number without the noise of a change of units."""
+    return round(number, 9)
+
+
+def _both(point: tuple[float, float]) -> tuple[float, float]:
+    return _short(point[0] * 1e3), _short(point[1] * 1e3)
+
+
+def parse(text: str) -> State:
+    """Returns the state that a text says, as ``str(state)`` writes it.
+
+    ``height:120;roll:5;place:offset;offset:10,0;move:FR,10,0;lift:FL,20``: names and numbers, in mm
+    and degrees.
+
+    Raises:
+        ConfigurationError: If it says none.
+    """
+    if len(text) > _LONGEST:
+        raise ConfigurationError("state", f"{len(text)} letters are more than {_LONGEST}")
+    given: dict[str, Any] = {}
+    moves: dict[str, tuple[float, float]] = {}
+    for part in filter(None, (part.strip() for part in text.split(";"))):
+        name, _, value = part.partition(":")
+        if name == "move":
+            foot, x, y = _split(name, value, 3)
+            moves[unquote(foot)] = _number(name, x), _number(name, y)
+        elif name in given:
+            raise ConfigurationError("state", f"{name} is said twice")
+        elif name == "lift":
+            foot, height = _split(name, value, 2)
+            given["lift"], given["lift_height"] = unquote(foot), _number(name, height)
+        elif name == "place":
+            given[name] = value
+        elif name in _NUMBERS:
+            numbers = tuple(_number(name, one) for one in _split(name, value, _NUMBERS[name]))
+            given[name] = numbers if len(numbers) > 1 else numbers[0]
+        else:
+            known = [f.name for f in fields(State) if f.name not in ("moves", "lift_height")]
+            raise ConfigurationError(
+                "state", f"{name!r} is unknown; there are: {', '.join([*known, 'move'])}"
+            )
+    return State(**given, moves=moves)
+
+
+def _split(name: str, value: str, count: int) -> list[str]:
+    parts = value.split(",")
+    if len(parts) != count:
+        raise ConfigurationError("state", f"{name}:{value} must have {count} values, by commas")
+    return parts
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        return finite(name, float(text))
+    except ValueError:
+        raise ConfigurationError("state", f"{text!r} of {name} is no number") from None

@@ -1,0 +1,97 @@
+"""viser, and the little of it that its public interface does not offer."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+from collections.abc import Iterator
+from importlib import import_module
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from pupper_analysis.errors import ConfigurationError, MissingPackageError
+
+
+def viser() -> Any:
+    """Returns the package.
+
+    Raises:
+        MissingPackageError: If it is not installed.
+    """
+    try:
+        return import_module("viser")
+    except ImportError as error:
+        raise MissingPackageError("viser", "live") from error
+
+
+def free_port(host: str, port: int | None) -> int:
+    """Returns the port to serve on: the one asked for if it is free, or any.
+
+    viser takes the next one where a port is taken, and waits for ever where there is no such host.
+
+    Raises:
+        ConfigurationError: If the port is taken, or the host is none of this machine.
+    """
+    try:
+        family = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][0]
+        with socket.socket(family, socket.SOCK_STREAM) as tried:
+            # As servers do: a connection of one that has just ended is no reason to refuse.
+            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            tried.bind((host, port or 0))
+            return int(tried.getsockname()[1])
+    except OverflowError:
+        raise ConfigurationError("--port", f"{port} is not from 0 to 65535") from None
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        where = f"{host}:{port}" if port else host
+        raise ConfigurationError("--host, --port", f"cannot serve on {where}: {reason}") from error
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Keeps what viser prints about itself off the terminal."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield
+
+
+def started(host: str, port: int, label: str) -> Any:
+    """Returns a server of viser's, that nobody can open to the internet from the page.
+
+    Args:
+        host: Where it can be reached.
+        port: A free one.
+        label: What the page is called.
+    """
+    with quiet():
+        server = viser().ViserServer(host=host, port=port, label=label, verbose=False)
+    server.request_share_url = lambda *_, **__: None
+    server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(51, 86, 122))
+    return server
+
+
+def stopped(server: Any) -> None:
+    """Stops a server."""
+    with quiet():
+        server.stop()
+
+
+def asked_for(server: Any, client_id: int) -> tuple[str, str]:
+    """Returns host and port as a browser reaches the server, and the state that it asks for.
+
+    viser keeps the request to itself; where that is not found, there is no state.
+    """
+    try:
+        request = server._websock_server._live_connections[client_id].request
+        address = str(request.headers["Host"])
+        given = parse_qs(urlsplit(request.path).query, separator="&").get("state", [""])
+    except (AttributeError, KeyError, TypeError, ValueError):
+        return f"{server.get_host()}:{server.get_port()}", ""
+    return address, given[0]
+
+
+def mark(slider: Any, values: tuple[float, ...]) -> None:
+    """Marks places of a slider's track; viser takes marks only when a slider is made."""
+    with contextlib.suppress(AttributeError):
+        kind = viser()._messages.GuiSliderMark
+        slider._marks = tuple(kind(value=float(value), label="◆") for value in values) or None

@@ -1,0 +1,166 @@
+"""Where robots are pushed: simulations with a force on the base, and what comes of them."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import Servos, servos
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground
+from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.statics.equilibrium import ForceDistribution
+
+Array = NDArray[np.float64]
+
+PULSE = 0.02
+"""How long a push lasts (s), rounded to whole time steps: short against a fall of some 0.3 s."""
+
+REST_SPEED = 0.01
+"""A base that is faster than this in the last half second has not come to rest (m/s)."""
+
+_REST = 0.5  # s
+_SAMPLE = 0.004  # s between the states whose contacts are looked at
+_BATCH = 2**25  # numbers (of 8 bytes) that a rollout may take
+
+
+@dataclass(eq=False)
+class Bench:
+    """Where a robot is pushed; counts how often.
+
+    Attributes:
+        robot: The robot, on the stand's ground.
+        stand: How it stands.
+        drive: Its servos.
+        start: The state at rest, just before the push.
+        ctrl: (model.nu,) the servos' command.
+        axes: (n, 2) the directions, unit vectors in the world.
+        duration: Of a simulation (s).
+    """
+
+    robot: Robot
+    stand: Stand
+    drive: Servos
+    start: Array
+    ctrl: Array
+    axes: Array
+    duration: float
+    rollouts: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        model = self.drive.model
+        self.timestep = float(model.opt.timestep)
+        self.steps = round(self.duration / self.timestep)
+        self.pulse_steps = max(1, round(PULSE / self.timestep))
+        self.watcher = monitor.Watcher(self.robot, model)
+        self.workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
+
+    def push(self, directions: NDArray[np.int64], impulses: Array) -> list[str | None]:
+        """Simulates pushes, all at once, and says of each how the robot fails, or None."""
+        return [self.failure(run) for run in self.simulate(directions, impulses)]
+
+    def simulate(self, directions: NDArray[np.int64], impulses: Array) -> Iterator[Array]:
+        """Simulates pushes and yields, of each, the states after each step (n, size).
+
+        Args:
+            directions: (n,) which of the axes.
+            impulses: (n,) how hard (N s).
+        """
+        model = self.drive.model
+        width = model.nu + 6 * model.nbody
+        size = max(1, _BATCH // (self.steps * (width + len(self.start))))
+        forces = impulses[:, None] * self.axes[directions] / (self.pulse_steps * self.timestep)
+        for begin in range(0, len(forces), size):
+            batch = forces[begin : begin + size]
+            control, force = forced_commands(self.robot, model, self.ctrl, len(batch), self.steps)
+            force[:, : self.pulse_steps, :2] = batch[:, None]
+            starts = np.tile(self.start, (len(batch), 1))
+            workers = self.workers[: len(batch)]
+            states, _ = mujoco.rollout.rollout(model, workers, starts, control, control_spec=FORCED)
+            self.rollouts += len(batch)
+            yield from states
+
+    def failure(self, states: Array) -> str | None:
+        """Returns why a run is no recovery, or None if it is one."""
+        if monitor.diverged(states, self.timestep):
+            return monitor.divergence(self.drive.integrator, self.timestep)
+        failures = []
+        for state in states[:: max(1, round(_SAMPLE / self.timestep))]:
+            if touching := sorted(self.watcher.touching(state)):
+                moment = self.watcher.data.time
+                failures.append(f"{touching[0]} touches the ground at {moment:.2f} s")
+                break
+        upright = float(self.stand.qpos[2])
+        leaning = monitor.lean(self.robot, self.stand.task.rotation(), states[-1])
+        height = float(monitor.base_heights(self.robot, states[-1]))
+        if monitor.has_fallen(leaning, height, upright):
+            failures.append(monitor.fall(leaning, height))
+        last = states[-round(_REST / self.timestep) :]
+        speed = monitor.base_speed(self.robot, self.drive.model, last, upright)
+        if speed > REST_SPEED:
+            failures.append(f"it has not come to rest: {1e3 * speed:.0f} mm/s at the end")
+        return "; ".join(failures) or None
+
+    def point(self) -> Array:
+        """Returns where MuJoCo applies the push (3,), at the com of the base's body (m)."""
+        data = mujoco.MjData(self.robot.mj_model)
+        self.robot.mj_convention.set_state(data, self.stand.qpos)
+        mujoco.mj_kinematics(self.robot.mj_model, data)
+        return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
+
+
+def bench_of(
+    robot: Robot,
+    stand: Stand,
+    angles: Array,
+    *,
+    duration: float,
+    kp: ArrayLike | None,
+    kd: ArrayLike | None,
+    feedforward: bool,
+    integrator: str | None,
+) -> Bench:
+    """Puts a robot where it can be pushed; see ``push_recovery``.
+
+    Args:
+        robot: The robot.
+        stand: How it stands.
+        angles: (n,) directions, about the vertical from the base's forward (rad).
+        duration: Simulated time (s).
+        kp: Servo stiffness (N m/rad); the model's own if None.
+        kd: Servo damping (N m s/rad); the model's own if None.
+        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        integrator: MuJoCo's integrator; the model's own if None.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range.
+        ModelError: If the model has no servos and no gains are given.
+        StaticsInfeasibleError: If no contact forces balance the stand.
+    """
+    forward = Configuration(robot, stand.qpos).base_rotation()[:2, 0]
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    torques = stand_statics(
+        robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
+    ).joint_torques
+    drive = servos(robot, kp, kd, integrator)
+    positions = stand.joint_positions(robot)
+    in_world = angles + math.atan2(forward[1], forward[0])
+    return Bench(
+        robot=robot,
+        stand=stand,
+        drive=drive,
+        start=place_on_ground(robot, drive, stand, torques),
+        ctrl=drive.command(robot, positions, torques if feedforward else None),
+        axes=np.column_stack([np.cos(in_world), np.sin(in_world)]),
+        duration=duration,
+    )

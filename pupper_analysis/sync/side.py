@@ -1,0 +1,36 @@
+"""What it takes to write numbers into either file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.sync.digits import Digits
+from pupper_analysis.sync.frames import Key, Sides
+
+
+@dataclass(eq=False, kw_only=True)
+class Side:
+    """A file that gets numbers of the other one.
+
+    Attributes:
+        sides: Both robots.
+        wanted: What this file's shall be.
+        digits: Writes the numbers.
+        left: {difference: why it cannot be written}.
+        notes: What else is to be said, per difference.
+    """
+
+    sides: Sides
+    wanted: Parameters
+    digits: Digits
+    left: dict[Key, str] = field(default_factory=dict)
+    notes: dict[Key, str] = field(default_factory=dict)
+
+    def on_same_body(self, key: Key) -> bool:
+        """Says whether a frame is on one body in both files; notes why it is left, if not."""
+        name = key[1]
+        same = bool(self.sides.urdf.frames[name][0] == self.sides.mjcf.frames[name][0])
+        if not same:
+            self.left[key] = "it is on another body, which is no number to write"
+        return same
