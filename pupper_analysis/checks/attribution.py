@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from pupper_analysis.checks.alignment import Alignment, aligned
 from pupper_analysis.checks.armature import armature_differences, armature_of
-from pupper_analysis.checks.behaviour import Behaviour, mujoco_behaviour, still_acting
+from pupper_analysis.checks.behaviour import Behaviour, MujocoBehaviour, still_acting
 from pupper_analysis.checks.changes import changes_between, patched_with
 from pupper_analysis.checks.conventions import Conventions, convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, Explanation, Judge
@@ -81,7 +80,7 @@ def explain(
     entries = _entries(robot, first, reference) if is_large(robot) else None
     behaviour = Behaviour(robot, states, entries)
     urdf = behaviour(first)
-    mujoco_sees = partial(mujoco_behaviour, robot, reference, states, alignment.moved, entries)
+    mujoco_sees = MujocoBehaviour(robot, reference, states, alignment.moved, entries)
     mjcf = mujoco_sees(without(reference.model, coupled))
     bare = without(reference.model, [*found, *coupled])
     stripped = mujoco_sees(bare)

@@ -25,65 +25,87 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 
-def mujoco_behaviour(
-    robot: Robot,
-    reference: Reference,
-    states: States,
-    moved: Mapping[str, Array],
-    entries: Entries | None,
-    model: mujoco.MjModel,
-) -> dict[str, Array]:
-    """Evaluates the same quantities as `Behaviour` in MuJoCo, at all states.
+class MujocoBehaviour:
+    """Evaluates the same quantities as `Behaviour` in MuJoCo, of models that differ in numbers."""
 
-    Args:
-        robot: The robot.
-        reference: Names the elements of the model.
-        states: The states.
-        moved: {joint: (3,) where its position is taken, from MuJoCo's anchor, in its body's axes}.
-        entries: The elements of the mass matrix that are compared; None is all.
-        model: One with the elements of the reference.
-    """
-    names, data = reference.names, mujoco.MjData(model)
-    convention = reference.convention()
-    joints = [names.joint(name).id for name in robot.joint_names]
-    dofs = convention.qvel_index[robot.nv - robot.nu :]
-    slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE.value
-    coordinates = model.jnt_qposadr[joints]
-    frames = {**robot.description.feet, **robot.description.frames}
-    places = [foot_site(names, frame, robot.name) for _, frame in frames.values()]
-    carriers = [body for body, _ in places]
-    positions = np.array([position for _, position in places])
-    public = convention.qvel_index
-    weights = _weights(robot, reference)
-    local = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
-    full = np.zeros((model.nv, model.nv))
-    rows: dict[str, list[Array]] = {}
-    for qpos, qvel, torques in zip(states.qpos, states.qvel, states.torques, strict=True):
-        convention.set_state(data, qpos)
-        data.qfrc_applied[:] = 0.0
-        mujoco.mj_forward(model, data)
-        gravity = data.qfrc_bias[public].copy()
-        convention.set_state(data, qpos, qvel)
-        data.qfrc_applied[dofs] = torques
-        mujoco.mj_forward(model, data)
+    def __init__(
+        self,
+        robot: Robot,
+        reference: Reference,
+        states: States,
+        moved: Mapping[str, Array],
+        entries: Entries | None,
+    ) -> None:
+        """Looks up what all evaluations share: thousands of names, in a large robot.
+
+        Args:
+            robot: The robot.
+            reference: Names the elements of the models.
+            states: The states.
+            moved: {joint: (3,) where its position is taken, from MuJoCo's anchor, in its body's
+                axes}.
+            entries: The elements of the mass matrix that are compared; None is all.
+        """
+        model, names = reference.model, reference.names
+        self._reference, self._states, self._name = reference, states, robot.name
+        self._convention = reference.convention()
+        public = self._convention.qvel_index
+        self._dofs = public[robot.nv - robot.nu :]
+        self._joints = [names.joint(name).id for name in robot.joint_names]
+        self._slides = model.jnt_type[self._joints] == mujoco.mjtJoint.mjJNT_SLIDE.value
+        self._coordinates = model.jnt_qposadr[self._joints]
+        self._members = _members(robot, reference)
+        frames = {**robot.description.feet, **robot.description.frames}
+        self._frames = [frame for _, frame in frames.values()]
+        self._local = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
+        self._entries = None if entries is None else entries.in_model(model, public)
+
+    def __call__(self, model: mujoco.MjModel) -> dict[str, Array]:
+        """Evaluates a model with the elements of the reference, at all states."""
+        data, joints = mujoco.MjData(model), self._joints
+        places = [foot_site(self._reference.names, frame, self._name) for frame in self._frames]
+        carriers = [body for body, _ in places]
+        positions = np.array([position for _, position in places])
+        public = self._convention.qvel_index
+        weights = np.where(self._members, self._reference.model.body_mass, 0.0)
+        rows: dict[str, list[Array]] = {}
+        states = zip(self._states.qpos, self._states.qvel, self._states.torques, strict=True)
+        for qpos, qvel, torques in states:
+            self._convention.set_state(data, qpos)
+            data.qfrc_applied[:] = 0.0
+            mujoco.mj_forward(model, data)
+            gravity = data.qfrc_bias[public].copy()
+            self._convention.set_state(data, qpos, qvel)
+            data.qfrc_applied[self._dofs] = torques
+            mujoco.mj_forward(model, data)
+            # MuJoCo's anchor of a slide is where it is at rest.
+            anchors = data.xanchor[joints] + offsets_in_world(model, data, joints, self._local)
+            slid = data.qpos[self._coordinates] - model.qpos0[self._coordinates]
+            slid = np.where(self._slides, slid, 0.0)
+            result = {
+                "mass matrix": self._mass_matrix(model, data),
+                "gravity": gravity,
+                "bias forces": data.qfrc_bias[public].copy(),
+                "com": weights @ data.xipos / max(weights.sum(), 1e-300),
+                "forward dynamics": data.qacc[public].copy(),
+                "joint positions": anchors + slid[:, None] * data.xaxis[joints],
+            }
+            if places:
+                turned = np.einsum("nij,nj->ni", data.xmat[carriers].reshape(-1, 3, 3), positions)
+                result["foot positions"] = data.xpos[carriers] + turned
+            for name, value in result.items():
+                rows.setdefault(name, []).append(value)
+        return {name: np.array(values) for name, values in rows.items()}
+
+    def _mass_matrix(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+        """Returns the mass matrix, or those of its elements (n,) that are compared."""
+        if self._entries is not None:
+            found: Array = np.append(data.M, 0.0)[self._entries]
+            return found
+        public = self._convention.qvel_index
+        full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
-        # MuJoCo's anchor of a slide is where it is at rest.
-        anchors = data.xanchor[joints] + offsets_in_world(model, data, joints, local)
-        slid = np.where(slides, data.qpos[coordinates] - model.qpos0[coordinates], 0.0)
-        result = {
-            "mass matrix": entries.of(full, public) if entries else full[np.ix_(public, public)],
-            "gravity": gravity,
-            "bias forces": data.qfrc_bias[public].copy(),
-            "com": weights @ data.xipos / max(weights.sum(), 1e-300),
-            "forward dynamics": data.qacc[public].copy(),
-            "joint positions": anchors + slid[:, None] * data.xaxis[joints],
-        }
-        if places:
-            turned = np.einsum("nij,nj->ni", data.xmat[carriers].reshape(-1, 3, 3), positions)
-            result["foot positions"] = data.xpos[carriers] + turned
-        for name, value in result.items():
-            rows.setdefault(name, []).append(value)
-    return {name: np.array(values) for name, values in rows.items()}
+        return full[np.ix_(public, public)]
 
 
 def offsets_in_world(
@@ -97,19 +119,18 @@ def offsets_in_world(
     return np.where(hinges[:, None], along, np.einsum("nij,nj->ni", bodies, local))
 
 
-def _weights(robot: Robot, reference: Reference) -> Array:
-    """Returns the mass (nbody,) of each body of the reference that is the robot's, else 0 (kg).
+def _members(robot: Robot, reference: Reference) -> list[bool]:
+    """Returns which bodies (nbody,) of the reference are the robot's.
 
     On a fixed base all that is static counts, as in `pinocchio_from_mujoco`.
     """
     model, moving = reference.model, reference.bodies()
     kept = {robot.mj_model.body(body).name for body in range(robot.mj_model.nbody)}
-    members = [
+    return [
         (body in moving or not (robot.floating or model.body_weldid[body]))
         and reference.names.body(body).name in kept
         for body in range(model.nbody)
     ]
-    return np.where(members, model.body_mass, 0.0)
 
 
 _FORCES = ("spring", "damper", "gravcomp", "fluid", "adhesion", "actuator", "constraint")
@@ -164,22 +185,24 @@ class Behaviour:
         self._robot, self._entries = robot, entries
         self._spare: dict[object, list[pin.Data]] = {}
         self._tree: MujocoTree | None = None
+        self._in_tree: MujocoBehaviour | None = None
 
     def __call__(self, values: Parameters) -> dict[str, Array]:
         """Evaluates the quantities that differences are judged by, at all states."""
         return self._in_pinocchio(values) if self._entries is None else self._in_mujoco(values)
 
     def _in_mujoco(self, values: Parameters) -> dict[str, Array]:
-        if self._tree is None or not self._tree.fits(values):
+        if self._tree is None or self._in_tree is None or not self._tree.fits(values):
             self._tree = MujocoTree(values)
+            model = self._tree.model
+            frames = {name: (name, name) for name in values.frames}
+            description = replace(self._robot.description, feet={}, frames=frames)
+            robot = replace(self._robot, description=description, mj_model=model)
+            reference = Reference(model, model, robot.joint_names, values.base)
+            self._in_tree = MujocoBehaviour(robot, reference, self.states, {}, self._entries)
         else:
             self._tree.take(values)
-        model = self._tree.model
-        frames = {name: (name, name) for name in values.frames}
-        description = replace(self._robot.description, feet={}, frames=frames)
-        robot = replace(self._robot, description=description, mj_model=model)
-        reference = Reference(model, model, robot.joint_names, values.base)
-        return mujoco_behaviour(robot, reference, self.states, {}, self._entries, model)
+        return self._in_tree(self._tree.model)
 
     def _in_pinocchio(self, values: Parameters) -> dict[str, Array]:
         model = parameters.to_pinocchio(values)

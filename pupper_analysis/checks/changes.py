@@ -184,7 +184,7 @@ def _kinds_of_joints(name: str, one: Joint, two: Joint, sides: Sides) -> Iterabl
             two.parent,
             "",
             message,
-            _take_joint(name, "parent"),
+            _take_parent(name),
             felt=True,
         )
     if one.slides != two.slides:
@@ -299,6 +299,23 @@ def _take_joint(name: str, field: str) -> Callable[[Parameters, Parameters], Par
     def apply(one: Parameters, two: Parameters) -> Parameters:
         joint = replace(one.joints[name], **{field: getattr(two.joints[name], field)})
         return replace(one, joints={**one.joints, name: joint})
+
+    return apply
+
+
+def _take_parent(name: str) -> Callable[[Parameters, Parameters], Parameters]:
+    """Takes one parent over; all of them, where that one alone would close a ring of joints."""
+    alone = _take_joint(name, "parent")
+
+    def apply(one: Parameters, two: Parameters) -> Parameters:
+        taken = alone(one, two)
+        if len(taken.parents_first()) == len(taken.joints):
+            return taken
+        joints = {
+            other: replace(joint, parent=two.joints[other].parent)
+            for other, joint in one.joints.items()
+        }
+        return replace(one, joints=joints)
 
     return apply
 

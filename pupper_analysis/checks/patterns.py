@@ -81,6 +81,13 @@ class _Case:
             return set(self.keys)
         return found
 
+    def masses_apart(self, exchange: Mapping[str, str]) -> int:
+        """Returns how many masses differ where bodies are exchanged; no frame's place matters."""
+        pairs = [*exchange.items(), *((two, one) for one, two in exchange.items())]
+        masses = [(self.first.bodies[a].mass, self.raw.bodies[b].mass) for a, b in pairs]
+        greatest = self.tolerances.mass
+        return sum(abs(two - one) > greatest * max(abs(one), abs(two)) for one, two in masses)
+
     def gone(self, second: Parameters) -> set[Key]:
         """Returns the differences that another tree in place of the MJCF's does not have.
 
@@ -207,12 +214,15 @@ def _exchanged(case: _Case) -> Found:
             continue
         own = {*limbs[one], *limbs[two]}
         exchange = dict(zip(limbs[one], limbs[two], strict=True))
+        carried = own | {frame for name in own for frame in case.first.carried_by(name)}
+        before = {key for key in case.keys if key[1] in carried}
+        if case.masses_apart(exchange) > _STAY * len(before):
+            continue  # these alone are too many of those that would stay
         both = replace(second.part(own), frames=second.frames)
         left = case.left(_renamed(both, exchange), [*limbs[one], *limbs[two]])
-        own |= {frame for name in tuple(own) for frame in case.first.carried_by(name)}
-        before = {key for key in case.keys if key[1] in own}
+        own = carried
         after = {key for key in left if key[1] in own}
-        if len(before) > 1 and len(after) <= 0.2 * len(before):
+        if len(before) > 1 and len(after) <= _STAY * len(before):
             pairs.append((one, two))
             second, gone = _renamed(second, exchange), gone | (before - after)
     if pairs:
@@ -224,6 +234,9 @@ def _exchanged(case: _Case) -> Found:
             gone,
         )
 
+
+_STAY = 0.2
+"""Share of the differences of two limbs that may stay where they are exchanged."""
 
 _EXCHANGES = 300
 """Pairs of limbs that are tried: all of 24 limbs and more than any robot of limbs has."""

@@ -93,12 +93,24 @@ class Entries:
             models: Models, and where the public degrees of freedom are in each.
         """
         found = [_elements(nv, model, public) for model, public in models]
-        self._rows, self._columns = np.divmod(np.unique(np.concatenate(found)), nv)
+        self.rows, self.columns = np.divmod(np.unique(np.concatenate(found)), nv)
 
-    def of(self, matrix: Array, public: IntArray) -> Array:
-        """Returns the elements (n,) of a matrix in which public rows and columns are named."""
-        elements: Array = matrix[public[self._rows], public[self._columns]]
-        return elements
+    def in_model(self, model: mujoco.MjModel, public: IntArray) -> IntArray:
+        """Returns where the elements (n,) are in a model's sparse mass matrix ``data.M``.
+
+        What a model does not have is said to be one place behind its end.
+
+        Args:
+            model: The model.
+            public: Where the public degrees of freedom are in it.
+        """
+        here = np.repeat(np.arange(model.nv), model.M_rownnz) * model.nv + model.M_colind
+        order = np.argsort(here)
+        rows, columns = public[self.rows], public[self.columns]
+        wanted = np.maximum(rows, columns) * model.nv + np.minimum(rows, columns)
+        places = order[np.minimum(np.searchsorted(here, wanted, sorter=order), len(here) - 1)]
+        found: IntArray = np.where(here[places] == wanted, places, len(here))
+        return found
 
 
 def _elements(nv: int, model: mujoco.MjModel, public: IntArray) -> IntArray:

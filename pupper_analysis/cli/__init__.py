@@ -21,6 +21,7 @@ from pupper_analysis.cli.sync import sync_command
 from pupper_analysis.cli.variants import analyze
 from pupper_analysis.cli.windows import drop, view
 from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.models import standard_input
 from pupper_analysis.report.formats import visible
 
 __all__ = ["BAD_INPUT", "analyze", "drop", "group", "main", "run", "view"]
@@ -84,6 +85,8 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
         hint = "" if debug else f"; {DEBUG} shows where"
         _say(f"unforeseen: {what}. This is a bug: please report it to the maintainers{hint}")
         return INTERNAL
+    finally:
+        standard_input.forget()
     return BAD_INPUT
 
 

@@ -11,6 +11,7 @@ from pupper_analysis.cli.models import package_folders, package_option
 from pupper_analysis.cli.shared import (
     ANGLE,
     CONTEXT,
+    MODEL_FILE,
     assignment,
     check_outputs,
     finish,
@@ -22,7 +23,7 @@ from pupper_analysis.errors import ConfigurationError, OutputError
 
 
 @click.command("convert", context_settings=CONTEXT, short_help="Make an MJCF of a URDF, or back.")
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=MODEL_FILE)
 @click.option(
     "-o",
     "--output",

@@ -9,6 +9,7 @@ import click
 
 from pupper_analysis.cli.shared import (
     CONTEXT,
+    MODEL_FILE,
     assignment,
     check_outputs,
     finish,
@@ -71,8 +72,8 @@ def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances
 
 
 @click.command(context_settings=CONTEXT, short_help="Find what makes a URDF and an MJCF disagree.")
-@click.argument("urdf", type=click.Path(path_type=Path))
-@click.argument("mjcf", type=click.Path(path_type=Path))
+@click.argument("urdf", type=MODEL_FILE)
+@click.argument("mjcf", type=MODEL_FILE)
 @map_option
 @map_file_option
 @package_option
@@ -129,6 +130,7 @@ def crosscheck(
       pupper-analysis crosscheck go1.urdf go1.xml
       pupper-analysis crosscheck robot.urdf robot.xml --map lf_haa=FL_hip --tolerance mass=1e-3
       pupper-analysis crosscheck robot.urdf robot.xml --strict --format github
+      xacro robot.urdf.xacro | pupper-analysis crosscheck - robot.xml
 
     \b
     Exit status: 0 they agree within the tolerances, 1 they differ, 2 bad input.
@@ -167,7 +169,7 @@ def crosscheck(
 @click.command(
     "audit", context_settings=CONTEXT, short_help="Find what is wrong in one URDF or MJCF."
 )
-@click.argument("file", required=False, type=click.Path(path_type=Path))
+@click.argument("file", required=False, type=MODEL_FILE)
 @package_option
 @click.option(
     "--disable", "disabled", multiple=True, metavar="RULE", help="Do not run this rule. Repeatable."
@@ -204,6 +206,7 @@ def audit_command(
       pupper-analysis audit robot.urdf
       pupper-analysis audit scene.xml --disable armature-zero --fail-on warning
       pupper-analysis audit --list-rules
+      xacro robot.urdf.xacro | pupper-analysis audit -
 
     \b
     Exit status: 0 nothing as bad as --fail-on was found, 1 something was, 2 bad input.

@@ -45,6 +45,26 @@ format_option = click.option(
 )
 
 
+class ModelFile(click.Path):
+    """A model file; ``-`` is standard input, which is held until the command ends."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(  # type: ignore[override]  # click.Path says that it may be a string
+        self, value: str, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Path:
+        """Returns the path, or the name under which standard input is read."""
+        if str(value) == "-":
+            from pupper_analysis.models import standard_input, xml
+
+            return standard_input.hold(xml.MAX_BYTES + 1)
+        return Path(str(super().convert(value, param, ctx)))
+
+
+MODEL_FILE = ModelFile()
+
+
 def check_outputs(*files: Path | None, folders: tuple[Path | None, ...] = ()) -> None:
     """Finds out before the work begins that its results cannot be written.
 

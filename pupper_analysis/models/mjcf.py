@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models import standard_input
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import MAX_NUMBER
 
@@ -45,14 +46,15 @@ def spec_of(path: Path) -> mujoco.MjSpec:
     if path.suffix.lower() == ".xml":
         return mujoco.MjSpec.from_file(str(path))
     included: dict[str, bytes] = {}
-    waiting = [path.read_bytes()]
+    text = standard_input.content(path)
+    waiting = [text]
     while waiting:
         for name in re.findall(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)', waiting.pop()):
             file = path.parent / name.decode()
             if name.decode() not in included and file.is_file():
                 included[name.decode()] = file.read_bytes()
                 waiting.append(included[name.decode()])
-    spec = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8-sig"), include=included)
+    spec = mujoco.MjSpec.from_string(text.decode("utf-8-sig"), include=included)
     spec.modelfiledir = str(path.parent)
     return spec
 

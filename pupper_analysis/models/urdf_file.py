@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 
@@ -56,8 +57,7 @@ class UrdfFile:
         Returns:
             Its file and line; the file alone where there is no such element.
         """
-        named = (e for e in (*self.root, *self.root.iter(kind)) if e.tag == kind)
-        element = next((e for e in named if e.get("name") == name), None)
+        element = self._named.get((kind, name))
         if element is None:
             return Place(self.path)
         for tag in child.split("/") if child else ():
@@ -66,6 +66,12 @@ class UrdfFile:
                 break
             element = below
         return Place(self.path, line_of(element))
+
+    @cached_property
+    def _named(self) -> dict[tuple[str, str | None], etree._Element]:
+        """{(tag, name): element}; those below the root go before those deeper down."""
+        elements = [*self.root, *self.root.iter()]
+        return {(e.tag, e.get("name")): e for e in reversed(elements)}
 
     def resolve_mesh(self, filename: str) -> Path | None:
         """Finds the file that a mesh's ``filename`` means.

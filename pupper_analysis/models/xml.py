@@ -9,6 +9,7 @@ from typing import Final
 from lxml import etree
 
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models import standard_input
 from pupper_analysis.models.places import one_line, refusal_at, source_name
 
 MAX_BYTES: Final = 20_000_000
@@ -80,23 +81,7 @@ def to_text(root: etree._Element) -> str:
 
 
 def _text(path: Path) -> str:
-    try:
-        if path.is_dir():
-            raise ModelError(
-                source_name(path), "it is a folder; give the path of a URDF or MJCF file"
-            )
-        if not path.exists():
-            raise ModelError(
-                source_name(path), "there is no such file; give the path of a URDF or MJCF file"
-            )
-        if not path.is_file():
-            raise ModelError(
-                source_name(path), "it is no regular file; give the path of a URDF or MJCF file"
-            )
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:
-        raise ModelError(source_name(path), f"cannot be read: {one_line(error)}") from error
+    data = standard_input.content(path) if standard_input.is_held(path) else _bytes(path)
     if len(data) > MAX_BYTES:
         raise ModelError(
             source_name(path), f"it has more than {MAX_BYTES // 10**6} MB, the most that is read"
@@ -118,6 +103,27 @@ def _text(path: Path) -> str:
             source_name(path, line),
             f"byte 0x{data[error.start]:02x} is not UTF-8; save the file as UTF-8",
         ) from error
+
+
+def _bytes(path: Path) -> bytes:
+    """Returns what a file has, up to one byte more than is read."""
+    try:
+        if path.is_dir():
+            raise ModelError(
+                source_name(path), "it is a folder; give the path of a URDF or MJCF file"
+            )
+        if not path.exists():
+            raise ModelError(
+                source_name(path), "there is no such file; give the path of a URDF or MJCF file"
+            )
+        if not path.is_file():
+            raise ModelError(
+                source_name(path), "it is no regular file; give the path of a URDF or MJCF file"
+            )
+        with path.open("rb") as file:
+            return file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise ModelError(source_name(path), f"cannot be read: {one_line(error)}") from error
 
 
 def _refuse_doctype(path: Path, text: str) -> None:

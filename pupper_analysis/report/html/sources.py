@@ -7,6 +7,7 @@ from pathlib import Path
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.standard_input import content, is_held
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.report.html.document import Name, Text, Words
 from pupper_analysis.report.html.sentences import said
@@ -102,6 +103,8 @@ def _element(rows: list[str]) -> str:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+        if not (is_held(path) or path.is_file()):
+            return ""
+        return content(path).decode("utf-8", errors="replace")
     except (OSError, ValueError):
         return ""

@@ -1,0 +1,58 @@
+"""A model that comes from standard input: it has a name, but no file.
+
+What is relative in it, such as the files of meshes, is relative to the current folder.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Final
+
+from pupper_analysis.errors import ConfigurationError
+
+NAME: Final = Path("standard input")
+"""What it is called where a file's path would stand."""
+
+_held: list[bytes] = []
+"""What was read, while a command works on it: it can be read but once."""
+
+
+def hold(most: int) -> Path:
+    """Reads standard input, and keeps it under the name that is returned, until it is forgotten.
+
+    Args:
+        most: Bytes that are read at most.
+
+    Raises:
+        ConfigurationError: If it was read already, or cannot be.
+    """
+    if _held:
+        raise ConfigurationError("-", "one model alone can come from standard input")
+    stream = getattr(sys.stdin, "buffer", None)
+    try:
+        if stream is None:
+            raise OSError("there is none")
+        _held.append(stream.read(most))
+    except (OSError, ValueError) as error:
+        raise ConfigurationError("-", f"standard input cannot be read: {error}") from error
+    return NAME
+
+
+def forget() -> None:
+    """Lets go of what was held."""
+    _held.clear()
+
+
+def is_held(path: Path) -> bool:
+    """Says whether a path is that of the model from standard input."""
+    return path == NAME and bool(_held)
+
+
+def content(path: Path) -> bytes:
+    """Returns the bytes of a file, or of the model from standard input.
+
+    Raises:
+        OSError: If the file cannot be read.
+    """
+    return _held[0] if is_held(path) else path.read_bytes()
