@@ -9,9 +9,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_type
+from pupper_analysis.arguments import check_type, vector
 from pupper_analysis.arrays import crosses, rotation_from_quaternion
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.robot.at_rest import AtRest
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.structure import Workspace
 
@@ -48,10 +49,10 @@ class Configuration:
             check_type("robot", robot, Robot)
         self._structure = structure = robot.structure
         self.robot = robot
-        self.qpos = own = _vector("qpos", qpos, structure.nq)
+        self.qpos = own = vector("qpos", qpos, structure.nq)
         self.qvel = structure.rest
         if qvel is not None:
-            self.qvel = _vector("qvel", qvel, structure.nv)
+            self.qvel = vector("qvel", qvel, structure.nv)
             self.qvel.flags.writeable = False
         if structure.floating:
             norm = math.hypot(*own[3:7].tolist())
@@ -250,8 +251,21 @@ class Configuration:
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
         return self._structure.dual(forces)
 
+    def passive(self) -> Array:
+        """Returns what the MJCF's springs, gravity compensation and wind do at rest (nv,).
+
+        MuJoCo's forces: a URDF cannot state them. Zero if there are none.
+        """
+        if not self.robot.acts_at_rest:
+            return np.zeros(self.robot.nv)
+        return AtRest(self.robot.mj_model, self.robot.mj_convention).forces(self.qpos)
+
+    def load(self) -> Array:
+        """Returns what motors and contacts hold at rest (nv,): gravity less ``passive``."""
+        return self.gravity() - self.passive()
+
     def static_rates(self, wrenches: Mapping[str, Array]) -> Array:
-        """Returns the derivative (nv, nv) of gravity less wrenches on feet: of g - sum J^T w.
+        """Returns the derivative (nv, nv) of ``load`` less wrenches on feet: of l - sum J^T w.
 
         By a step in the directions of qvel. J is the Jacobian (6, nv) of a foot's centre.
 
@@ -276,6 +290,9 @@ class Configuration:
         held = structure.workspace()
         rates = pin.computeStaticTorqueDerivatives(model, held.data, self._q, external)
         changed: Array = structure.square(np.atleast_2d(rates)) - turning
+        if self.robot.acts_at_rest:
+            springs = AtRest(self.robot.mj_model, self.robot.mj_convention)
+            changed -= springs.rates(self.qpos)
         return changed
 
     def forward_dynamics(self, force: ArrayLike) -> Array:
@@ -287,7 +304,7 @@ class Configuration:
         Raises:
             ConfigurationError: If the vector has a wrong length or a value is not finite.
         """
-        wanted = self._structure.velocity(_vector("force", force, self.robot.nv))
+        wanted = self._structure.velocity(vector("force", force, self.robot.nv))
         acceleration = pin.aba(self._structure.loaded(), self._data, self._q, self._v, wanted)
         return self._structure.dual(acceleration)
 
@@ -321,7 +338,7 @@ class Configuration:
 
     def _accelerated(self, qacc: ArrayLike) -> Workspace:
         """Returns a workspace with this acceleration."""
-        a = self._structure.velocity(_vector("qacc", qacc, self.robot.nv))
+        a = self._structure.velocity(vector("qacc", qacc, self.robot.nv))
         held = self._structure.workspace()
         pin.forwardKinematics(self._model, held.data, self._q, self._v, a)
         pin.updateFramePlacements(self._model, held.data)
@@ -363,17 +380,3 @@ class Configuration:
         if self._structure.floating:
             return rotation_from_quaternion(self.qpos[3:7])
         return self.frame_rotation(self.robot.base)
-
-
-def _vector(name: str, values: ArrayLike, size: int) -> Array:
-    try:
-        vector = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(name, f"not a vector of numbers: {error}") from error
-    if vector.shape != (size,):
-        raise ConfigurationError(name, f"its shape must be ({size},), not {vector.shape}")
-    # Quicker than to look at each; where the squares overflow, each is looked at.
-    if not math.isfinite(vector.dot(vector)) and not np.isfinite(vector).all():
-        index = int(np.flatnonzero(~np.isfinite(vector))[0])
-        raise ConfigurationError(name, f"element {index} is {vector[index]}; it must be finite")
-    return vector

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.com_reach import moves_com
 from pupper_analysis.stance.footholds import footholds, sunk_into
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
@@ -24,7 +25,7 @@ class Goal:
     """A task in numbers, for one robot. Goals may share arrays, which nobody changes.
 
     Attributes:
-        task: The task, with its height filled in.
+        task: The task, with its height and com filled in.
         targets: {foot: (3,)} of the feet's centres.
         depths: {foot that carries: m} how deep these are in the ground.
         stance_feet: The feet that carry.
@@ -106,6 +107,9 @@ def _goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float], like: G
             robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
         )
         centre = contacts.mean(axis=0)
+    task = _filled(robot, task)
+    assert task.height is not None
+    assert task.com is not None
     if like is not None and like.task.joint_margin == task.joint_margin:
         lower, upper = like.lower, like.upper
     else:
@@ -126,9 +130,6 @@ def _goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float], like: G
     # The centre, of which no margin is asked, always is inside.
     if not by_base and not (isinstance(task.com, str) and task.com_margin == 0.0):
         _check_inside(task, place, dict(zip(stance_feet, contacts, strict=True)))
-    if task.height is None:
-        task = _with_height(task, robot.stand_height)
-    assert task.height is not None
     turn = like.turn if like is not None and _turned_alike(like.task, task) else task.turn()
     return Goal(
         task=task,
@@ -160,10 +161,17 @@ def _check_inside(task: StandTask, place: Array, points: Mapping[str, Array]) ->
         )
 
 
-def _with_height(task: StandTask, height: float) -> StandTask:
-    """Returns a task with its height filled in; its values have been checked."""
-    filled = object.__new__(StandTask)
-    vars(filled).update(vars(task), height=height)
+def _filled(robot: Robot, task: StandTask) -> StandTask:
+    """Returns a task with the robot's own height and com, where it leaves them open."""
+    if task.com is not None and task.height is not None:
+        return task
+    com, height = task.com, task.height
+    if com is None:
+        com = "inside" if task.offset is None and not moves_com(robot) else "centre"
+    filled = object.__new__(StandTask)  # its values have been checked
+    vars(filled).update(
+        vars(task), com=com, height=robot.stand_height if height is None else height
+    )
     return filled
 
 
@@ -208,8 +216,8 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
         raise ConfigurationError(
             "robot",
             f"{robot.name} touches the ground at {len(robot.feet)} points alone "
-            f"({', '.join(robot.feet)}): the support polygon needs an area, of 3 round feet or a "
-            "flat one, on a leg of 5 joints or more",
+            f"({', '.join(robot.feet)}): the support polygon needs an area, of 3 round feet or of "
+            "a flat one that its leg can lay flat",
         )
     if len(stance_feet) < 3:
         raise ConfigurationError(
