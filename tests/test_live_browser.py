@@ -241,7 +241,8 @@ def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
     opened.tab("Stance")
     opened.set("roll (°)", 3)
     opened.takes(pa.solve_stand(load("v3"), pa.StandTask(roll=np.radians(3.0))))
-    assert "Pushed" not in " ".join(opened.all_words())  # it was about another stance
+    # It was about another stance.
+    wait_for(lambda: "Pushed" not in " ".join(opened.all_words()), "an old result is left")
     wait_for(lambda: not twin(), "the robot of another stance is left")
 
 
