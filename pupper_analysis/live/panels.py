@@ -173,4 +173,4 @@ class Panels:
 
     def notify(self, title: str, words: str) -> None:
         """Says something at once."""
-        self._client.add_notification(title, visible(words), auto_close_seconds=12.0, color="red")
+        self._client.add_notification(title, visible(words), color="red")

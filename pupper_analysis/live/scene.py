@@ -37,6 +37,10 @@ _ARROW = 3.0
 """Length of the whole weight as an arrow, in parts of the stand's height."""
 
 
+_DISC, _DISC_AT = 0.025, 0.13
+"""Radius of a joint's disc (m), for a robot of that height: around v3's motors of 23 mm."""
+
+
 class Figure:
     """A robot as it is drawn.
 
@@ -187,9 +191,10 @@ class Scene:
         self._figures, self._joints, self._labels = {}, {}, {}
         self._robot, self._parts = robot, parts_of(robot.mj_model)
         self._size = size = robot.stand_height
+        disc = _DISC * (size / _DISC_AT) ** 0.6  # motors grow more slowly than their robots
         for number, name in enumerate(robot.joint_names):
             self._joints[name] = self._scene.add_cylinder(
-                f"/joints/{number}", 0.19 * size, 0.36 * size, cast_shadow=False
+                f"/joints/{number}", disc, 1.9 * disc, cast_shadow=False
             )
             self._labels[name] = self._scene.add_label(
                 f"/labels/{number}", "", visible=False, anchor="bottom-center"

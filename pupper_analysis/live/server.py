@@ -16,6 +16,9 @@ from pupper_analysis.live.state import State, parse
 
 LOOPBACK = "127.0.0.1"
 
+_FROM = (2.6, -2.3, 1.7)
+"""Where it is looked from, in parts of the stand's height: from the front, on the right."""
+
 _LEAVE = 3.0  # s that sessions have to end what they are at
 
 
@@ -58,9 +61,9 @@ class Page:
         shown = "localhost" if host in ("0.0.0.0", "::") else host
         shown = f"[{shown}]" if ":" in shown else shown
         self.address = f"http://{shown}:{self._server.get_port()}/"
-        size = robot.stand_height
+        self._size = size = robot.stand_height
         camera = self._server.initial_camera
-        camera.position = (2.6 * size, -2.3 * size, 1.7 * size)
+        camera.position = tuple(size * number for number in _FROM)
         camera.look_at = (0.0, 0.0, 0.4 * size)
         camera.near = 0.05 * size
         self._server.on_client_connect(self._opened)
@@ -75,6 +78,10 @@ class Page:
                 check(self._model, state)
             except PupperAnalysisError as error:
                 state, problem = self._state, str(error)
+        camera = client.camera
+        if camera.image_width < camera.image_height:  # a phone, upright: from further away
+            away = 1.3 * camera.image_height / camera.image_width
+            camera.position = tuple(away * self._size * number for number in _FROM)
         session = Session(client, self._model, state, address, problem)
         with self._lock:
             self.sessions[client.client_id] = session

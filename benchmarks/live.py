@@ -1,0 +1,85 @@
+"""How often a second the live page can answer a slider: solve, forces, scene and words.
+
+    python benchmarks/live.py [--variant v3] [--moves 300]
+
+Each move is one step of a slider on its way to and fro; what is sent to browsers is made, as for
+one of them, and put into viser's queue, but no browser is there to draw it. Times are those of the
+thread's own work: on a machine that others use, too, the clock says more.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+
+import click
+import numpy as np
+
+import pupper_analysis as pa
+from pupper_analysis.live import viser_parts
+from pupper_analysis.live.model import Model, sag
+from pupper_analysis.live.panels import Panels
+from pupper_analysis.live.scene import Scene
+from pupper_analysis.live.server import LOOPBACK
+from pupper_analysis.live.state import State
+from pupper_analysis.live.text import numbers
+from pupper_analysis.pupper.live import Variants
+
+
+class Still:
+    """Buttons that nobody presses."""
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return lambda *_: None
+
+
+def measure(variant: str, moves: int) -> dict[str, list[float]]:
+    """Returns the times (s) of the parts of each move."""
+    model = Model(Variants(pa.VARIANTS[variant]))
+    port = viser_parts.free_port(LOOPBACK, None)
+    server = viser_parts.started(LOOPBACK, port, "benchmark")
+    taken: dict[str, list[float]] = {name: [] for name in ("solve and forces", "scene", "words")}
+    wall = taken["all, by the clock"] = []
+    try:
+        scene = Scene(server.scene)
+        panels = Panels(server, model, f"{LOOPBACK}:{port}", Still())
+        for angle in np.sin(np.linspace(0.0, 12.0, moves)):
+            begun, since = time.perf_counter(), time.thread_time()
+            answer = model.answer(State(roll=float(12 * angle), height=130.0))
+            assert answer.refusal is None, answer.refusal
+            solved = time.thread_time()
+            with server.atomic():
+                scene.show(answer)
+                shown = time.thread_time()
+                panels.status(numbers(answer, None))
+                panels.answered(answer)
+            done = time.thread_time()
+            wall.append(time.perf_counter() - begun)
+            for name, took in zip(
+                taken, (solved - since, shown - solved, done - shown), strict=False
+            ):
+                taken[name].append(took)
+        since = time.thread_time()
+        sag(answer)
+        taken["sag, once it is still"] = [time.thread_time() - since]
+    finally:
+        viser_parts.stopped(server)
+    return taken
+
+
+@click.command()
+@click.option("--variant", default="v3", show_default=True)
+@click.option("--moves", default=300, show_default=True)
+def main(variant: str, moves: int) -> None:
+    """Prints medians, and how many moves a second that makes."""
+    taken = measure(variant, moves)
+    for name, times in taken.items():
+        print(f"{name:24} {1e3 * statistics.median(times):7.2f} ms")
+    work = sum(statistics.median(taken[name]) for name in ("solve and forces", "scene", "words"))
+    clock = statistics.median(taken["all, by the clock"])
+    print(f"moves a second           {1 / work:7.0f} of work, {1 / clock:.0f} by the clock")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,237 @@
+"""A page's threads, with viser's server in the place of a browser: what is shown is never stale."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import load
+
+import pupper_analysis as pa
+from pupper_analysis.live import viser_parts
+from pupper_analysis.live.model import Model
+from pupper_analysis.live.session import Session, between
+from pupper_analysis.live.state import State
+from pupper_analysis.pupper.live import Variants
+
+pytest.importorskip("viser", reason="viser is not installed")
+
+PATIENCE = 60.0
+
+
+def wait_for(condition: Callable[[], object], what: str) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, what
+        time.sleep(0.01)
+
+
+class Browser:
+    """What a session needs of a browser, from viser's server; remembers what it is told."""
+
+    def __init__(self, server: Any) -> None:
+        self.gui, self.scene, self.atomic = server.gui, server.scene, server.atomic
+        self.told: list[tuple[str, str]] = []
+        self.saved: dict[str, bytes] = {}
+
+    def add_notification(self, title: str, body: str, **_: Any) -> None:
+        self.told.append((title, body))
+
+    def send_file_download(self, name: str, content: bytes, **_: Any) -> None:
+        self.saved[name] = content
+
+
+class Open:
+    """A session, and what its page says."""
+
+    def __init__(self, server: Any, state: State | None = None) -> None:
+        self.browser = Browser(server)
+        self.model = Model(Variants(pa.VARIANTS["v3"]))
+        self.session = Session(self.browser, self.model, state or State(), "here:1")
+        self.controls = self.session._panels.controls
+
+    def ask(self, state: State) -> None:
+        self.controls.put(state, told=True)
+
+    @property
+    def numbers(self) -> str:
+        return str(self.session._panels._numbers.content)
+
+    @property
+    def result(self) -> str:
+        return str(self.session._panels._result.content)
+
+    def shows(self, state: State) -> bool:
+        answer, _ = self.session.export()
+        return answer is not None and answer.state == state
+
+    def settled(self) -> bool:
+        return self.session.export()[1] is not None
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    host = "127.0.0.1"
+    one = viser_parts.started(host, viser_parts.free_port(host, None), "test")
+    yield one
+    viser_parts.stopped(one)
+
+
+@pytest.fixture
+def page(server: Any) -> Iterator[Open]:
+    one = Open(server)
+    wait_for(one.settled, "nothing is solved")
+    yield one
+    one.session.close()
+    for thread in one.session.threads:
+        thread.join(PATIENCE)
+        assert not thread.is_alive()
+
+
+def test_the_last_of_many_quick_moves_is_what_is_shown(page: Open) -> None:
+    angles = np.linspace(0.0, 6.0, 200)
+    for angle in angles:
+        page.ask(State(roll=float(angle)))
+    last = State(roll=6.0)
+    wait_for(lambda: page.shows(last) and page.settled(), "the last one is not shown")
+    stand = pa.solve_stand(load("v3"), last.task())
+    settled = pa.steady_state(load("v3"), stand)
+    assert f"{1e3 * settled.height_loss:.2f} mm" in page.numbers
+    for torque in pa.stand_statics(load("v3"), stand).joint_torques:
+        assert f">{torque:+.4f}<" in page.numbers
+    assert page.session._panels._state.value == str(last)
+
+
+def test_what_is_not_known_yet_is_said(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sag is held back; the page has the torques, and says that it is worked out."""
+    go_on = threading.Event()
+    real = pa.steady_state
+
+    def slow(*arguments: Any, **options: Any) -> Any:
+        go_on.wait(PATIENCE)
+        return real(*arguments, **options)
+
+    monkeypatch.setattr("pupper_analysis.live.model.steady_state", slow)
+    page.ask(State(pitch=4.0))
+    wait_for(lambda: page.shows(State(pitch=4.0)), "it is not solved")
+    assert "being worked out" in page.numbers
+    # Meanwhile the stance changes: what is found then is of none that is shown.
+    page.ask(State(pitch=5.0))
+    wait_for(lambda: page.shows(State(pitch=5.0)), "it waits for the sag")
+    go_on.set()
+    wait_for(page.settled, "no sag")
+    settled = real(load("v3"), pa.solve_stand(load("v3"), State(pitch=5.0).task()))
+    assert f"{1e3 * settled.height_loss:.2f} mm" in page.numbers
+
+
+def test_out_of_reach_is_told_at_once_and_explained_later(page: Open) -> None:
+    page.ask(State(roll=35.0))
+    wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
+    wait_for(lambda: "In the way: roll" in page.numbers, "it is not explained")
+    panels = page.session._panels
+    assert panels._nearest.visible
+    assert "◆ 23.8 possible" in page.controls.sliders["roll"].label
+    assert [mark.value for mark in page.controls.sliders["roll"]._marks] == [23.8]
+    assert page.controls.sliders["pitch"]._marks is None
+    page.session.go_to_nearest()
+    wait_for(lambda: "It stands" in page.numbers, "the nearest is out of reach")
+    assert page.controls.state == State(roll=23.8)
+    assert not panels._nearest.visible
+    assert page.controls.sliders["roll"].label == "roll (°)"
+    assert page.controls.sliders["roll"]._marks is None
+
+
+def test_legs_that_grow_during_a_simulation_end_it(page: Open) -> None:
+    page.session.simulate()
+    assert "simulating" in page.result
+    for scale in (1.1, 1.2, 1.3):
+        page.ask(State(leg_scale=scale))
+    wait_for(lambda: page.shows(State(leg_scale=1.3)) and page.settled(), "not shown")
+    time.sleep(0.5)  # longer than what is left of the simulation
+    assert "Not simulated yet" in page.result
+    assert "1.3" in page.session._panels._command.value
+    # What nobody has set is that of the robot that is shown.
+    long = pa.load_variant(pa.VariantSpec("v3", 1.3))
+    assert page.controls.sliders["height"].value == round(1e3 * long.stand_height, 2)
+
+
+def test_a_simulation_is_told(page: Open) -> None:
+    page.session._panels._feedforward.value = True
+    page.session.simulate()
+    wait_for(lambda: "verified: as predicted" in page.result, "it is not verified")
+    page.session.push()  # while it is played
+    wait_for(lambda: "it recovers" in page.result, "it does not recover")
+
+
+def test_what_does_not_stand_is_not_simulated_nor_saved(page: Open) -> None:
+    page.ask(State(height=500.0))
+    wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
+    page.session.simulate()
+    assert "no stance" in page.result
+    page.session._panels._save("torques.csv")
+    assert page.browser.told[-1][0] == "Nothing to save"
+    page.ask(State())
+    wait_for(lambda: "It stands" in page.numbers, "it does not stand")
+    for name in ("torques.csv", "stance.json", "stance.py"):
+        page.session._panels._save(name)
+    assert set(page.browser.saved) == {"torques.csv", "stance.json", "stance.py"}
+
+
+def test_a_typed_state_is_taken_or_refused(page: Open) -> None:
+    page.session.go_to("roll:3;move:FL,5,0")
+    state = State(roll=3.0, moves={"FL": (5.0, 0.0)})
+    wait_for(lambda: page.shows(state), "it is not taken")
+    assert page.controls.foot.value == "FL"  # the sliders are those of the foot that is moved
+    assert page.controls.sliders["move_x"].value == 5.0
+    page.session.go_to("moon:3")
+    assert page.browser.told[-1][0] == "This is no state"
+    assert page.controls.state == state
+    page.session.go_to("lift:tail,10")  # a state, but not of this robot
+    wait_for(lambda: "no foot &#x27;tail&#x27;" in page.numbers, "it has a tail")
+    page.session.reset()
+    wait_for(lambda: page.shows(State()), "it is not reset")
+
+
+def test_values_beyond_a_slider_make_it_longer(page: Open) -> None:
+    assert page.controls.sliders["payload"].max < 20.0
+    page.ask(State(payload=20.0))
+    wait_for(lambda: page.shows(State(payload=20.0)), "not shown")
+    assert page.controls.sliders["payload"].max == 20.0
+    assert page.controls.sliders["payload"].value == 20.0
+
+
+def test_a_bug_is_told_and_the_page_lives_on(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError("<b>oh</b>")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("pupper_analysis.live.model.solve_stand", fails)
+        page.ask(State(roll=1.0))
+        wait_for(lambda: "ZeroDivisionError: &lt;b&gt;oh" in page.numbers, "it is not told")
+    page.ask(State(roll=2.0))
+    wait_for(lambda: "It stands" in page.numbers, "it is dead")
+
+
+def test_a_page_that_is_closed_in_a_simulation_ends(server: Any) -> None:
+    one = Open(server)
+    wait_for(one.settled, "nothing is solved")
+    one.session.simulate()
+    one.session.close()
+    for thread in one.session.threads:
+        thread.join(PATIENCE)
+        assert not thread.is_alive()
+
+
+def test_a_motion_is_played_between_its_samples() -> None:
+    qpos = np.array([0.0, 0, 0, 1, 0, 0, 0, 0.5])
+    other = np.array([1.0, 0, 0, -np.cos(0.1), 0, 0, -np.sin(0.1), 0.7])  # turned by 0.2 rad
+    motion, times = np.array([qpos, other]), np.array([0.0, 0.2])
+    middle = between(times, motion, 0.1)
+    assert middle[0] == pytest.approx(0.5)
+    assert middle[7] == pytest.approx(0.6)
+    assert middle[3:7] == pytest.approx([np.cos(0.05), 0, 0, np.sin(0.05)], abs=1e-3)
+    assert between(times, motion, 5.0)[7] == pytest.approx(0.7)
