@@ -633,7 +633,7 @@ feet = ["foot0"]
 mass = 1e-3
 [pair.disable]
 armature-zero = "none was measured"
-[pair.names]
+[pair.map]
 hip0 = "hip0"
 """,
     "study.toml": """
@@ -644,7 +644,7 @@ seed = 1
 height = { grid = [0.14, 0.17, 3] }
 pitch = [0.0, 0.05]
 kp = { uniform = [20.0, 40.0] }
-[stance]
+[stand]
 ground_clearance = 0.0
 """,
 }
