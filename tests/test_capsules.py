@@ -79,5 +79,6 @@ def test_they_count_in_clearances_without_a_word(
     flat = pa.solve_stand(pa.load_robot(urdf=original[0], mjcf=original[1]))
     assert stand.ground_clearance is not None
     assert flat.ground_clearance is not None
-    # A calf's capsule ends a hemisphere below the cylinder that it was.
-    assert stand.ground_clearance.distance < flat.ground_clearance.distance - 1e-3
+    # The lowest of a calf is the edge of its cylinder: a capsule's lower end is within the foot.
+    assert stand.ground_clearance.links == flat.ground_clearance.links
+    assert stand.ground_clearance.distance == pytest.approx(flat.ground_clearance.distance)
