@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 LOWEST := .venv-lowest
 # Quick ones, which between them use every package that is required.
 LOWEST_TESTS := $(addprefix tests/test_,$(addsuffix .py,audit_report cli_quantities crosscheck \
-  figures loading printed results robot simulation statics))
+  figures loading printed results robot simulation statics study study_report study_results study_run))
 # Inputs of the fuzzer, and more options of tests/fuzz.py.
 N ?= 2000
 FUZZ ?=

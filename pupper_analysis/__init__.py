@@ -86,6 +86,7 @@ if TYPE_CHECKING:
     )
     from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
     from pupper_analysis.statics.states import GravityCompensations, gravity_compensations
+    from pupper_analysis.study.outcome import StudyOutcome, study_outcome
     from pupper_analysis.study.pareto import pareto_front
     from pupper_analysis.study.sensitivity import linear_shares, sobol_indices
     from pupper_analysis.study.table import read_study
@@ -187,6 +188,8 @@ _HOME = {
     "gravity_compensations": "statics.states",
     "Study": "pupper.studies",
     "StudyError": "errors",
+    "StudyOutcome": "study.outcome",
+    "study_outcome": "study.outcome",
     "read_study": "study.table",
     "pareto_front": "study.pareto",
     "sobol_indices": "study.sensitivity",
@@ -254,6 +257,7 @@ __all__ = [
     "SteadyStateBand",
     "Study",
     "StudyError",
+    "StudyOutcome",
     "Sync",
     "Tolerances",
     "UnknownNameError",
@@ -294,6 +298,7 @@ __all__ = [
     "stand_statics",
     "steady_state",
     "steady_state_band",
+    "study_outcome",
     "sunk_stand",
     "sweep_gains",
     "sync_models",

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.errors import ConfigurationError
 
@@ -54,6 +55,29 @@ def finite(name: str, value: object) -> float:
     if not math.isfinite(number):
         raise ConfigurationError(name, f"{number} is not finite")
     return number
+
+
+def vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
+    """Returns a vector (size,) of finite numbers.
+
+    Args:
+        name: The argument's name, for the message.
+        values: What was given.
+        size: How long it must be.
+
+    Raises:
+        ConfigurationError: If it is no such vector.
+    """
+    try:
+        found = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(name, f"not a vector of numbers: {error}") from error
+    if found.shape != (size,):
+        raise ConfigurationError(name, f"its shape must be ({size},), not {found.shape}")
+    if not np.isfinite(found).all():
+        index = int(np.flatnonzero(~np.isfinite(found))[0])
+        raise ConfigurationError(name, f"element {index} is {found[index]}; it must be finite")
+    return found
 
 
 FARTHEST = 1000.0

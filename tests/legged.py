@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
+
+import numpy as np
 
 
 class Pair(NamedTuple):
@@ -83,6 +86,84 @@ def quadruped(
       <actuator>{"".join(motors)}</actuator>
       {key if keyframe and free else ""}</mujoco>"""
     return _written(folder, "\n".join([*urdf, "</robot>"]), mjcf)
+
+
+def held(pair: Pair, *endings: str) -> Pair:
+    """Makes the joints whose names end so fixed ones, in both files; keyframes are gone."""
+    urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
+    for joint in urdf.findall("joint"):
+        if str(joint.get("name")).endswith(endings):
+            joint.set("type", "fixed")
+            for tag in ("axis", "limit"):
+                joint.remove(joint.find(tag))  # type: ignore[arg-type]
+    for parent in list(mjcf.iter()):
+        for child in list(parent):
+            if str(child.get("name", child.get("joint", ""))).endswith(endings):
+                parent.remove(child)
+    for key in mjcf.findall("keyframe"):
+        mjcf.remove(key)
+    pair.urdf.write_text(ElementTree.tostring(urdf, encoding="unicode"))
+    pair.mjcf.write_text(ElementTree.tostring(mjcf, encoding="unicode"))
+    return pair
+
+
+def aside(pair: Pair, y: float) -> Pair:
+    """Puts the com of the base (at x = 0) aside, as it is in files of real robots."""
+    urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
+    for element, word in (
+        (urdf.find("link/inertial/origin"), "xyz"),
+        (mjcf.find("worldbody/body/inertial"), "pos"),
+    ):
+        assert element is not None
+        x, _, z = str(element.get(word)).split()
+        element.set(word, f"{x} {y} {z}")
+    pair.urdf.write_text(ElementTree.tostring(urdf, encoding="unicode"))
+    pair.mjcf.write_text(ElementTree.tostring(mjcf, encoding="unicode"))
+    return pair
+
+
+def from_the_ground(pair: Pair, by: float) -> Pair:
+    """Puts the frame of a biped's base lower in both files, as where it is between the feet."""
+
+    def lifted(element: ElementTree.Element | None, word: str) -> None:
+        assert element is not None
+        x, y, z = (element.get(word) or "0 0 0").split()
+        element.set(word, f"{x} {y} {float(z) + by!r}")
+
+    urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
+    lifted(urdf.find("link/inertial/origin"), "xyz")
+    for joint in urdf.findall("joint"):
+        if joint.find("parent").get("link") == "pelvis":  # type: ignore[union-attr]
+            lifted(joint.find("origin"), "xyz")
+    base = mjcf.find("worldbody/body")
+    assert base is not None
+    for child in base:
+        if child.tag != "freejoint":
+            lifted(child, "pos")
+    pair.urdf.write_text(ElementTree.tostring(urdf, encoding="unicode"))
+    pair.mjcf.write_text(ElementTree.tostring(mjcf, encoding="unicode"))
+    return pair
+
+
+def planar(pair: Pair) -> Pair:
+    """Takes the hips' roll joints out of a quadruped: its legs swing in planes, as Solo 8's."""
+    return aside(held(pair, "_roll"), 2e-6)
+
+
+def sole_mesh(pair: Pair, foot: str, corners: int = 40) -> Pair:
+    """Puts a mesh in the place of a foot's geom: a sole that is round at its ends, as a shoe's."""
+    angles = 2 * math.pi * (np.arange(corners) + 0.3) / corners
+    rim = np.column_stack(
+        [0.05 * np.sign(np.cos(angles)) + 0.04 * np.cos(angles) + 0.03, 0.04 * np.sin(angles)]
+    )
+    points = [(x, y, z) for x, y in rim for z in (-0.06, -0.04)]
+    text = " ".join(repr(float(value)) for point in points for value in point)
+    mjcf = pair.mjcf.read_text()
+    assert foot in mjcf
+    mjcf = mjcf.replace(foot, '<geom type="mesh" mesh="shoe"/>')
+    asset = f'<asset><mesh name="shoe" vertex="{text}"/></asset>'
+    pair.mjcf.write_text(mjcf.replace("<worldbody>", f"{asset}<worldbody>", 1))
+    return pair
 
 
 def fused(pair: Pair) -> Pair:

@@ -22,6 +22,7 @@ APART = {  # below, each with an argument that is wrong
     "linear_shares",
     "pareto_front",
     "sobol_indices",
+    "study_outcome",
     "tightest_tolerance",
     "write_randomisation",
     "write_report",
@@ -231,6 +232,7 @@ def test_what_studies_and_reports_are_given_wrong(junk: Any, tmp_path: Path) -> 
         "study": lambda: pa.sobol_indices(junk, tmp_path / "x", ["mass"]),
         "study:": lambda: pa.linear_shares(junk, ["mass"]),
         "study: ": lambda: pa.tightest_tolerance(junk, tmp_path / "x"),
+        "study:  ": lambda: pa.study_outcome(junk, tmp_path / "x"),
         "spreads": lambda: pa.write_randomisation(junk, tmp_path / "x.yaml"),
         "results": lambda: pa.write_report(junk, tmp_path / "x.html"),
     }

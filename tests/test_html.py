@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import inspect
 import json
 import math
 import re
@@ -28,6 +29,9 @@ from pupper_analysis.report.html import library, overlay, plots, scene, sources,
 from pupper_analysis.report.html.document import Column, Name, Said, Section, Table, View, number
 from pupper_analysis.report.html.tasks import task_text
 from pupper_analysis.simulation.push import PushRecovery
+from pupper_analysis.study import design
+from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.variables import KINDS
 
 HTML = ROOT / "pupper_analysis" / "report" / "html"
 EVIL = (
@@ -242,6 +246,9 @@ def test_no_text_in_the_catalogue_is_left_over() -> None:
     kinds |= {f"{gain} {side}" for gain in ("kp", "kd") for side in ("high", "low")}
     kinds |= {"frame", "parent", "gravity", "base frame", "zero", "armature", "mimic", "name"}
     results |= {rule.title for rule in RULES.values()}
+    results |= {measure.meaning for measure in MEASURES.values()} | set(KINDS)
+    results |= {reason.value for reason in pa.Infeasibility} | {"crashed", "timed out"}
+    results |= set(re.findall(r'"([a-z ]+)"', inspect.getsource(design.failure)))
     for english in words.catalogue():
         written = json.dumps(english, ensure_ascii=False)
         assert written in joined or english in results | kinds, english

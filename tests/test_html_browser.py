@@ -13,6 +13,7 @@ import pytest
 from conftest import load
 from PIL import Image
 from test_html import EVIL, analysis, evil_analysis
+from test_study_report import outcome
 
 import pupper_analysis as pa
 
@@ -266,6 +267,49 @@ def test_it_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, scheme:
     assert light == (scheme == "light")
     one.page.locator("#theme").click()
     assert one.page.evaluate("getComputedStyle(document.body).backgroundColor") != colour
+    assert one.complaints == []
+    one.context.close()
+
+
+def test_a_study_tells_its_cells_and_designs(browser: Any, tmp_path: Path) -> None:
+    file = tmp_path / "study.html"
+    pa.write_report(outcome(), file)
+    one = Opened(browser, file, viewport={"width": 1000, "height": 900})
+    page, table = one.page, outcome().table
+    tip = page.locator("#tip")
+
+    def point(drawing: Any, line: str, index: int, off: tuple[float, float]) -> None:
+        drawing.scroll_into_view_if_needed()
+        place = drawing.locator(line).first.evaluate(
+            "(line, i) => { const m = line.getScreenCTM(); const p = line.points[i];"
+            "return [m.a * p.x + m.e, m.d * p.y + m.f]; }",
+            index,
+        )
+        page.mouse.move(place[0] + off[0], place[1] + off[1])
+
+    cells = page.locator("figure.plot", has_text="peak_utilisation, mean of").locator("svg").first
+    point(cells, ".unseen", 4, (70, 40))  # far from its middle, but in the cell
+    chosen = table[(table["leg_scale"] == 1.0) & (table["height"] == 0.15)]["peak_utilisation"]
+    assert f"leg_scale 1, height 0.15: {chosen.mean():.4g} (2)" in tip.inner_text()
+    lines = page.locator("figure.plot", has_text="Designs as lines").locator("svg").first
+    point(lines, "polyline", 0, (1, 1))
+    assert lines.locator(".lit").count() == 1
+    assert "leg_scale" in tip.inner_text()
+    page.mouse.move(2, 2)
+    assert lines.locator(".lit").count() == 0
+    designs = page.locator("figure.table", has_text="no.").last
+    designs.locator("th", has_text="servo_sag").locator("button").click()
+    texts = designs.locator("tbody tr td:nth-child(6)").all_inner_texts()
+    shown = [float(text) for text in texts if text != "-"]
+    assert shown == sorted(shown)
+    assert len(shown) == 12
+    page.locator("#language").click()
+    ends = page.locator("figure.plot", has_text="设计的结果").locator("svg").first
+    point(ends, ".unseen >> nth=1", 0, (3, 3))
+    assert tip.inner_text() == "够不到: leg_scale 0.8, height 0.5: 2 / 2"
+    page.set_viewport_size({"width": 360, "height": 740})
+    wide = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
+    assert wide[0] <= wide[1]
     assert one.complaints == []
     one.context.close()
 

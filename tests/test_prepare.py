@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from legged import BIPED_FEET, Pair, biped, fused, quadruped
+from legged import BIPED_FEET, Pair, biped, from_the_ground, fused, quadruped
 
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
@@ -243,11 +243,35 @@ def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
     assert held.contact_forces.keys() == set(robot.soles["right_tilt_link"])
 
 
-def test_a_step_under_a_flat_foot_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("shape", sorted(BIPED_FEET.keys() - {"cylinder"}))  # its points turn
+def test_a_flat_foot_stands_on_a_step(shape: str, tmp_path: Path) -> None:
+    robot = load(biped(tmp_path, BIPED_FEET[shape]))
+    ground = pa.Ground(heights={"left_tilt_link": 0.03})
+    stand = pa.sunk_stand(robot, pa.StandTask(ground=ground))
+    heights = {
+        foot: min(stand.contact_points[point][2] for point in points)
+        for foot, points in robot.soles.items()
+    }
+    assert heights["left_tilt_link"] - heights["right_tilt_link"] == pytest.approx(0.03, abs=1e-9)
+    found = pa.verify_stand(robot, stand)
+    assert found.passed, found.failures
+    assert max(found.torque_error, found.force_error) < 1e-4
+
+
+def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
-    task = pa.StandTask(ground=pa.Ground(heights={"left_tilt_link": 0.02}))
-    with pytest.raises(pa.ConfigurationError, match="a step under left_tilt_link"):
-        pa.solve_stand(robot, task)
+    heights = {"left_tilt_link": 0.02, "right_tilt_link": 0.045}
+    ground = pa.Ground(slope=0.08, uphill=0.5, heights=heights)
+    stand = pa.sunk_stand(robot, pa.StandTask(ground=ground))
+    for foot, points in robot.soles.items():
+        for point in points:
+            place = stand.contact_points[point]
+            assert ground.height(place[:2], foot) == pytest.approx(place[2], abs=1e-9)
+    assert pa.verify_stand(robot, stand).mujoco_foot_error < 1e-9
+    sag = pa.steady_state(robot, stand)
+    assert not sag.failures
+    on_one = pa.StandTask(ground=ground, swing={"left_tilt_link": 0.03})
+    assert pa.verify_stand(robot, pa.sunk_stand(robot, on_one)).passed
 
 
 def test_one_foot_with_one_point_is_not_enough(tmp_path: Path) -> None:
@@ -281,6 +305,21 @@ def test_the_margin_of_a_contact_counts(tmp_path: Path) -> None:
 def test_feet_of_a_robot_that_lies_are_found_all_the_same(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path, keyframe="0 2.4 -2.6"))
     assert len(robot.soles) == 4
+
+
+def test_a_base_frame_on_the_ground_between_the_feet(tmp_path: Path) -> None:
+    """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been."""
+    plain = load(biped(tmp_path))
+    robot = load(from_the_ground(biped(tmp_path), 0.78))
+    assert "0.880 m higher, to the base's com" in said(robot, "below all limbs")
+    # The pelvis' com is 0.1 m above the frame that it has otherwise.
+    height = plain.stand_height
+    one = pa.solve_stand(plain, pa.StandTask(height=height))
+    two = pa.solve_stand(robot, pa.StandTask(height=height + 0.1))
+    np.testing.assert_allclose(two.qpos[7:], one.qpos[7:], atol=1e-8)
+    assert two.qpos[2] - one.qpos[2] == pytest.approx(0.1, abs=1e-9)
+    stands(robot)
+    assert not [note for note in plain.notes if "below all limbs" in note]
 
 
 def test_preparing_changes_no_file(tmp_path: Path) -> None:
@@ -349,7 +388,9 @@ def test_a_foot_with_a_mesh_that_is_not_round_is_told(tmp_path: Path) -> None:
     pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="block" pos="0 0 -0.2"/>')
     text = pair.mjcf.read_text().replace("<worldbody>", mesh.format(vertices))
     pair.mjcf.write_text(text)
-    said(load(pair), "meshes that are not round")
+    robot = load(pair)
+    said(robot, "meshes that are not round")
+    stands(robot)
     assert not any("not round" in note for note in load(quadruped(tmp_path)).notes)
 
 

@@ -73,7 +73,7 @@ def test_a_stance_is_what_was_asked(name: str, kind: str) -> None:
     com = config.center_of_mass()[:2]
     if task.offset is not None:
         np.testing.assert_allclose(stand.qpos[:2] - centre[:2], task.offset, atol=1e-9)
-    elif task.com == "centre":
+    elif task.com in (None, "centre"):
         np.testing.assert_allclose(com, centre[:2], atol=1e-9)
     elif not isinstance(task.com, str):
         np.testing.assert_allclose(com, task.com, atol=1e-9)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -240,6 +242,22 @@ def test_a_file_says_the_same_as_python(tmp_path: Path) -> None:
     assert [names for names, _ in read.designs()] == [names for names, _ in made.designs()]
     again = pa.Study.of(made.asked() | {"stand": {"height": 0.12, "ground": {"slope": 0.05}}})
     assert [names for names, _ in again.designs()] == [names for names, _ in made.designs()]
+
+
+def test_a_module_beside_the_file_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "measures_of_mine.py").write_text(
+        "def height(robot, stand):\n    return float(stand.qpos[2])\n"
+    )
+    (tmp_path / "mine.toml").write_text(
+        'robot = "v3"\nmeasure = ["measures_of_mine:height"]\n[vary]\nkp = [5]\n'
+    )
+    study = pa.Study.read(tmp_path / "mine.toml")
+    assert [one.name for one in study.measures] == ["height"]
+    assert sys.path[-1] == str(tmp_path)
+    with ThreadPoolExecutor(1) as thread:
+        table = study.run(tmp_path / "out", executor=thread)
+    assert 0.1 < table["height"].iloc[0] < 0.2
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ BASE = (
 )
 TASK = (
     click.option("--offset", metavar="X,Y", help="Base from the centre of the feet (m)."),
-    click.option("--com", default="centre", metavar="X,Y", help="Com at (m), or: centre, inside."),
+    click.option("--com", default=None, metavar="X,Y", help="Com at (m), or: centre, inside."),
     click.option("--com-margin", type=LENGTH, default=0.0, help="Inside the polygon (m)."),
     click.option("--joint-margin", type=ANGLE, default=0.0, help="Off the limits (rad)."),
     click.option("--ground-clearance", type=LENGTH, default=0.0, help="All but the feet (m)."),
@@ -131,7 +131,7 @@ class RobotAndTask:
     pitch: float
     yaw: float
     offset: str | None
-    com: str
+    com: str | None
     com_margin: float
     joint_margin: float
     ground_clearance: float
@@ -206,7 +206,7 @@ class RobotAndTask:
             pitch=self.pitch,
             yaw=self.yaw,
             offset=None if self.offset is None else _place("offset", self.offset),
-            com=self.com if self.com in ("centre", "inside") else _place("com", self.com),
+            com=self.com if self.com in (None, "centre", "inside") else _place("com", self.com),
             com_margin=self.com_margin,
             joint_margin=self.joint_margin,
             ground_clearance=self.ground_clearance,

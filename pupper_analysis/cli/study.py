@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.cli.shared import CONTEXT, check_outputs, finish, json_option
+from pupper_analysis.cli.shared import (
+    CONTEXT,
+    check_outputs,
+    finish,
+    json_option,
+    report_option,
+    write_page,
+)
 
 if TYPE_CHECKING:
     from pupper_analysis.study.running import Progress
@@ -32,6 +39,11 @@ if TYPE_CHECKING:
 @click.option("--dask", is_flag=True, help="Run on a local Dask cluster.")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://HOST:PORT.")
 @click.option("--figures", is_flag=True, help="Draw the results, into the same folder.")
+@click.option(
+    "--minimise", multiple=True, metavar="NAME", help="Of the front: what is to be least."
+)
+@click.option("--maximise", multiple=True, metavar="NAME", help="Likewise greatest.")
+@report_option
 @json_option
 def study_command(
     file: Path,
@@ -41,6 +53,9 @@ def study_command(
     dask: bool,
     scheduler: str | None,
     figures: bool,
+    minimise: tuple[str, ...],
+    maximise: tuple[str, ...],
+    report_path: Path | None,
     json_path: Path | None,
 ) -> None:
     """Measure the designs that a TOML file describes, on all cores or on a cluster.
@@ -61,6 +76,7 @@ def study_command(
     Examples:
       pupper-analysis study legs.toml -o legs/ --dry-run
       pupper-analysis study legs.toml -o legs/
+      pupper-analysis study legs.toml -o legs/ --report legs.html --maximise leg_scale
       pupper-analysis study legs.toml -o legs/ --scheduler tcp://head:8786
 
     \b
@@ -71,10 +87,12 @@ def study_command(
     from pupper_analysis.report import study as report
     from pupper_analysis.report.console import console
     from pupper_analysis.study.estimate import estimate
+    from pupper_analysis.study.outcome import check_objectives, study_outcome
 
-    check_outputs(json_path)
+    check_outputs(json_path, report_path)
     check_folder(folder)
     study = Study.read(file)
+    check_objectives(study, minimise, maximise)
     if dry_run:
         expected = estimate(study, folder)
         report.print_estimate(console(), expected, workers)
@@ -84,11 +102,14 @@ def study_command(
         _run(study, folder, executor, workers, show)
     table = study.table(folder)
     report.print_summary(console(), study.variables, table)
-    if figures:
-        from pupper_analysis.report.figures.study import draw_study
+    if figures or report_path:
+        outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
+        if figures:
+            from pupper_analysis.report.figures.study import draw_study
 
-        for path in draw_study(table, tuple(study.variables), folder):
-            click.echo(f"drawn: {path}")
+            for path in draw_study(table, tuple(study.variables), folder, outcome.objectives):
+                click.echo(f"drawn: {path}")
+        write_page(report_path, outcome)
     finish(json_path, table.to_dict(orient="list"), passed=True)
 
 

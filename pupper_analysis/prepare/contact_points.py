@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from pupper_analysis.prepare.soles import BALL, TILT, TILTS, corners, stays_flat
 from pupper_analysis.robot.contact import ground_geom
 
 Array = NDArray[np.float64]
@@ -26,6 +27,9 @@ _PRESSED = 1e-4
 
 _JOINTS_OF_A_SOLE = 5
 """A body has six degrees of freedom; a foot that is flat leaves one at most, its yaw."""
+
+_LEAST_JOINTS_OF_A_SOLE = 4
+"""Legs of four joints may lay a foot flat: not everywhere, but at any height."""
 
 _CAP = math.radians(50.0)
 """How far from a foot's lowest point, seen from its middle, its shape is compared with a ball's."""
@@ -66,8 +70,9 @@ def contact_points(
 
     The sole is the flat part of its geoms' hull that is lowest, and nearly level, in the pose that
     ``data`` has; without one the foot touches where it is lowest. The foot is laid flat, and what
-    MuJoCo then finds in contact are the contact points. A leg of few joints cannot lay a foot flat:
-    it has one contact point, of the sphere that its foot is, or that fits to its lower end.
+    MuJoCo then finds in contact are the contact points. A leg of few joints cannot lay a foot flat
+    (``stays_flat``): it has one contact point, of the sphere that its foot is, or that fits to its
+    lower end.
 
     Args:
         model: The model, with a floor.
@@ -83,11 +88,13 @@ def contact_points(
         for geom in geoms
         for point, radius in _outline(model, data, geom)
     ]
-    if joints < _JOINTS_OF_A_SOLE:
+    if joints < _LEAST_JOINTS_OF_A_SOLE:
         return _tip(model, data, geoms)
     points = np.array([point for point, _ in support])
     radii = np.array([radius for _, radius in support])
-    out = _sole(points, radii, -rotation[2])
+    out, flat = _sole(points, radii, -rotation[2])
+    if joints < _JOINTS_OF_A_SOLE and not (flat and stays_flat(model, body, out)):
+        return _tip(model, data, geoms)
     return _touching(model, body, geoms, out)
 
 
@@ -130,7 +137,10 @@ def _outline(
 def _tip(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> tuple[ContactPoint, ...]:
-    """Returns the one contact point of a foot that cannot lie flat, where it is lowest."""
+    """Returns the one contact point of a foot that cannot lie flat, where it is lowest.
+
+    A mesh that is not round there has a small ball in the middle of what is lowest.
+    """
     down = np.array([0.0, 0.0, -1.0])
     geom = min(geoms, key=lambda geom: lowest(model, data, [geom]), default=None)
     if geom is None:
@@ -140,6 +150,10 @@ def _tip(
     if not radius and len(outline) > 3:
         points = np.array([point for point, _ in outline])
         place, radius = _fitted(points, place, down)
+        if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value:
+            on = points[(place - points) @ down < _FLAT]
+            radius = BALL
+            place = place + (on.mean(axis=0) - place) * (1, 1, 0) - radius * down
     own = int(model.geom_bodyid[geom])
     center = data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own])
     return (ContactPoint(geom, center, radius),)
@@ -189,8 +203,11 @@ def _round_ones(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
     return [geom for geom in spheres if lowest(model, data, [geom]) < end]
 
 
-def _sole(points: Array, radii: Array, down: Array) -> Array:
-    """Returns the direction (3,) out of the sole, in the body's frame; ``down`` without one."""
+def _sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
+    """Returns the direction (3,) out of the sole, in the body's frame, and whether there is one.
+
+    Without one it is ``down``.
+    """
     surface = points + radii[:, None] * down
     end = float((surface @ down).max())
     candidates = list(_facets(surface, down))
@@ -208,7 +225,7 @@ def _sole(points: Array, radii: Array, down: Array) -> Array:
         size = float(sizes[0] * (sizes[1] + 1e-6))
         if spread > _LEAST_LENGTH and size > area:
             best, area = normal, size
-    return best
+    return best, area > 0
 
 
 def _facets(surface: Array, down: Array) -> Iterator[Array]:
@@ -239,6 +256,54 @@ def _facets(surface: Array, down: Array) -> Iterator[Array]:
 
 
 def _touching(
+    model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
+) -> tuple[ContactPoint, ...]:
+    """Returns where a foot touches that is laid flat, ``out`` (3,) of its frame downwards.
+
+    A sole whose contacts jump from vertex to vertex of a mesh as it tilts has balls at its corners.
+    """
+    found = _pressed(model, body, geoms, out)
+    if not any(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value for geom in geoms):
+        return found
+    side = np.cross(out, np.eye(3)[np.argmin(np.abs(out))])
+    side /= np.linalg.norm(side)
+    for one, two in TILTS[1:]:
+        tilted = out + TILT * (one * side + two * np.cross(out, side))
+        if not _alike(found, _pressed(model, body, geoms, tilted / np.linalg.norm(tilted))):
+            return _cornered(model, body, geoms, out) or found
+    return found
+
+
+def _alike(one: Sequence[ContactPoint], two: Sequence[ContactPoint]) -> bool:
+    """Tells whether a foot touches with the same points."""
+    return len(one) == len(two) and all(
+        min(float(np.linalg.norm(point.center - other.center)) for other in two) < _FLAT
+        for point in one
+    )
+
+
+def _cornered(
+    model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
+) -> tuple[ContactPoint, ...]:
+    """Returns balls at the corners of a sole, ``out`` (3,) being the direction out of it."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    down = data.xmat[body].reshape(3, 3) @ out
+    surface = [
+        (geom, point + radius * down)
+        for geom in geoms
+        for point, radius in _outline(model, data, geom)
+    ]
+    found = []
+    for number in corners(np.array([point for _, point in surface]), down, 2 * _PRESSED):
+        geom, point = surface[number]
+        own = int(model.geom_bodyid[geom])
+        middle = data.xmat[own].reshape(3, 3).T @ (point - BALL * down - data.xpos[own])
+        found.append(ContactPoint(geom, middle, BALL))
+    return tuple(found)
+
+
+def _pressed(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
     """Presses a foot into the floor, ``out`` (3,) of its frame downwards, and sees what touches."""

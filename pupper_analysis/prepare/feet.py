@@ -231,6 +231,7 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
     names: dict[str, tuple[str, str]] = {}
     soles: dict[str, tuple[str, ...]] = {}
     geoms: dict[str, tuple[str, float]] = {}
+    meshes = [point.geom for foot in feet for point in foot.points if is_ball(model, point)]
     for foot in feet:
         link = _link_of(robot, foot.body)
         placed = still.frame_position(link), still.frame_rotation(link)
@@ -244,10 +245,13 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
             world = _in_urdf(robot, still, data, foot.body, world)
             _add_link(root, frame, link, placed[1].T @ (world - placed[0]))
             names[name] = (frame, frame)
-            geoms[name] = (_touching(spec, compiled, bodies, point), point.radius)
+            geoms[name] = (_touching(spec, compiled, bodies, point, name), point.radius)
             points.append(name)
         if len(points) > 1:
             soles[foot.name] = tuple(points)
+    for name in {compiled.geom(geom).name for geom in meshes}:
+        mesh = next(geom for geom in spec.geoms if geom.name == name)
+        mesh.contype = mesh.conaffinity = 0
     return replace(
         robot.description, urdf=to_text(root), mjcf=spec, feet=names, soles=soles, foot_geoms=geoms
     )
@@ -264,8 +268,9 @@ def _touching(
     model: mujoco.MjModel,
     bodies: Mapping[str, mujoco.MjsBody],
     point: ContactPoint,
+    called: str,
 ) -> str:
-    """Returns the name of the geom that touches at a point; a ball takes a mesh's place.
+    """Returns the name of the geom that touches at a point of a name; balls take a mesh's place.
 
     MuJoCo's contacts of a mesh are some of its vertices, and jump from one to the next.
     """
@@ -275,7 +280,7 @@ def _touching(
     mesh = next(geom for geom in spec.geoms if geom.name == name)
     body = bodies[model.body(int(model.geom_bodyid[point.geom])).name]
     ball = body.add_geom(
-        name=f"{name} (ball)",
+        name=f"{called} (ball)",
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=(point.radius, 0.0, 0.0),
         pos=point.center,
@@ -283,7 +288,6 @@ def _touching(
         rgba=mesh.rgba,
         **{what: getattr(mesh, what) for what in CONTACT_OF_GEOM},
     )
-    mesh.contype = mesh.conaffinity = 0
     return str(ball.name)
 
 

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from pupper_analysis.arguments import checked
 from pupper_analysis.checks.matching import Match, match
 from pupper_analysis.checks.matching_mjcf import name_all
-from pupper_analysis.errors import ConfigurationError, ModelError, PupperAnalysisError
+from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
-from pupper_analysis.prepare import drives, start
+from pupper_analysis.prepare import drives, start, touching
 from pupper_analysis.prepare.base import free_base
+from pupper_analysis.prepare.base_frame import lift_base_frame
 from pupper_analysis.prepare.feet import (
     Foot,
     apart_at,
@@ -27,20 +28,18 @@ from pupper_analysis.prepare.feet import (
     named_foot,
     with_feet,
 )
+from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.build import add_floor, build_robot, floor_of, rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.stance.com_reach import moves_com
 
 Array = NDArray[np.float64]
 
 _APART = 2e-3
 """Joints whose axes are further apart are not rounded, but different (m)."""
-
-_BESIDE = 5e-3
-"""Shapes that are no further above the ground than this beside a sunk foot may touch it (m)."""
 
 Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
 
@@ -171,6 +170,7 @@ def _prepared(
     known = start.chosen(mjcf, start.keyframes(spec), keyframe)
     if not fixed_base:
         spec = free_base(urdf, spec, notes)
+        lift_base_frame(spec, notes)
     matched = match(urdf, replace(mjcf, spec=spec), names=joints, complete=True)
     notes += [*matched.notes, *_said(matched)]
     description = replace(matched.robot.description, name=name or spec.modelname)
@@ -199,16 +199,11 @@ def _prepared(
             f"at zero angles the last joint of foot {worst} is {1e3 * apart[worst]:.0f} mm off in "
             "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
         )
-    notes += _edgy(bare, feet)
-    balls = [f.name for f in feet if any(is_ball(bare.mj_model, point) for point in f.points)]
-    if balls:
-        notes.append(
-            f"round meshes of {', '.join(balls)}: balls that fit to them touch the ground instead, "
-            "as MuJoCo's contacts of a mesh jump from vertex to vertex"
-        )
+    notes += _balls(bare, feet)
     robot = build_robot(with_feet(bare, feet))
+    notes += _planar(robot)
     robot = _started(robot, known, notes)
-    robot = _apart(_on_feet_alone(robot, notes), notes)
+    robot = touching.apart(touching.on_feet_alone(robot, notes), notes)
     if not set(robot.joint_names) <= own_servos(robot).keys():
         robot = _driven(robot, notes)
     else:
@@ -253,21 +248,40 @@ def _named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> str:
     return f"{how}: {'; '.join(texts)}"
 
 
-def _edgy(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
-    """Says which feet touch with one point of a mesh that is not round there."""
-    model = robot.mj_model
-    mesh = mujoco.mjtGeom.mjGEOM_MESH.value
-    names = [
-        foot.name
-        for foot in feet
-        for point in foot.points
-        if len(foot.points) == 1 and not point.radius and model.geom_type[point.geom] == mesh
-    ]
-    if names:
+def _balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
+    """Says which meshes balls take the place of."""
+    kinds: dict[str, list[str]] = {}
+    for foot in feet:
+        if any(is_ball(robot.mj_model, point) for point in foot.points):
+            edgy = len(foot.points) == 1 and foot.points[0].radius == BALL
+            kind = "soles" if len(foot.points) > 1 else "edges" if edgy else "round"
+            kinds.setdefault(kind, []).append(foot.name)
+    why = "as MuJoCo's contacts of a mesh jump from vertex to vertex"
+    for kind, names in kinds.items():
+        which = ", ".join(names)
+        if kind == "round":
+            yield (
+                f"round meshes of {which}: balls that fit to them touch the ground instead, {why}"
+            )
+        elif kind == "soles":
+            yield (
+                f"soles of {which} are meshes: small balls at their corners touch the ground "
+                f"instead, {why}"
+            )
+        else:
+            yield (
+                f"feet {which} are meshes that are not round: small balls where they are lowest in "
+                f"the start pose touch the ground instead, {why}; a sphere as collision geom would "
+                "be the robot's own"
+            )
+
+
+def _planar(robot: Robot) -> Iterator[str]:
+    """Says so if the legs cannot move the com to every place over the feet."""
+    if not moves_com(robot):
         yield (
-            f"feet {', '.join(names)} touch the ground with meshes that are not round: where they "
-            "touch changes as they sink in, so that forces may be off by several percent; a sphere "
-            "as collision geom would mend that"
+            "the legs cannot move the com in every direction over feet that stay: by default a "
+            "stand has it anywhere inside the support polygon (com 'inside')"
         )
 
 
@@ -343,56 +357,3 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
             "feed-forward and without: give --kp and --kd, or another --keyframe"
         )
     return built
-
-
-def _on_feet_alone(robot: Robot, notes: list[str]) -> Robot:
-    """Keeps shapes beside a foot, of its own body, off the ground into which the foot sinks."""
-    try:
-        stand = sunk_stand(robot, explain=False)
-    except PupperAnalysisError:
-        return robot
-    model, own = robot.mj_model, start.feet_bodies(robot)
-    beside = {
-        geom
-        for geom in start.touching(robot, stand, _BESIDE)
-        if int(model.body_weldid[model.geom_bodyid[geom]]) in own
-    }
-    if not beside:
-        return robot
-    spec = robot.description.mjcf.copy()
-    spec.compile()
-    for geom in spec.geoms:
-        if geom.id in beside:
-            geom.contype = geom.conaffinity = 0
-    bodies = sorted({model.body(int(model.geom_bodyid[geom])).name for geom in beside})
-    notes.append(
-        f"shapes of {', '.join(bodies)} reach down beside the feet, which sink into the ground by "
-        f"{1e3 * max(stand.depths.values()):.1f} mm: they were kept from touching"
-    )
-    return rebuilt(robot, mjcf=spec)
-
-
-def _apart(robot: Robot, notes: list[str]) -> Robot:
-    """Keeps bodies that overlap in the start pose from pushing each other apart."""
-    stand = start.first_stand(robot)
-    if stand is None:
-        return robot
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_forward(model, data)
-    deep: dict[tuple[str, str], float] = {}
-    for touch in data.contact:
-        bodies = model.geom_bodyid[touch.geom]
-        if 0 not in bodies and touch.dist < 0:
-            one, two = sorted(str(model.body(int(body)).name) for body in bodies)
-            deep[one, two] = max(deep.get((one, two), 0.0), -float(touch.dist))
-    if not deep:
-        return robot
-    spec = robot.description.mjcf.copy()
-    for one, two in deep:
-        spec.add_exclude(bodyname1=one, bodyname2=two)
-    pairs = ", ".join(f"{one} and {two} by {1e3 * by:.1f} mm" for (one, two), by in deep.items())
-    notes.append(
-        f"bodies overlap in the start pose: {pairs}; they were kept from pushing each other apart"
-    )
-    return rebuilt(robot, mjcf=spec)

@@ -19,9 +19,11 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import branches, combinations, limbs
 from pupper_analysis.stance.clearance import Shapes, shapes_of
 from pupper_analysis.stance.problem import Goal, goal_of
+from pupper_analysis.stance.search import begin_inside
 from pupper_analysis.stance.solver import TASK_TOLERANCE, Solver, measure
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.stance.yielding import as_the_legs_can
 
 Array = NDArray[np.float64]
 
@@ -229,10 +231,14 @@ def _first_solved(shapes: Shapes, goal: Goal, seeds: Sequence[Array]) -> Stand |
     solver = Solver(shapes, goal)
     for joints in seeds:
         point = solver.run(joints)
-        if point.miss < TASK_TOLERANCE:
-            stand = measure(shapes, goal, point.qpos, point.iterations)
+        reached = as_the_legs_can(shapes.robot, goal, point)
+        if point.miss < TASK_TOLERANCE or reached is not goal:
+            stand = measure(shapes, reached, point.qpos, point.iterations)
             if stand.solved:
                 return stand
+        inside = begin_inside(shapes, goal, joints, goal.place)
+        if inside is not None:
+            return inside
     return None
 
 

@@ -20,6 +20,7 @@ from pupper_analysis.models.conversion import gravity, joint_armature
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.parameters import joint_placements
 from pupper_analysis.robot import contact
+from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.robot import Robot
@@ -52,6 +53,7 @@ def build_robot(
     mj_convention = MujocoConvention.of(mj_model, joint_names)
     pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
+    notes += _at_rest(mj_model)
     notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention)
     foot_frames = {foot: frames[0] for foot, frames in description.feet.items()}
     for frame in foot_frames.values():
@@ -115,6 +117,29 @@ def rebuilt(robot: Robot, **changes: Any) -> Robot:
     """
     built = build_robot(replace(robot.description, **changes))
     return replace(built, stand_height=robot.stand_height, notes=robot.notes)
+
+
+def _at_rest(mj_model: mujoco.MjModel) -> list[str]:
+    """Says what of the MJCF acts at rest; gravity compensation by motors becomes passive, in place.
+
+    MuJoCo counts it as the motors' torque; here it is what they are relieved of.
+    """
+    notes = []
+    if acts_at_rest(mj_model):
+        notes.append(
+            "springs and gravity compensation are the MJCF's, and what motors hold is without "
+            "them: URDF cannot carry them"
+        )
+    if mj_model.body_gravcomp.any() and mj_model.jnt_actgravcomp.any():
+        names = [
+            mj_model.joint(int(joint)).name for joint in np.flatnonzero(mj_model.jnt_actgravcomp)
+        ]
+        mj_model.jnt_actgravcomp[:] = 0
+        notes.append(
+            f"gravity compensation through motors ({', '.join(names)}) is taken as passive: what "
+            "they hold is without it"
+        )
+    return notes
 
 
 def _take_armature(

@@ -9,9 +9,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_type
+from pupper_analysis.arguments import check_type, vector
 from pupper_analysis.arrays import crosses, rotation_from_quaternion
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.robot.at_rest import AtRest
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.structure import Workspace
 
@@ -47,8 +48,8 @@ class Configuration:
         if type(robot) is not Robot:
             check_type("robot", robot, Robot)
         self.robot = robot
-        self.qpos = _vector("qpos", qpos, robot.nq)
-        self.qvel = np.zeros(robot.nv) if qvel is None else _vector("qvel", qvel, robot.nv)
+        self.qpos = vector("qpos", qpos, robot.nq)
+        self.qvel = np.zeros(robot.nv) if qvel is None else vector("qvel", qvel, robot.nv)
         self._structure = structure = robot.structure
         self._turn: Array | None = None
         if robot.floating:
@@ -253,8 +254,21 @@ class Configuration:
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
         return self._structure.dual(forces, self._turn)
 
+    def passive(self) -> Array:
+        """Returns what the MJCF's springs, gravity compensation and wind do at rest (nv,).
+
+        MuJoCo's forces: a URDF cannot state them. Zero if there are none.
+        """
+        if not self.robot.acts_at_rest:
+            return np.zeros(self.robot.nv)
+        return AtRest(self.robot.mj_model, self.robot.mj_convention).forces(self.qpos)
+
+    def load(self) -> Array:
+        """Returns what motors and contacts hold at rest (nv,): gravity less ``passive``."""
+        return self.gravity() - self.passive()
+
     def static_rates(self, wrenches: Mapping[str, Array]) -> Array:
-        """Returns the derivative (nv, nv) of gravity less wrenches on feet: of g - sum J^T w.
+        """Returns the derivative (nv, nv) of ``load`` less wrenches on feet: of l - sum J^T w.
 
         By a step in the directions of qvel. J is the Jacobian (6, nv) of a foot's centre.
 
@@ -283,6 +297,9 @@ class Configuration:
         changed = structure.square(np.atleast_2d(rates), self._turn) - turning
         if self._turn is not None:  # the base's first three are a force that Pinocchio turns
             changed[:3, 3:6] -= pin.skew(bearing[:3]) @ self._turn
+        if self.robot.acts_at_rest:
+            springs = AtRest(self.robot.mj_model, self.robot.mj_convention)
+            changed -= springs.rates(self.qpos)
         return changed
 
     def forward_dynamics(self, force: ArrayLike) -> Array:
@@ -294,7 +311,7 @@ class Configuration:
         Raises:
             ConfigurationError: If the vector has a wrong length or a value is not finite.
         """
-        wanted = _vector("force", force, self.robot.nv)
+        wanted = vector("force", force, self.robot.nv)
         drift = self._structure.drift(self.qvel, self._turn)
         # T^-T = T: T is orthogonal. On the armature see bias_forces.
         own = self._structure.velocity(wanted, self._turn)
@@ -333,7 +350,7 @@ class Configuration:
     def _accelerated(self, qacc: ArrayLike) -> Workspace:
         """Returns a workspace with this acceleration."""
         drift = self._structure.drift(self.qvel, self._turn)
-        wanted = _vector("qacc", qacc, self.robot.nv)
+        wanted = vector("qacc", qacc, self.robot.nv)
         a = self._structure.velocity(wanted, self._turn) + drift
         held = self._structure.workspace()
         pin.forwardKinematics(self._model, held.data, self._q, self._v, a)
@@ -376,16 +393,3 @@ class Configuration:
         if self._turn is not None:
             return self._turn.copy()
         return self.frame_rotation(self.robot.base)
-
-
-def _vector(name: str, values: ArrayLike, size: int) -> Array:
-    try:
-        vector = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(name, f"not a vector of numbers: {error}") from error
-    if vector.shape != (size,):
-        raise ConfigurationError(name, f"its shape must be ({size},), not {vector.shape}")
-    if not np.isfinite(vector).all():
-        index = int(np.flatnonzero(~np.isfinite(vector))[0])
-        raise ConfigurationError(name, f"element {index} is {vector[index]}; it must be finite")
-    return vector

@@ -73,6 +73,24 @@ class Ground:
         top = np.array([place[0], place[1], self.height(place, foot)])
         return top - half[2] * self.normal(), half
 
+    def steps(self, places: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
+        """Returns each step's box, {foot: centre (3,) and half size (3,)} (m).
+
+        It is under the foot's contact points, and reaches ``STEP_HALF_WIDTH`` beyond them.
+
+        Args:
+            places: {contact point: (3,) its centre (m)}; the points of a flat foot are called
+                ``foot/1``, ``foot/2``...
+        """
+        found = {}
+        for foot, height in self.heights.items():
+            own = [p for name, p in places.items() if name == foot or name.startswith(f"{foot}/")]
+            if height > 0 and own:
+                middle = np.mean(own, axis=0)
+                reach = float(np.linalg.norm(np.array(own) - middle, axis=1).max())
+                found[foot] = self.step(foot, middle, reach + STEP_HALF_WIDTH)
+        return found
+
     def height(self, place: Sequence[float] | Array, foot: str | None = None) -> float:
         """Returns the height (m) of the plane at a place (x, y), or of a foot's step there."""
         rise = math.tan(self.slope)
@@ -92,4 +110,4 @@ class Ground:
 
 
 STEP_HALF_WIDTH = 0.03
-"""Half the edge of the box that is put under a foot on a step (m)."""
+"""How far the box that is put under a foot on a step reaches beyond its contact points (m)."""

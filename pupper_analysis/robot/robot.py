@@ -17,6 +17,7 @@ from pupper_analysis.arrays import plain_state
 from pupper_analysis.errors import UnknownNameError
 from pupper_analysis.models.conversion import gravity
 from pupper_analysis.models.description import Description
+from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.contact import ContactParameters
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.structure import Structure
@@ -123,6 +124,11 @@ class Robot:
     def structure(self) -> Structure:
         """What configurations need to know of the robot; worked out once."""
         return Structure(self.pin_model, self.pin_convention, self.joint_names, self.foot_frames)
+
+    @cached_property
+    def acts_at_rest(self) -> bool:
+        """Whether the MJCF has springs, gravity compensation or wind, which act at rest."""
+        return acts_at_rest(self.mj_model)
 
     @property
     def lower_limits(self) -> Array:

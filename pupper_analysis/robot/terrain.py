@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -10,8 +10,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.robot.build import add_floor, floor_of, rebuilt
-from pupper_analysis.robot.ground import STEP_HALF_WIDTH, Ground
+from pupper_analysis.errors import ModelError
+from pupper_analysis.robot.build import CONTACT_OF_GEOM, add_floor, floor_of, rebuilt
+from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -23,12 +24,17 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
     Args:
         robot: The robot; its MJCF has a floor.
         ground: The slope and the steps.
-        places: {foot: (3,) where its centre will be, lifted or not (m)}, for the steps.
+        places: {contact point: (3,) where its centre will be, lifted or not (m)}, for the steps.
 
     Returns:
         The same robot, whose MuJoCo model has the floor turned and a box for each step. The steps
         have the floor's contact parameters. A foot on a step does not touch the floor, into which
-        it would sink through a low one.
+        it would sink through a low one. A flat foot touches a plane on top of its box, which only
+        it does: MuJoCo's contacts of a sole with a plane are other than those with a box, and its
+        contact points are those with a plane.
+
+    Raises:
+        ModelError: If the MJCF leaves no bits of ``contype`` for that.
     """
     if ground.level:
         return robot
@@ -36,34 +42,60 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
     floor = floor_of(spec) or add_floor(spec)
     quat = pin.Quaternion(ground.rotation()).coeffs()[[3, 0, 1, 2]]
     floor.quat = quat
-    steps = [foot for foot, height in ground.heights.items() if height > 0]
+    steps = ground.steps(places)
+    soles = [foot for foot in steps if len(robot.soles[foot]) > 1]
     contype, conaffinity = floor.contype, floor.conaffinity
-    _leave_floor(robot, spec, floor, steps)
-    for foot in steps:
-        centre, half = ground.step(foot, places[foot], STEP_HALF_WIDTH)
-        spec.worldbody.add_geom(
+    free = _leave_floor(robot, spec, floor, steps, soles)
+    for foot, (centre, half) in steps.items():
+        box = spec.worldbody.add_geom(
             name=f"step_{foot}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=half,
             pos=centre,
             quat=quat,
-            condim=floor.condim,
             contype=contype,
             conaffinity=conaffinity,
-            friction=floor.friction,
-            solref=floor.solref,
-            solimp=floor.solimp,
-            solmix=floor.solmix,
-            priority=floor.priority,
             rgba=(0.6, 0.62, 0.66, 1.0),
         )
+        _like_floor(box, floor)
+        if foot in soles:
+            box.contype, box.conaffinity = 0, floor.conaffinity
+            top = spec.worldbody.add_geom(
+                name=f"top_{foot}",
+                type=mujoco.mjtGeom.mjGEOM_PLANE,
+                size=(*half[:2], 0.01),
+                pos=centre + half[2] * ground.normal(),
+                quat=quat,
+                contype=0,
+                conaffinity=free[foot],
+                rgba=(0.0, 0.0, 0.0, 0.0),
+            )
+            _like_floor(top, floor)
     return replace(rebuilt(robot, mjcf=spec), fingerprint=robot.fingerprint)
 
 
+def _like_floor(geom: mujoco.MjsGeom, floor: mujoco.MjsGeom) -> None:
+    """Gives a geom the floor's contact parameters, but for what it touches."""
+    for word in CONTACT_OF_GEOM:
+        if word not in ("contype", "conaffinity", "group"):
+            setattr(geom, word, getattr(floor, word))
+
+
 def _leave_floor(
-    robot: Robot, spec: mujoco.MjSpec, floor: mujoco.MjsGeom, feet: Container[str]
-) -> None:
-    """Lets all that touched the floor touch it, except some feet's foot_geoms."""
+    robot: Robot,
+    spec: mujoco.MjSpec,
+    floor: mujoco.MjsGeom,
+    feet: Container[str],
+    soles: Sequence[str],
+) -> dict[str, int]:
+    """Lets all that touched the floor touch it, except some feet's foot_geoms.
+
+    Returns:
+        {flat foot: the bit of ``contype`` that only its geoms have}.
+
+    Raises:
+        ModelError: If the MJCF leaves no bits.
+    """
     spec.compile()  # numbers the geoms
     geoms = [geom for geom in spec.geoms if geom.id != floor.id]
     touching = [
@@ -74,8 +106,19 @@ def _leave_floor(
     taken = floor.contype | floor.conaffinity
     for geom in geoms:
         taken |= geom.contype | geom.conaffinity
-    free = next(1 << bit for bit in range(31) if not taken & 1 << bit)
-    floor.contype, floor.conaffinity = 0, free
+    bits = [1 << bit for bit in range(31) if not taken & 1 << bit]
+    if len(bits) < 1 + len(soles):
+        raise ModelError(
+            robot.description.mjcf_source,
+            f"its geoms use all but {len(bits)} of 31 bits of contype and conaffinity: steps under "
+            f"{len(soles)} flat feet need {1 + len(soles)} of their own",
+        )
+    own = dict(zip(soles, bits[1:], strict=False))
+    floor.contype, floor.conaffinity = 0, bits[0]
     for geom in touching:
-        if robot.foot_geoms.get(geom.id) not in feet:
-            geom.contype |= free
+        foot = robot.foot_geoms.get(geom.id)
+        if foot not in feet:
+            geom.contype |= bits[0]
+        elif foot in own:
+            geom.contype |= own[foot]
+    return own

@@ -47,15 +47,15 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     data.ctrl[:] = drive.command(robot, stand.joint_positions(robot), torques)
     normal = stand.task.ground.normal()
 
-    weight = float(model.body_subtreemass[0]) * float(-normal @ model.opt.gravity)
-
     def surplus(drop: float) -> float:
         """Returns by how much the contacts carry more than the weight (N)."""
         qpos = stand.qpos.copy()
         qpos[:3] -= drop * normal
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_forward(model, data)
-        return float(normal @ data.qfrc_constraint[robot.mj_convention.qvel_index[:3]]) - weight
+        # Gravity compensation, which is passive, may carry a part of the weight.
+        pushing = data.qfrc_constraint + data.qfrc_passive - data.qfrc_bias
+        return float(normal @ pushing[robot.mj_convention.qvel_index[:3]])
 
     low, high = 0.0, _SHALLOW
     while surplus(high) <= 0 and high < _DEEP:

@@ -1,14 +1,19 @@
-"""Whether servos are too stiff to be simulated, in words."""
+"""Why a simulation does not come to rest: servos too stiff, feet that creep, in words."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
 
+from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servo_stability import servo_stability
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.stance.stand import Stand
+from pupper_analysis.statics.equilibrium import GravityCompensation
+
+_CREEPING = 1e-3
+"""Feet that creep faster are said to (m/s): 5 mm in the 5 s of a simulation."""
 
 
 def too_stiff(robot: Robot, stand: Stand, drive: Servos) -> list[str]:
@@ -34,4 +39,28 @@ def too_stiff(robot: Robot, stand: Stand, drive: Servos) -> list[str]:
         f"the servos are {found.ratio:.3g} times beyond the limit of stability "
         f"({drive.integrator}, {1e3 * model.opt.timestep:g} ms), most of all at {worst}: a time "
         f"step of {1e3 * found.timestep:.2g} ms is stable{other}, or less kp and kd"
+    ]
+
+
+def creeping(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[str]:
+    """Says so if feet creep, as MuJoCo's friction, which is viscous, lets them.
+
+    Args:
+        robot: The robot.
+        stand: The stand.
+        prediction: Its contact forces.
+    """
+    speeds: dict[str, float] = {}
+    for foot, force in prediction.contact_forces.items():
+        normal = stand.normals[foot]
+        tangential = float(np.linalg.norm(force - (force @ normal) * normal))
+        viscosity = GroundLaw.of(robot, foot).viscosity(stand.depths[foot])
+        speeds[foot] = tangential / viscosity if viscosity > 0 else np.inf
+    foot = max(speeds, key=speeds.__getitem__)
+    if not speeds[foot] > _CREEPING:
+        return []
+    return [
+        f"MuJoCo's friction gives way to any force, so that {foot} creeps by "
+        f"{1e3 * speeds[foot]:.1f} mm/s: a greater impratio, or noslip_iterations, in the MJCF's "
+        "<option> makes it stick"
     ]

@@ -16,9 +16,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.passive import passive_forces
+from pupper_analysis.simulation.loops import closed_loops
 from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
-from pupper_analysis.simulation.stability import too_stiff
+from pupper_analysis.simulation.stability import creeping, too_stiff
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import drop_at
@@ -176,7 +176,8 @@ def verify_stand(
     found = _measured(robot, stand, drive, prediction, states, watch, light)
     found = replace(found, feedforward=feedforward)
     failures = _failures(robot, stand, states, watch, found)
-    failures += too_stiff(robot, stand, drive) if failures else []
+    if failures:
+        failures += [*too_stiff(robot, stand, drive), *creeping(robot, stand, prediction)]
     if feedforward:
         failures += _deviations(robot, stand, watch, found, alone=not failures)
     return replace(found, passed=not failures, failures=tuple(failures))
@@ -316,7 +317,7 @@ def _deviations(
             f"of the URDF ({masses[0]:.3f} kg); crosscheck tells the differences"
         )
         return off
-    if off and (acts := passive_forces(robot, stand, ANOTHER_ROBOT * weight)):
+    if off and (acts := closed_loops(robot, stand, ANOTHER_ROBOT * weight)):
         return [*off, acts]
     deepest = max(float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
     if off and alone and deepest > SOFT and not any(stand.depths.values()):
@@ -381,7 +382,7 @@ def _backend_evaluation(
     robot.mj_convention.set_state(data, stand.qpos)
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)
-    remainder = np.array(data.qfrc_bias)
+    remainder = data.qfrc_bias - data.qfrc_passive
     remainder[robot.mj_convention.qvel_index[6:]] -= prediction.joint_torques
     foot_error = 0.0
     jacobian = np.zeros((3, model.nv))

@@ -120,6 +120,7 @@ def branches(
     positions, misses = solver.run(starts)
     turning = robot.pin_convention.unbounded
     positions[:, turning] = _turned(positions[:, turning])
+    positions = _unwound(robot, positions, lower, upper)
     found = {}
     for limb, missed in misses.items():
         kept: list[Branch] = []
@@ -132,6 +133,23 @@ def branches(
                 break
         found[limb] = tuple(kept)
     return found
+
+
+def _unwound(robot: Robot, positions: Array, lower: Array, upper: Array) -> Array:
+    """Returns positions (k, nu) of joints less the whole turns that take them from home (rad).
+
+    Limits that leave more than a turn are a motor's; the leg is the same after each.
+    """
+    model, convention = robot.pin_model, robot.pin_convention
+    sliding = [
+        model.joints[model.getJointId(name)].shortname().startswith("JointModelP")
+        for name in robot.joint_names
+    ]
+    turns = np.round((positions - robot.home[robot.nq - robot.nu :]) / (2 * math.pi))
+    nearer = positions - 2 * math.pi * turns
+    kept = np.array(sliding) | convention.unbounded | (nearer < lower) | (nearer > upper)
+    unwound: Array = np.where(kept, positions, nearer)
+    return unwound
 
 
 def _turned(angle: Array) -> Array:

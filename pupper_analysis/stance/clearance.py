@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pupper_analysis.files import readable
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.results import Result
-from pupper_analysis.robot.ground import STEP_HALF_WIDTH, Ground
+from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -229,11 +229,9 @@ class Shapes:
         obstacles: list[tuple[coal.CollisionGeometry, coal.Transform3s]] = [
             (coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
         ]
-        for foot, height in ground.heights.items():
-            if height > 0:
-                centre, half = ground.step(foot, places[foot], STEP_HALF_WIDTH)
-                box = coal.Box(2 * half)
-                obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
+        for centre, half in ground.steps(places).values():
+            box = coal.Box(2 * half)
+            obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
         at = self._placed.oMg
         for index, shape, sunk in self._looked_at:
             place = at[index]

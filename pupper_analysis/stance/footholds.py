@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.task import StandTask
@@ -62,9 +61,6 @@ def footholds(robot: Robot, task: StandTask) -> dict[str, Array]:
 
     A sole lies flat on the slope, turned out of its default orientation by the shortest way; a foot
     that swings is higher, and otherwise likewise.
-
-    Raises:
-        ConfigurationError: If a step is under a flat foot.
     """
     nominal, ground = nominal_places(robot), task.ground
     targets: dict[str, Array] = {}
@@ -72,16 +68,12 @@ def footholds(robot: Robot, task: StandTask) -> dict[str, Array]:
         points = robot.soles[foot]
         if len(points) == 1:
             targets[points[0]] = ground.centre(foot, place, robot.foot_radius[points[0]])
-        elif foot in ground.heights:
-            raise ConfigurationError(
-                "ground", f"a step under {foot}: steps are for feet with one contact point"
-            )
         else:
             sole = np.array([nominal[point] for point in points])
             radii = np.array([robot.foot_radius[point] for point in points])
             laid = _laid(sole, radii, ground.normal())
             aside = place - laid[:, :2].mean(axis=0)
-            shift = np.array([*aside, ground.height(aside)])  # along the plane
+            shift = np.array([*aside, ground.height(aside, foot)])  # along the plane, onto a step
             targets |= dict(zip(points, laid + shift, strict=True))
         for point in points:
             targets[point][2] += task.swing.get(foot, 0.0)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.com_reach import moves_com
 from pupper_analysis.stance.footholds import footholds, sunk_into
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
@@ -24,7 +25,7 @@ class Goal:
     """A task in numbers, for one robot.
 
     Attributes:
-        task: The task, with its height filled in.
+        task: The task, with its height and com filled in.
         targets: {foot: (3,)} of the feet's centres.
         depths: {foot that carries: m} how deep these are in the ground.
         stance_feet: The feet that carry.
@@ -80,6 +81,9 @@ def goal_of(
         targets = sunk_into(
             robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
         )
+    task = _filled(robot, task)
+    assert task.height is not None
+    assert task.com is not None
     centre = contacts.mean(axis=0)
     if like is not None and like.task.joint_margin == task.joint_margin:
         lower, upper = like.lower, like.upper
@@ -109,10 +113,6 @@ def goal_of(
             "com_margin",
             f"{task.com_margin} m is more than the {inside:.4g} m that the support polygon leaves",
         )
-    if task.height is None:
-        task = copy.copy(task)  # its values have been checked
-        object.__setattr__(task, "height", robot.stand_height)
-    assert task.height is not None
     return Goal(
         task=task,
         targets=targets,
@@ -125,6 +125,19 @@ def goal_of(
         lower=lower,
         upper=upper,
     )
+
+
+def _filled(robot: Robot, task: StandTask) -> StandTask:
+    """Returns a task with the robot's own height and com, where it leaves them open."""
+    if task.com is not None and task.height is not None:
+        return task
+    task = copy.copy(task)  # its values have been checked
+    if task.com is None:
+        anywhere = task.offset is None and not moves_com(robot)
+        object.__setattr__(task, "com", "inside" if anywhere else "centre")
+    if task.height is None:
+        object.__setattr__(task, "height", robot.stand_height)
+    return task
 
 
 def _same_feet(one: StandTask, other: StandTask) -> bool:
@@ -159,8 +172,8 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
         raise ConfigurationError(
             "robot",
             f"{robot.name} touches the ground at {len(robot.feet)} points alone "
-            f"({', '.join(robot.feet)}): the support polygon needs an area, of 3 round feet or a "
-            "flat one, on a leg of 5 joints or more",
+            f"({', '.join(robot.feet)}): the support polygon needs an area, of 3 round feet or of "
+            "a flat one that its leg can lay flat",
         )
     if len(stance_feet) < 3:
         raise ConfigurationError(

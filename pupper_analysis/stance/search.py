@@ -18,6 +18,7 @@ from pupper_analysis.stance.clearing import clear_starts
 from pupper_analysis.stance.nearest import nearest
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.solver import TASK_TOLERANCE, Point, Solver, Stand, measure
+from pupper_analysis.stance.yielding import as_the_legs_can
 from pupper_analysis.statics.support_polygon import support_polygon
 
 Array = NDArray[np.float64]
@@ -94,9 +95,21 @@ def follow(shapes: Shapes, goal: Goal, near: Stand) -> Stand | None:
     found = begin_at(shapes, goal, joints)
     if found is not None:
         return found
+    com = Configuration(shapes.robot, near.qpos).center_of_mass()[:2]
+    return begin_inside(shapes, goal, joints, com)
+
+
+def begin_inside(shapes: Shapes, goal: Goal, joints: Array, com: Array) -> Stand | None:
+    """Looks for a stand with the com anywhere inside, if the task lets it, from one start alone.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: The goal.
+        joints: (nu,) where to start (rad).
+        com: (2,) where the com begins (m).
+    """
     if goal.task.com != "inside" or goal.by_base:
         return None
-    com = Configuration(shapes.robot, near.qpos).center_of_mass()[:2]
     point = Solver(shapes, goal, inside=True).run(joints, com)
     if point.miss >= _NEAR_MISS:
         return None
@@ -153,9 +166,10 @@ class _At:
     def add(self, point: Point) -> bool:
         """Adds where a solver ended; returns whether it is a solved stand."""
         self.points.append(point)
-        if point.miss >= 2 * TASK_TOLERANCE:
+        goal = as_the_legs_can(self.shapes.robot, self.goal, point)
+        if point.miss >= 2 * TASK_TOLERANCE and goal is self.goal:
             return False
-        self.reached.append(self._measure(point))
+        self.reached.append(self._measure(point, goal))
         return self.reached[-1].solved
 
     def result(self) -> Stand:
@@ -164,9 +178,9 @@ class _At:
             return max(self.reached, key=lambda stand: (stand.solved, stand.room))
         return self._measure(self._nearest())
 
-    def _measure(self, point: Point) -> Stand:
+    def _measure(self, point: Point, goal: Goal | None = None) -> Stand:
         iterations = sum(tried.iterations for tried in self.points)
-        return measure(self.shapes, self.goal, point.qpos, iterations)
+        return measure(self.shapes, goal or self.goal, point.qpos, iterations)
 
 
 def _search_inside(
@@ -260,6 +274,7 @@ def _exactly(shapes: Shapes, goal: Goal, point: Point) -> Stand:
     com = Configuration(shapes.robot, point.qpos).center_of_mass()[:2]
     exact = replace(goal, place=pushed_inside(com, goal))
     again = Solver(shapes, exact).run(point.qpos[7:])
+    exact = as_the_legs_can(shapes.robot, exact, again)
     return measure(shapes, exact, again.qpos, point.iterations + again.iterations)
 
 

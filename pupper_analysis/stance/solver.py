@@ -74,7 +74,7 @@ class Stand(Result):
     """A solved stand. Its errors are Pinocchio's, computed anew from ``qpos``.
 
     Attributes:
-        task: The task, with its height filled in.
+        task: The task, with its height and com filled in.
         qpos: (nq,) the configuration.
         foot_targets: {foot: (3,)} where the centre of each foot's sphere shall be (m).
         depths: {foot that carries: how deep it has sunk into the ground (m)}; 0 on rigid ground.

@@ -92,7 +92,7 @@ def sunk_stand(
         task = task or StandTask()
         stand = solve_stand(robot, task, explain=explain)
     asked = stand.task
-    if task.com == "inside":
+    if asked.com == "inside":
         x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
         task = replace(task, com=(float(x), float(y)), com_margin=0.0)
     laws = {foot: GroundLaw.of(robot, foot) for foot in stand.stance_feet}

@@ -24,7 +24,8 @@ class StandTask:
 
     By default on level ground at z = 0, on all feet: every foot's sphere touches the ground where
     the foot is, seen from above, at zero angles with the base at the origin; the com is above the
-    centre of the feet, the mean of the contact points of those that carry.
+    centre of the feet, the mean of the contact points of those that carry. (Legs of two joints,
+    which cannot place feet sideways, cannot move the com to every place: it is ``"inside"`` then.)
 
     Attributes:
         height: Of the base frame above the mean of the contact points (m); the robot's
@@ -40,7 +41,8 @@ class StandTask:
         swing: {foot that does not carry: height of its sphere above the ground (m)}.
         ground: Plane and steps.
         com: ``"centre"``, a point (x, y) in the world (m), or ``"inside"``: anywhere in the support
-            polygon with at least ``com_margin``, over the centre if that is in reach.
+            polygon with at least ``com_margin``, over the centre if that is in reach. By default
+            the centre, or inside if the robot's legs cannot move the com in two directions.
         com_margin: Least distance of the com's projection from the polygon's edge (m).
         joint_margin: Least distance of every joint from its limits (rad).
         ground_clearance: Least height above the ground of every part but the feet (m).
@@ -59,7 +61,7 @@ class StandTask:
     foot_offsets: Mapping[str, Point] = field(default_factory=dict)
     swing: Mapping[str, float] = field(default_factory=dict)
     ground: Ground = field(default_factory=Ground)
-    com: str | Point = "centre"
+    com: str | Point | None = None
     com_margin: float = 0.0
     joint_margin: float = 0.0
     ground_clearance: float = 0.0
@@ -93,7 +95,7 @@ class StandTask:
                 raise ConfigurationError("height", f"{self.height} m is not above the ground")
         if self.offset is not None:
             put("offset", _point("offset", self.offset))
-            if self.com != "centre":
+            if self.com not in (None, "centre"):
                 raise ConfigurationError("offset", "give an offset of the base, or a com, not both")
         for name in ("feet", "foot_offsets"):
             places = {foot: _point(f"{name}[{foot}]", p) for foot, p in getattr(self, name).items()}
@@ -110,7 +112,7 @@ class StandTask:
             if self.com not in ("centre", "inside"):
                 problem = f"{self.com!r} is not 'centre', 'inside' or a point (x, y)"
                 raise ConfigurationError("com", problem)
-        else:
+        elif self.com is not None:
             put("com", _point("com", self.com))
         if self.ik_seed is not None:
             put("ik_seed", tuple(finite("ik_seed", value) for value in self.ik_seed))
@@ -140,7 +142,7 @@ class StandTask:
         parts += [f"{foot} on {1e3 * h:.0f} mm" for foot, h in self.ground.heights.items()]
         if self.com == "inside" or (self.offset is not None and self.com_margin):
             parts.append(f"com inside by {1e3 * self.com_margin:.0f} mm")
-        elif not isinstance(self.com, str):
+        elif self.com is not None and not isinstance(self.com, str):
             parts.append(f"com at {_millimetres(self.com)}")
         if self.joint_margin:
             parts.append(f"{math.degrees(self.joint_margin):.1f} deg off the joint limits")

@@ -110,7 +110,8 @@ def gravity_compensation(
     """Computes motor torques and contact forces that hold a robot still.
 
     With S selecting the joints and J the Jacobians of the contact points, balance means
-    g(q) = J^T f + S^T tau. Its six base rows fix the total wrench of the contact forces f; among
+    g(q) = J^T f + S^T tau, with g less what springs and gravity compensation of the MJCF do
+    (``Configuration.load``). Its six base rows fix the total wrench of the contact forces f; among
     the f inside the friction cones that give it, ``distribution`` chooses one. (Without contacts
     the base is held from outside, and tau is the joint part of g.)
 
@@ -137,7 +138,7 @@ def gravity_compensation(
     """
     return equilibrium(
         config,
-        config.gravity(),
+        config.load(),
         config.center_of_mass(),
         contacts,
         friction=friction,

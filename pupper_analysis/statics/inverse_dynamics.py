@@ -109,7 +109,7 @@ def inverse_dynamics(
         raise ConfigurationError("qacc", f"it must be {robot.nv} finite numbers")
     feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
     ground = {robot.check_foot(foot): np.array((normals or {}).get(foot, UP)) for foot in feet}
-    load = config.mass_matrix() @ acceleration + config.bias_forces()
+    load = config.mass_matrix() @ acceleration + config.bias_forces() - config.passive()
     levers: dict[str, Array] = {}
     if resistance:
         load += joint_resistance(robot, config.qvel, acceleration)

@@ -146,7 +146,7 @@ class _States:
 
     Attributes:
         qpos: (k, nq) the states.
-        loads: (k, nv) gravity.
+        loads: (k, nv) what motors and contacts hold.
         transposed: (k, nv, 3 n) the contacts' J^T.
         points: (k, n, 3) where the contacts are (m).
         coms: (k, 3) centres of mass (m).
@@ -178,7 +178,7 @@ class _States:
                 config = Configuration(robot, row)
             except ConfigurationError as error:
                 raise error.at(f"qpos[{state}]") from None
-            states.loads[state] = config.gravity()
+            states.loads[state] = config.load()
             states.coms[state] = config.center_of_mass()
             if feet:
                 states.transposed[state] = carrying.jacobian(config)

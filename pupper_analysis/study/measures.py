@@ -88,12 +88,14 @@ class Measure:
         function: Of a design.
         meaning: In words, with its unit.
         simulates: Whether it takes a simulation, or some seconds.
+        better: ``min`` or ``max``, where one is better whatever the robot is for.
     """
 
     name: str
     function: Callable[[Design], Value | Mapping[str, Value]]
     meaning: str
     simulates: bool = False
+    better: str = ""
 
 
 def _least_peak(design: Design) -> float:
@@ -107,11 +109,13 @@ _ALL = (
         "peak_utilisation",
         lambda d: float(d.statics.motor_utilisation.max()),
         "largest torque / effort limit of a motor, in the stand",
+        better="min",
     ),
     Measure(
         "peak_torque",
         lambda d: float(np.abs(d.statics.joint_torques).max()),
         "largest torque of a motor, in the stand (N m)",
+        better="min",
     ),
     Measure("least_peak_utilisation", _least_peak, "the same with the best contact forces"),
     Measure("torque", lambda d: d.per_joint(d.statics.joint_torques), "each motor's torque (N m)"),
@@ -124,22 +128,49 @@ _ALL = (
         "friction_utilisation",
         lambda d: max(d.statics.friction_utilisation.values()),
         "largest share of a foot's friction that is used",
+        better="min",
     ),
-    Measure("com_margin", lambda d: d.stand.com_margin, "com to support polygon's edge (m)"),
+    Measure(
+        "com_margin",
+        lambda d: d.stand.com_margin,
+        "com to support polygon's edge (m)",
+        better="max",
+    ),
     Measure(
         "base_height",
         lambda d: d.rest.base_height,
         "height of the base at rest on its servos, without feed-forward (m)",
     ),
-    Measure("sag", lambda d: d.rest.height_loss, "height lost at rest, in servos and ground (m)"),
-    Measure("servo_sag", lambda d: d.rest.servo_sag, "the part of it lost in the servos (m)"),
+    Measure(
+        "sag",
+        lambda d: d.rest.height_loss,
+        "height lost at rest, in servos and ground (m)",
+        better="min",
+    ),
+    Measure(
+        "servo_sag",
+        lambda d: d.rest.servo_sag,
+        "the part of it lost in the servos (m)",
+        better="min",
+    ),
     Measure("contact_sag", lambda d: d.rest.contact_sag, "the part lost in the ground (m)"),
-    Measure("stiffness", lambda d: d.rest.stiffness, "least eigenvalue at rest (rad^2/s^2)"),
-    Measure("release_margin", lambda d: d.rest.release_margin, "friction left / weight"),
+    Measure(
+        "stiffness",
+        lambda d: d.rest.stiffness,
+        "least eigenvalue at rest (rad^2/s^2)",
+        better="max",
+    ),
+    Measure(
+        "release_margin",
+        lambda d: d.rest.release_margin,
+        "friction left / weight",
+        better="max",
+    ),
     Measure(
         "rest_utilisation",
         lambda d: d.utilisation_at_rest(),
         "largest torque / effort limit of a motor, at rest on its servos",
+        better="min",
     ),
     Measure("stands", lambda d: not d.rest.failures, "whether it stays up on its servos"),
     Measure(
@@ -147,12 +178,14 @@ _ALL = (
         lambda d: payload_limit(d.robot, d.stand).mass,
         "greatest mass it can carry, beyond its payload (kg)",
         simulates=True,
+        better="max",
     ),
     Measure(
         "minimum_stiffness",
         lambda d: minimum_stiffness(d.robot, d.stand),
         "least kp with which it stands (N m/rad)",
         simulates=True,
+        better="min",
     ),
     *(
         Measure(
@@ -180,6 +213,7 @@ _ALL = (
         lambda d: push_recovery(d.robot, d.stand).weakest_impulse,
         "least push that topples it (N s)",
         simulates=True,
+        better="max",
     ),
 )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import pickle
+import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -245,7 +246,7 @@ class Study:
 
     @classmethod
     def read(cls, path: str | Path) -> Study:
-        """Reads a study from a TOML file; paths in it are relative to it.
+        """Reads a study from a TOML file; paths and modules in it are looked for beside it.
 
         Raises:
             ConfigurationError: If it cannot be read, or makes no sense.
@@ -260,6 +261,11 @@ class Study:
             for name in ("urdf", "mjcf"):
                 if isinstance(robot.get(name), str):
                     robot[name] = str(path.parent / robot[name])
+        measures = given.get("measure")
+        folder = str(path.parent.absolute())
+        own = isinstance(measures, list) and any(":" in str(name) for name in measures)
+        if own and folder not in sys.path:
+            sys.path.append(folder)  # last: no library is hidden; and workers are given it
         return cls.of(given)
 
     def run(

@@ -9,7 +9,6 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 from numpy.typing import NDArray
 
 from pupper_analysis.report.figures.skeleton import BOX_FACES
-from pupper_analysis.robot.ground import STEP_HALF_WIDTH
 
 if TYPE_CHECKING:
     from pupper_analysis.stance.stand import Stand
@@ -36,11 +35,9 @@ def ground_corners(stand: Stand) -> Array:
 def step_corners(stand: Stand) -> list[Array]:
     """Returns the corners (8, 3) of each step's box (m), in the order of ``BOX_FACES``."""
     ground, boxes = stand.task.ground, []
-    for foot, height in ground.heights.items():
-        if height and foot in stand.foot_targets:
-            centre, half = ground.step(foot, stand.foot_targets[foot], STEP_HALF_WIDTH)
-            corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-            boxes.append(centre + (corners * np.abs(half)) @ ground.rotation().T)
+    for centre, half in ground.steps(stand.foot_targets).values():
+        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        boxes.append(centre + (corners * half) @ ground.rotation().T)
     return boxes
 
 

@@ -15,7 +15,6 @@ from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.report.figures.style import (
@@ -33,15 +32,11 @@ from pupper_analysis.report.figures.style import (
     put_style,
     save,
 )
+from pupper_analysis.study.cells import check_columns, end_map, mean_map, measures_in, spread_in
 from pupper_analysis.study.pareto import pareto_front
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Array = NDArray[np.float64]
-
-BINS = 24
-"""Of a variable that has more values than this, along one side of a map."""
 
 MOST_LINES = 2000
 """In parallel coordinates: evenly drawn of more designs."""
@@ -71,19 +66,10 @@ def heat_map(table: pd.DataFrame, x: str, y: str, measure: str, path: str | Path
         ConfigurationError: If a column is not there.
         OutputError: If the file cannot be written.
     """
-    _check(table, x, y, measure)
-    columns, rows = (_Cells(table[name].to_numpy(float)) for name in (x, y))
-    values = table[measure].to_numpy(float)
-    sums, counts = (np.zeros((len(rows.centres), len(columns.centres))) for _ in range(2))
-    known = np.isfinite(values)
-    at = (rows.index[known], columns.index[known])
-    np.add.at(sums, at, values[known])
-    np.add.at(counts, at, 1.0)
-    with np.errstate(invalid="ignore"):
-        means = sums / counts
+    found = mean_map(table, x, y, measure)
     figure, axes = figure_of(f"{measure} over {x} and {y} (mean of the other numbers)")
     axes.set_facecolor(_OUT)
-    mesh = axes.pcolormesh(columns.edges, rows.edges, means, cmap="viridis")
+    mesh = axes.pcolormesh(found.x.edges, found.y.edges, found.means, cmap="viridis")
     bar = figure.colorbar(mesh, ax=axes)
     bar.set_label(measure, size=FONT)
     bar.ax.tick_params(labelsize=FONT)
@@ -104,13 +90,8 @@ def failure_map(table: pd.DataFrame, x: str, y: str, path: str | Path) -> None:
         ConfigurationError: If a column is not there.
         OutputError: If the file cannot be written.
     """
-    _check(table, x, y, "failure")
-    columns, rows = (_Cells(table[name].to_numpy(float)) for name in (x, y))
-    reasons = table["failure"].fillna("").astype(str).to_numpy()
-    kinds = ["", *(str(k) for k in table["failure"].dropna().value_counts().index)]
-    counts = np.zeros((len(kinds), len(rows.centres), len(columns.centres)))
-    kind_at = np.array([kinds.index(reason) for reason in reasons])
-    np.add.at(counts, (kind_at, rows.index, columns.index), 1.0)
+    found = end_map(table, x, y)
+    kinds, counts = found.kinds, found.counts
     colours = [GREEN, *(_FAILED[index % len(_FAILED)] for index in range(len(kinds) - 1))]
     image = np.ones((*counts.shape[1:], 4))
     total = counts.sum(axis=0)
@@ -122,7 +103,7 @@ def failure_map(table: pd.DataFrame, x: str, y: str, path: str | Path) -> None:
         else:
             image[place] = to_rgba(_OUT)
     figure, axes = figure_of(f"What becomes of designs over {x} and {y}")
-    axes.pcolormesh(columns.edges, rows.edges, image)
+    axes.pcolormesh(found.x.edges, found.y.edges, image)
     _label(axes, x, y)
     named = [
         Patch(color=colour, label=f"{kind or 'all measured'} ({int(count.sum())})")
@@ -148,7 +129,7 @@ def parallel_coordinates(
         ConfigurationError: If a column is not there.
         OutputError: If the file cannot be written.
     """
-    _check(table, *columns, colour)
+    check_columns(table, *columns, colour)
     if len(table) > MOST_LINES:
         table = table.iloc[np.linspace(0, len(table) - 1, MOST_LINES).astype(int)]
     table = table.sort_values(colour, na_position="first")
@@ -208,7 +189,7 @@ def pareto_figure(
     """
     if len(objectives) != 2:
         raise ConfigurationError("objectives", f"{len(objectives)} of them; a figure shows two")
-    _check(table, *((by,) if by else ()))
+    check_columns(table, *((by,) if by else ()))
     x, y = objectives
     labels = {name: f"{name} ({sense})" for name, sense in objectives.items()} | dict(labels or {})
     figure, axes = figure_of(title or f"Designs worth building: {x} against {y}")
@@ -228,18 +209,21 @@ def pareto_figure(
     save(figure, path)
 
 
-def draw_study(table: pd.DataFrame, variables: Sequence[str], folder: Path) -> list[Path]:
+def draw_study(
+    table: pd.DataFrame,
+    variables: Sequence[str],
+    folder: Path,
+    objectives: Mapping[str, str] | None = None,
+) -> list[Path]:
     """Draws what a study can show without being asked: returns the files.
 
-    Two variables of most values span the maps; the first measure fills them.
+    Two variables of most values span the maps; the first measures fill them. Two objectives, if
+    there are two, have their front.
 
     Raises:
         OutputError: If a file cannot be written.
     """
-    given = (*variables, "design", "failure", "reason")
-    measures = [str(n) for n in table.columns if n not in given and table[n].notna().any()]
-    spread = sorted(variables, key=lambda name: -table[name].nunique())
-    spread = [name for name in spread if table[name].nunique() > 1]
+    measures, spread = measures_in(table, variables), spread_in(table, variables)
     paths = []
     if len(spread) >= 2:
         x, y = spread[:2]
@@ -252,25 +236,12 @@ def draw_study(table: pd.DataFrame, variables: Sequence[str], folder: Path) -> l
         paths.append(folder / "parallel.png")
         shown = [*(n for n in variables if n in spread), *measures[:4]]
         parallel_coordinates(table, shown, measures[0], paths[-1])
+    if objectives is not None and len(objectives) == 2:
+        up = table[table["stands"] == 1] if "stands" in table else table
+        if not up.dropna(subset=list(objectives)).empty:
+            paths.append(folder / "front.png")
+            pareto_figure(up, objectives, paths[-1])
     return paths
-
-
-class _Cells:
-    """Values in cells: one per value where they are few, evenly wide ones where they are many."""
-
-    def __init__(self, values: Array) -> None:
-        levels = np.unique(values)
-        if len(levels) <= BINS:
-            middle = (levels[1:] + levels[:-1]) / 2
-            first, last = levels[0], levels[-1]
-            half = (middle[0] - first, last - middle[-1]) if len(middle) else (0.5, 0.5)
-            self.edges = np.concatenate([[first - half[0]], middle, [last + half[1]]])
-            self.index = np.searchsorted(levels, values)
-            self.centres = levels
-            return
-        self.edges = np.linspace(levels[0], levels[-1], BINS + 1)
-        self.index = np.clip(np.searchsorted(self.edges, values, "right") - 1, 0, BINS - 1)
-        self.centres = (self.edges[1:] + self.edges[:-1]) / 2
 
 
 def _label(axes: Axes, x: str, y: str) -> None:
@@ -281,12 +252,3 @@ def _label(axes: Axes, x: str, y: str) -> None:
 
 def _wrapped(name: str) -> str:
     return name.replace("_", "\n", 1) if len(name) > 12 else name
-
-
-def _check(table: pd.DataFrame, *columns: str) -> None:
-    for name in columns:
-        if name not in table:
-            known = ", ".join(str(column) for column in table.columns)
-            raise ConfigurationError("column", f"there is no {name!r}; there are {known}")
-    if table.empty:
-        raise ConfigurationError("table", "it is empty: there is nothing to draw")

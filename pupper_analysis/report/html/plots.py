@@ -115,12 +115,12 @@ def line_plot(
     marks: list[Mark] = []
     for value in _values(x, left, right, points[:, 0]):
         at = place(np.array([[value, points[0, 1]]]))[0, 0]
-        marks.append(_line(at, TOP, at, TOP + tall, "grid"))
-        marks.append(_text(at, TOP + tall + 16, Name(f"{value:g}"), "middle"))
+        marks.append(straight(at, TOP, at, TOP + tall, "grid"))
+        marks.append(word_at(at, TOP + tall + 16, Name(f"{value:g}"), "middle"))
     for value in _values(y, low, high, points[:, 1]):
         at = place(np.array([[points[0, 0], value]]))[0, 1]
-        marks.append(_line(LEFT, at, LEFT + wide, at, "grid"))
-        marks.append(_text(LEFT - 6, at + 4, Name(f"{value:g}"), "end"))
+        marks.append(straight(LEFT, at, LEFT + wide, at, "grid"))
+        marks.append(word_at(LEFT - 6, at + 4, Name(f"{value:g}"), "end"))
     marks += _axes(x, y, wide, tall)
     for index, (one, line) in enumerate(zip(series, lines, strict=True)):
         labels = [f"{x.label(across)}, {y.label(up)}" for across, up in line]
@@ -175,8 +175,8 @@ def bar_plot(
 
     marks: list[Mark] = []
     for value in ticks(low, reach):
-        marks.append(_line(at(value), TOP, at(value), TOP + tall, "grid"))
-        marks.append(_text(at(value), TOP + tall + 16, Name(f"{value:g}"), "middle"))
+        marks.append(straight(at(value), TOP, at(value), TOP + tall, "grid"))
+        marks.append(word_at(at(value), TOP + tall + 16, Name(f"{value:g}"), "middle"))
     for index, (bar, name) in enumerate(zip(bars, shown, strict=True)):
         middle = TOP + step * (index + 0.5)
         start, end = sorted((at(0.0), at(bar.value)))
@@ -185,14 +185,14 @@ def bar_plot(
         if bar.limit is not None and math.isfinite(bar.limit):
             for side in (1.0,) if one_sided else (1.0, -1.0):
                 edge = at(side * bar.limit)
-                marks.append(_line(edge, middle - 8, edge, middle + 8, "limit"))
+                marks.append(straight(edge, middle - 8, edge, middle + 8, "limit"))
         if bar.other is not None and math.isfinite(bar.other):
             edge = at(bar.other)
-            marks.append(_line(edge, middle - 8, edge, middle + 8, "other"))
-        marks.append(_text(names - 8, middle + 4, name, "end"))
-        marks.append(_text(WIDTH - 4, middle + 4, Name(axis.label(bar.value)), "end"))
-    marks.append(_line(at(0.0), TOP, at(0.0), TOP + tall, "axis"))
-    marks.append(_text(names + wide / 2, TOP + tall + 36, axis.name, "middle", axis.unit))
+            marks.append(straight(edge, middle - 8, edge, middle + 8, "other"))
+        marks.append(word_at(names - 8, middle + 4, name, "end"))
+        marks.append(word_at(WIDTH - 4, middle + 4, Name(axis.label(bar.value)), "end"))
+    marks.append(straight(at(0.0), TOP, at(0.0), TOP + tall, "axis"))
+    marks.append(word_at(names + wide / 2, TOP + tall + 36, axis.name, "middle", axis.unit))
     return Plot(title, WIDTH, TOP + tall + BOTTOM, tuple(marks), legend, source)
 
 
@@ -221,13 +221,13 @@ def direction_plot(
     for value in ticks(0.0, reach, 4)[1:]:
         ring = {"tag": "circle", "class": "grid", "cx": middle, "cy": middle, "r": scale * value}
         marks.append(ring)
-        marks.append(_text(middle + 4, middle - scale * value - 3, Name(f"{value:g}"), "start"))
+        marks.append(word_at(middle + 4, middle - scale * value - 3, Name(f"{value:g}"), "start"))
     for degrees in range(0, 360, 45):
         angle = np.array([math.radians(degrees)])
         end = place(angle, np.array([reach]))[0]
-        marks.append(_line(middle, middle, end[0], end[1], "grid"))
+        marks.append(straight(middle, middle, end[0], end[1], "grid"))
         text = place(angle, np.array([reach + 20 / scale]))[0]
-        marks.append(_text(text[0], text[1] + 4, Name(f"{degrees}°"), "middle"))
+        marks.append(word_at(text[0], text[1] + 4, Name(f"{degrees}°"), "middle"))
     for index, one in enumerate(series):
         directions, values = (np.asarray(one.x, dtype=float), np.asarray(one.y, dtype=float))
         labels = [
@@ -236,7 +236,7 @@ def direction_plot(
         ]
         places = place(directions, values)
         marks += _series(places, labels, one.name, index, points=True, closed=True)
-    marks.append(_text(middle, size - 4, axis.name, "middle", axis.unit))
+    marks.append(word_at(middle, size - 4, axis.name, "middle", axis.unit))
     legend = tuple((one.name, f"s{index % STYLES}") for index, one in enumerate(series))
     return Plot(title, size, size, tuple(marks), legend, source)
 
@@ -282,11 +282,11 @@ def _round(axis: Axis, low: float, high: float) -> list[float]:
 
 
 def _axes(x: Axis, y: Axis, wide: float, tall: float) -> list[Mark]:
-    up = _text(14, TOP + tall / 2, y.name, "middle", y.unit)
+    up = word_at(14, TOP + tall / 2, y.name, "middle", y.unit)
     return [
-        _line(LEFT, TOP + tall, LEFT + wide, TOP + tall, "axis"),
-        _line(LEFT, TOP, LEFT, TOP + tall, "axis"),
-        _text(LEFT + wide / 2, TOP + tall + 36, x.name, "middle", x.unit),
+        straight(LEFT, TOP + tall, LEFT + wide, TOP + tall, "axis"),
+        straight(LEFT, TOP, LEFT, TOP + tall, "axis"),
+        word_at(LEFT + wide / 2, TOP + tall + 36, x.name, "middle", x.unit),
         {**up, "transform": f"rotate(-90 14 {TOP + tall / 2:g})"},
     ]
 
@@ -316,11 +316,13 @@ def _series(
     return [line, *dots]
 
 
-def _line(x1: float, y1: float, x2: float, y2: float, style: str) -> Mark:
+def straight(x1: float, y1: float, x2: float, y2: float, style: str) -> Mark:
+    """Returns a straight line."""
     return {"tag": "line", "class": style, "x1": x1, "y1": y1, "x2": x2, "y2": y2}
 
 
-def _text(x: float, y: float, words: Words, anchor: str, unit: str = "") -> Mark:
+def word_at(x: float, y: float, words: Words, anchor: str, unit: str = "") -> Mark:
+    """Returns words at a place; their ``anchor`` is ``start``, ``middle`` or ``end``."""
     return {
         "tag": "text",
         "class": "words",

@@ -35,9 +35,11 @@ from pupper_analysis.report.html.stance import (
     push_table,
     stance_section,
 )
+from pupper_analysis.report.html.study import study_section
 from pupper_analysis.report.html.words import text
 from pupper_analysis.results import Result, Tabular, short
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.study.outcome import StudyOutcome
 
 MOST_ROWS = 500
 """Of a table of which nothing is known: more than anyone reads."""
@@ -63,6 +65,8 @@ def section_of(result: Result, name: str | None, robots: Mapping[str, Robot]) ->
         return comparison_section(result)
     if isinstance(result, Audit):
         return audit_section(result)
+    if isinstance(result, StudyOutcome):
+        return study_section(result)
     return _any(result, name or type(result).__name__)
 
 
@@ -82,6 +86,7 @@ def title_of(results: Sequence[object]) -> Words:
         Stance: text("A stance"),
         PushedStance: text("How hard robots can be pushed"),
         PathThere: text("A path to a stance"),
+        StudyOutcome: text("A study of designs"),
     }
     kinds = {type(result) for result in results if isinstance(result, Result)}
     if len(kinds) == 1:

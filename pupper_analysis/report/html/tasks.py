@@ -44,7 +44,7 @@ def _parts(task: StandTask) -> Iterator[Text]:
 def _margins(task: StandTask) -> Iterator[Text]:
     if task.com == "inside" or (task.offset is not None and task.com_margin):
         yield text("com inside by {value} mm", value=f"{1e3 * task.com_margin:.0f}")
-    elif not isinstance(task.com, str):
+    elif task.com is not None and not isinstance(task.com, str):
         yield text("com at ({place}) mm", place=_millimetres(task.com))
     if task.joint_margin:
         value = f"{math.degrees(task.joint_margin):.1f}"

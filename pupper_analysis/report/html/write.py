@@ -49,8 +49,8 @@ def write_report(
 
     Args:
         results: One result, several, or {name: result}. Analyses, stances, pushed stances,
-            comparisons, audits and paths have pages of their own; of any other result the fields
-            are shown.
+            comparisons, audits, paths and studies (``study_outcome``) have pages of their own; of
+            any other result the fields are shown.
         path: The file; ``-`` is standard output.
         robots: The robots that the results are of, for the views in three dimensions; they are
             found by their names.

@@ -77,7 +77,7 @@ def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tupl
     """
     if any(task.ground != stances[0].ground for task in stances):
         raise ConfigurationError("stances", "they are on different grounds; a path is on one")
-    fixed = any(task.offset is not None or not isinstance(task.com, str) for task in stances)
+    fixed = any(task.offset is not None or not isinstance(task.com, str | None) for task in stances)
     if fixed and any(task.com == "inside" for task in stances):
         raise ConfigurationError("stances", "com 'inside' cannot be mixed with points or offsets")
     solved: list[Stand] = []

@@ -332,7 +332,7 @@ def _problem(robot: Robot, stand: Stand, point: Array) -> _Problem:
         arm = contact_offset(robot.foot_radius[foot], stand.normals[foot], stand.depths[foot])
         jacobians.append(config.frame_jacobian(robot.foot_frames[foot], arm)[:3, :6])
     return _Problem(
-        gravity=config.gravity()[:6],
+        gravity=config.load()[:6],
         load=load,
         contacts=np.concatenate(jacobians).T,
         normals=np.array([stand.normals[foot] for foot in stand.stance_feet]),

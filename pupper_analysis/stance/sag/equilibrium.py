@@ -15,6 +15,7 @@ from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import gains
+from pupper_analysis.stance.sag.pliancy import foot_pliancy, sole_pliancy
 from pupper_analysis.stance.sag.solution import Anchor, Solution, goes_round, move
 from pupper_analysis.stance.sag.touch import Touch
 from pupper_analysis.stance.stand import Stand
@@ -32,9 +33,6 @@ _TRUST = 0.5  # rad, m: a longer Newton step has left the branch
 _WEAK = 1e-3  # N/m: holds a sliding robot in its place as creep does, with 1e-5 N
 _HEIGHT_TOLERANCE = 1e-8  # m: by less than this the base is at the end of friction's range
 _RHO = 1e3  # N/m: weighs slip against force in telling which way a foot slips; any would do
-_PLIANT = 1e-8
-"""How far the contact points of one sole, pinned, give per tangential force (m/N). They move as one
-body: if none gave, the equations would say the same several times. 100 N move one by 1 um."""
 _MAX_ROUNDS = 40  # of friction and pose, each by the other; 4 to 8 do
 
 
@@ -76,16 +74,13 @@ class Equilibrium:
         self.frame = pin.Quaternion.FromTwoVectors(self.normal, UP).matrix()
         self.laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
         self.target = stand.qpos[7:]
+        self._sole = {point: sole for sole, points in robot.soles.items() for point in points}
         config = Configuration(robot, stand.qpos)
         self.anchors = {
             foot: Anchor(stand.foot_targets[foot], config.frame_rotation(robot.foot_frames[foot]))
             for foot in stand.stance_feet
         }
-        self._pliancy = {
-            point: _PLIANT if len(points) > 1 else 0.0
-            for points in robot.soles.values()
-            for point in points
-        }
+        self._pliancy, self._give = sole_pliancy(robot), foot_pliancy(robot)
         self._touch: tuple[tuple[tuple[str, Anchor], ...], Array, Touch] | None = None
         self._sunk: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
@@ -99,7 +94,7 @@ class Equilibrium:
         cosine = float(self.normal[2])
         return {
             foot: self.robot.foot_radius[foot]
-            - (float(centre[2]) - self.ground.height(centre[:2], foot)) * cosine
+            - (float(centre[2]) - self.ground.height(centre[:2], self._sole[foot])) * cosine
             for foot, centre in config.foot_positions().items()
         }
 
@@ -127,7 +122,7 @@ class Equilibrium:
     def terms(self, qpos: Array, forces: Array) -> tuple[Array, Array, Array]:
         """Returns the balance (nv,), slips and depths (n, 3), and the Jacobian (3 n, nv)."""
         touch = self.touch(qpos)
-        balance = touch.config.gravity() - touch.push(forces, self._turning())
+        balance = touch.config.load() - touch.push(forces, self._turning())
         balance[6:] -= self.torques(qpos) + self.joint_friction
         return balance, touch.places.copy(), touch.jacobians.reshape(-1, len(balance))
 
@@ -207,9 +202,7 @@ class Equilibrium:
         return np.hstack([by_qpos, np.vstack([-jacobian.T, by_force])])
 
     def _yields(self) -> Array:
-        return np.array(
-            [self.yielding.get(foot, 0.0) + self._pliancy[foot] for foot in self.anchors]
-        )
+        return np.array([self.yielding.get(foot, 0.0) + self._give[foot] for foot in self.anchors])
 
     def _begun(self) -> Array:
         """Returns the slips (n, 2) from which the feet that touch stick, or slip on (m)."""

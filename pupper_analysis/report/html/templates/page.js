@@ -71,11 +71,18 @@
   for (const drawing of document.querySelectorAll(".plot > svg")) {
     const series = [...drawing.querySelectorAll("[data-labels]")].map((line) => ({
       line, labels: line.dataset.labels.split("|"), points: [...line.points],
+      reach: Number(line.dataset.reach ?? 40),
     }));
     if (!series.length) continue;
     const ring = document.createElementNS("http://www.w3.org/2000/svg", "circle");
     ring.setAttribute("class", "ring");
     ring.setAttribute("r", "6");
+    let lit = null;
+    const light = (line) => {
+      lit?.classList.remove("lit");
+      lit = line;
+      lit?.classList.add("lit");
+    };
     drawing.addEventListener("pointermove", (event) => {
       const matrix = drawing.getScreenCTM();
       const here = new DOMPoint(event.clientX, event.clientY).matrixTransform(matrix.inverse());
@@ -85,7 +92,8 @@
           const distance = Math.hypot(point.x - here.x, point.y - here.y);
           if (!best || distance < best.distance) best = { one, point, index, distance };
         });
-      if (!best || best.distance > 40) { hide(); ring.remove(); return; }
+      if (!best || best.distance > best.one.reach) { hide(); ring.remove(); light(null); return; }
+      light(best.one.line);
       const data = best.one.line.dataset;
       tip.textContent = `${chinese() ? data.zh : data.en}: ${best.one.labels[best.index]}`;
       tip.hidden = false;
@@ -96,7 +104,7 @@
       ring.setAttribute("cy", best.point.y);
       drawing.append(ring);
     });
-    drawing.addEventListener("pointerleave", () => { hide(); ring.remove(); });
+    drawing.addEventListener("pointerleave", () => { hide(); ring.remove(); light(null); });
   }
   addEventListener("scroll", hide, { passive: true });
 

@@ -1,0 +1,60 @@
+"""Lifts the frame of a base that is on the ground between the feet into the base."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.prepare.contact_points import lowest
+from pupper_analysis.robot.feet import limb_ends
+
+_FREE = mujoco.mjtJoint.mjJNT_FREE
+
+
+def lift_base_frame(spec: mujoco.MjSpec, notes: list[str]) -> None:
+    """Puts the frame of a free base to its com, in height, if no limb ends below the frame.
+
+    The base's height is then one above the ground, as everywhere else. The URDF's frame follows, as
+    it does where files have it in other places.
+
+    Args:
+        spec: The MJCF's, in which all bodies have names; it is changed.
+        notes: What was done is added.
+    """
+    base = next((joint.parent for joint in spec.joints if joint.type == _FREE), None)
+    if base is None or list(base.frames):
+        return  # what is in a frame has its place in that
+    with quiet():
+        model = spec.copy().compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    body = model.body(base.name).id
+    ends = {end for end in limb_ends(model) if end != body}
+    weld = model.body_weldid
+    geoms = [g for g in range(model.ngeom) if int(weld[model.geom_bodyid[g]]) in ends]
+    up = float(data.xipos[body][2] - data.xpos[body][2])
+    turn = data.xmat[body].reshape(3, 3)
+    bottom = lowest(model, data, geoms)
+    below = data.xpos[body][2] <= bottom < data.xipos[body][2] - up / 2  # of legs that hang
+    if not below or turn[2, 2] < 1 - 1e-9:
+        return
+    shift = np.array([0.0, 0.0, up])
+    if base.explicitinertial:
+        base.ipos = base.ipos - shift
+    for element in (*base.geoms, *base.sites, *base.cameras, *base.lights, *base.bodies):
+        element.pos = element.pos - shift
+    for geom in base.geoms:
+        if np.isfinite(geom.fromto).all():
+            geom.fromto = geom.fromto - np.tile(shift, 2)
+    base.pos = base.pos + shift
+    place = int(model.jnt_qposadr[model.body_jntadr[body]]) + 2
+    for key in spec.keys:
+        qpos = np.array(key.qpos)
+        if len(qpos) > place:
+            qpos[place] += up
+            key.qpos = qpos
+    notes.append(
+        f"the frame of {base.name!r} is below all limbs, on the ground: it was put {up:.3f} m "
+        "higher, to the base's com, and heights are those of it"
+    )

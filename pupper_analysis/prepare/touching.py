@@ -1,0 +1,67 @@
+"""Shapes that would touch what they shall not: the ground beside a foot, or each other."""
+
+from __future__ import annotations
+
+import mujoco
+
+from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.prepare import start
+from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.sunk import sunk_stand
+
+_BESIDE = 5e-3
+"""Shapes that are no further above the ground than this beside a sunk foot may touch it (m)."""
+
+
+def on_feet_alone(robot: Robot, notes: list[str]) -> Robot:
+    """Keeps shapes beside a foot, of its own body, off the ground into which the foot sinks."""
+    try:
+        stand = sunk_stand(robot, explain=False)
+    except PupperAnalysisError:
+        return robot
+    model, own = robot.mj_model, start.feet_bodies(robot)
+    beside = {
+        geom
+        for geom in start.touching(robot, stand, _BESIDE)
+        if int(model.body_weldid[model.geom_bodyid[geom]]) in own
+    }
+    if not beside:
+        return robot
+    spec = robot.description.mjcf.copy()
+    spec.compile()
+    for geom in spec.geoms:
+        if geom.id in beside:
+            geom.contype = geom.conaffinity = 0
+    bodies = sorted({model.body(int(model.geom_bodyid[geom])).name for geom in beside})
+    notes.append(
+        f"shapes of {', '.join(bodies)} reach down beside the feet, which sink into the ground by "
+        f"{1e3 * max(stand.depths.values()):.1f} mm: they were kept from touching"
+    )
+    return rebuilt(robot, mjcf=spec)
+
+
+def apart(robot: Robot, notes: list[str]) -> Robot:
+    """Keeps bodies that overlap in the start pose from pushing each other apart."""
+    stand = start.first_stand(robot)
+    if stand is None:
+        return robot
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(model, data)
+    deep: dict[tuple[str, str], float] = {}
+    for touch in data.contact:
+        bodies = model.geom_bodyid[touch.geom]
+        if 0 not in bodies and touch.dist < 0:
+            one, two = sorted(str(model.body(int(body)).name) for body in bodies)
+            deep[one, two] = max(deep.get((one, two), 0.0), -float(touch.dist))
+    if not deep:
+        return robot
+    spec = robot.description.mjcf.copy()
+    for one, two in deep:
+        spec.add_exclude(bodyname1=one, bodyname2=two)
+    pairs = ", ".join(f"{one} and {two} by {1e3 * by:.1f} mm" for (one, two), by in deep.items())
+    notes.append(
+        f"bodies overlap in the start pose: {pairs}; they were kept from pushing each other apart"
+    )
+    return rebuilt(robot, mjcf=spec)

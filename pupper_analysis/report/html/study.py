@@ -1,0 +1,325 @@
+"""The section of a study: what failed, what is worth building, what matters, how sure it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pupper_analysis.report.html.document import (
+    Block,
+    Cell,
+    Column,
+    Lines,
+    Name,
+    Number,
+    Section,
+    Table,
+    Text,
+    Words,
+    number,
+)
+from pupper_analysis.report.html.maps import end_plot, front_plot, mean_plot, parallel_plot
+from pupper_analysis.report.html.sentences import said
+from pupper_analysis.report.html.sources import page
+from pupper_analysis.report.html.words import text, word
+from pupper_analysis.study.cells import end_map, mean_map
+from pupper_analysis.study.outcome import StudyOutcome
+from pupper_analysis.study.tolerance import Chance
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_ALONE = (
+    "Alone: the variance of the means over the number's values, in parts of the whole, among the "
+    "designs of which it was measured."
+)
+
+MAPS = 3
+"""Measures that have a map each."""
+
+LINES = 4
+"""Measures beside the variables in parallel coordinates."""
+
+MOST_ROWS = 300
+"""Of a table of designs: more than anyone reads, and pages stay small."""
+
+
+def study_section(outcome: StudyOutcome) -> Section:
+    """Returns what is shown of a study."""
+    blocks: list[Block] = [_variables(outcome), _measured(outcome)]
+    blocks += _failures(outcome)
+    blocks += _drawings(outcome)
+    blocks += _front(outcome)
+    blocks += _shares(outcome)
+    blocks += _sure(outcome)
+    blocks.append(_designs(outcome))
+    failed = sum(one.designs for one in outcome.failures)
+    told: list[Words] = [
+        text("{count} designs, of which {failed} failed", count=len(outcome.table), failed=failed)
+    ]
+    if len(outcome.table) < outcome.designs:
+        left = outcome.designs - len(outcome.table)
+        told.append(text("{count} more are not measured yet", count=left))
+    if outcome.certainty is not None:
+        both = outcome.certainty.both
+        told.append(text("It stands, with all motors under their limits, in {share} of designs",
+                         share=f"{both.probability:.1%}"))  # fmt: skip
+    return Section(text("A study of {robot}", robot=Name(outcome.robot)), tuple(blocks),
+                   told=tuple(told))  # fmt: skip
+
+
+def _source() -> tuple[Words, ...]:
+    return (page("studies.md", "Understand it"),)
+
+
+def _variables(outcome: StudyOutcome) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for name, asked in outcome.variables.items():
+        ((kind, numbers),) = asked.items()
+        listed = ", ".join(f"{value:g}" for value in numbers)
+        count = outcome.table[name].nunique() if name in outcome.table else 0
+        rows.append((Name(name), text(kind), Name(listed), number(count, ".0f")))
+    return Table(
+        text("What varies"),
+        (
+            Column(text("number"), left=True),
+            Column(text("how"), left=True),
+            Column(text("range or values"), left=True),
+            Column(text("different values"), "1"),
+        ),
+        tuple(rows),
+        (),
+        _source(),
+    )
+
+
+def _measured(outcome: StudyOutcome) -> Table:
+    rows: list[tuple[Cell, ...]] = [
+        (
+            Name(one.measure),
+            *(number(value, ".5g") for value in (one.least, one.median, one.greatest)),
+            number(one.designs, ".0f"),
+            said(one.meaning),
+        )
+        for one in outcome.measured
+    ]
+    return Table(
+        text("What was measured"),
+        (
+            Column(text("measure"), left=True),
+            Column(text("least")),
+            Column(text("median")),
+            Column(text("greatest")),
+            Column(text("designs"), "1"),
+            Column(text("meaning and unit"), left=True),
+        ),
+        tuple(rows),
+    )
+
+
+def _failures(outcome: StudyOutcome) -> list[Block]:
+    if not outcome.failures:
+        return [Lines((text("No design failed."),))]
+    rows: list[tuple[Cell, ...]] = [
+        (
+            word(one.kind),
+            number(one.designs, ".0f"),
+            Number(f"{one.share:.1%}", 100 * one.share, share=one.share),
+            said(one.reason),
+        )
+        for one in outcome.failures
+    ]
+    return [
+        Table(
+            text("What failed, by kind"),
+            (
+                Column(text("failure"), left=True),
+                Column(text("designs"), "1"),
+                Column(text("share"), "1"),
+                Column(text("reason of the first"), left=True),
+            ),
+            tuple(rows),
+        )
+    ]
+
+
+def _drawings(outcome: StudyOutcome) -> list[Block]:
+    blocks: list[Block] = []
+    table, names = outcome.table, [one.measure for one in outcome.measured]
+    if outcome.axes:
+        x, y = outcome.axes
+        title = text("What becomes of designs over {x} and {y}", x=Name(x), y=Name(y))
+        blocks.append(end_plot(title, end_map(table, x, y), x, y))
+        for measure in names[:MAPS]:
+            named = text("{measure}, mean of the other numbers", measure=Name(measure))
+            blocks.append(mean_plot(named, mean_map(table, x, y, measure), x, y, measure))
+    columns = [name for name in outcome.variables if table[name].nunique() > 1]
+    if columns and names:
+        title = text("Designs as lines, coloured by {measure}", measure=Name(names[0]))
+        blocks.append(parallel_plot(title, table, [*columns, *names[:LINES]], names[0]))
+    return blocks
+
+
+def _front(outcome: StudyOutcome) -> list[Block]:
+    front, objectives = outcome.front, outcome.objectives
+    if not objectives or front.empty:
+        return []
+    ways = ", ".join(f"{name} ({sense})" for name, sense in objectives.items())
+    title = text("Designs worth building: no other beats them in {objectives}", objectives=ways)
+    blocks: list[Block] = []
+    if len(objectives) == 2:
+        drawn = text("Designs worth building: the front")
+        blocks.append(front_plot(drawn, outcome.table, front, list(objectives)))
+    columns = [name for name in outcome.variables if name not in objectives]
+    measured = [one.measure for one in outcome.measured if one.measure not in objectives]
+    blocks.append(_table(title, front, [*objectives, *columns, *measured[:LINES]]))
+    return blocks
+
+
+def _shares(outcome: StudyOutcome) -> list[Block]:
+    linear = {one.measure: one for one in outcome.linear}
+    sobol = {one.measure: one for one in outcome.sobol}
+    rows: list[tuple[Cell, ...]] = []
+    for one in outcome.measured:
+        for name, alone in one.alone.items():
+            exact, sampled = linear.get(one.measure), sobol.get(one.measure)
+            rows.append(
+                (
+                    Name(one.measure),
+                    Name(name),
+                    _share(alone),
+                    *(
+                        [_share(exact.shares.get(name)) if exact else _share(None)]
+                        if linear
+                        else []
+                    ),
+                    *(_indices(sampled, name) if sobol else []),
+                )
+            )
+    if not rows:
+        return []
+    notes: list[Words] = [text(_ALONE)]
+    columns = [
+        Column(text("measure"), left=True),
+        Column(text("number"), left=True),
+        Column(text("alone"), "1"),
+    ]
+    if linear:
+        columns.append(Column(text("by derivatives"), "1"))
+        notes.append(text("By derivatives: for small spreads, without any sample."))
+    if sobol:
+        columns += [
+            Column(text("Sobol, alone"), "1"),
+            Column(text("Sobol, in all"), "1"),
+            Column(text("± 95 %"), "1"),
+        ]
+    title = text("Which number matters: shares of each measure's variance")
+    return [Table(title, tuple(columns), tuple(rows), tuple(notes), _source())]
+
+
+def _share(value: float | None) -> Number:
+    if value is None or not math.isfinite(value):
+        return Number("-", math.nan)
+    return Number(f"{value:.1%}", 100 * value, share=min(max(value, 0.0), 1.0))
+
+
+def _indices(sampled: Any, name: str) -> list[Cell]:
+    if sampled is None:
+        return [_share(None)] * 3
+    return [
+        _share(sampled.first.get(name)),
+        _share(sampled.total.get(name)),
+        _share(sampled.uncertainty.get(name)),
+    ]
+
+
+def _sure(outcome: StudyOutcome) -> list[Block]:
+    blocks: list[Block] = []
+    found = outcome.certainty
+    if found is not None:
+        rows: list[tuple[Text | Name, Chance]] = [
+            (text("It stays up on its servos"), found.stands),
+            (text("All motors are under their limits"), found.all_motors),
+            (text("Both"), found.both),
+            *((Name(joint), one) for joint, one in found.motors.items()),
+        ]
+        blocks.append(
+            Table(
+                text("How sure the stand is"),
+                (
+                    Column(text("what"), left=True),
+                    Column(text("probability"), "1"),
+                    Column(text("at least (95 %)"), "1"),
+                    Column(text("at most (95 %)"), "1"),
+                ),
+                tuple(_chance(name, one) for name, one in rows),
+                (),
+                _source(),
+            )
+        )
+    if outcome.tolerance is not None:
+        blocks.append(_tolerance(outcome.tolerance.spreads, outcome))
+    return blocks
+
+
+def _chance(name: Text | Name, one: Chance) -> tuple[Cell, ...]:
+    likely = Number(f"{one.probability:.2%}", 100 * one.probability, share=one.probability)
+    return name, likely, number(one.low, ".2%", scale=1.0), number(one.high, ".2%", scale=1.0)
+
+
+def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) -> Table:
+    assert outcome.tolerance is not None
+    rows: list[tuple[Cell, ...]] = []
+    for name, given in spreads.items():
+        ((kind, numbers),) = given.items()
+        listed = ", ".join(f"{value:.5g}" for value in numbers)
+        rows.append((Name(name), text(kind), Name(listed)))
+    sure = text(
+        "With {scale} of the study's spreads it stands, with all motors under their limits, in "
+        "{share} of {count} designs.",
+        scale=f"{outcome.tolerance.scale:.1%}",
+        share=f"{outcome.tolerance.chance.probability:.1%}",
+        count=outcome.tolerance.chance.designs,
+    )
+    return Table(
+        text("The tightest tolerance that is needed"),
+        (
+            Column(text("number"), left=True),
+            Column(text("how"), left=True),
+            Column(text("range or values"), left=True),
+        ),
+        tuple(rows),
+        (sure,),
+        _source(),
+    )
+
+
+def _designs(outcome: StudyOutcome) -> Table:
+    measured = [one.measure for one in outcome.measured]
+    return _table(text("Designs"), outcome.table, [*outcome.variables, *measured])
+
+
+def _table(title: Words, table: pd.DataFrame, columns: Sequence[str]) -> Table:
+    """Returns rows of a study's table, with their numbers in its order."""
+    places = [name for name in columns if name in table]
+    failed = "failure" in table and table["failure"].notna().any()
+    rows: list[tuple[Cell, ...]] = []
+    shown = table if len(table) <= MOST_ROWS else table.head(MOST_ROWS)
+    for order, (_, row) in enumerate(shown.iterrows(), start=1):
+        cells: list[Cell] = [number(order, "g")]
+        for name in places:
+            value = float(row[name])
+            cells.append(number(value if math.isfinite(value) else None, ".5g"))
+        if failed:
+            kind = row["failure"]
+            cells.append(word(kind) if isinstance(kind, str) else Name(""))
+        rows.append(tuple(cells))
+    heads = [Column(text("no."), "1"), *(Column(Name(name)) for name in places)]
+    if failed:
+        heads.append(Column(text("failure"), left=True))
+    notes: tuple[Words, ...] = ()
+    if len(table) > MOST_ROWS:
+        left = len(table) - MOST_ROWS
+        notes = (text("{count} more are in the study's folder: read_study reads all.", count=left),)
+    return Table(title, tuple(heads), tuple(rows), notes)

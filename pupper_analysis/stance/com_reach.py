@@ -1,0 +1,44 @@
+"""Whether a robot's joints can move its com to every place over its feet."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+_POSES = 3
+"""How many random poses are looked at: the first may be singular."""
+
+_STILL = 1e-6
+"""A com that moves by less against the base, per unit of joint rates, does not move (m/rad)."""
+
+
+@functools.lru_cache(maxsize=8)
+def moves_com(robot: Robot) -> bool:
+    """Tells whether a robot can move its com in x and in y with its feet where they are.
+
+    The base keeps its height and orientation. Legs of three joints or more can do it; legs of two,
+    that swing in a plane, cannot move it sideways, unless arms or a waist do.
+    """
+    if not robot.feet:
+        return True
+    random = np.random.default_rng(0)
+    low, high = np.maximum(robot.lower_limits, -np.pi), np.minimum(robot.upper_limits, np.pi)
+    return any(_ways(robot, random.uniform(low, np.maximum(low, high))) == 2 for _ in range(_POSES))
+
+
+def _ways(robot: Robot, joints: Array) -> int:
+    """Returns in how many directions the com can move, seen from above, at positions (nu,)."""
+    config = Configuration(robot, robot.posed(joints))
+    held = np.eye(4, robot.nv, k=2)  # the base's height and its three turns
+    feet = np.vstack(list(config.foot_jacobians().values()))
+    free = linalg.null_space(np.vstack([held, feet]), rcond=1e-9)
+    moved = config.com_jacobian()[:2] @ free
+    return int((np.linalg.svd(moved, compute_uv=False) > _STILL).sum())

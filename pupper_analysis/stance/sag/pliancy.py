@@ -1,0 +1,32 @@
+"""How far pinned feet give, where equations that let none give would say the same several times."""
+
+from __future__ import annotations
+
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.com_reach import moves_com
+
+_PLIANT = 1e-8
+"""How far contact points, pinned, give per tangential force (m/N). 100 N move one by 1 um."""
+
+
+def sole_pliancy(robot: Robot) -> dict[str, float]:
+    """Returns how far the contact points of soles give, {point: m/N}; 0 for a foot with one.
+
+    They move as one body: if none gave, the equations would say the same several times.
+    """
+    return {
+        point: _PLIANT if len(points) > 1 else 0.0
+        for points in robot.soles.values()
+        for point in points
+    }
+
+
+def foot_pliancy(robot: Robot) -> dict[str, float]:
+    """Returns how far all contact points give, {point: m/N}.
+
+    Feet of legs that cannot place them in all directions, the two of a pair of legs that swing in
+    planes, keep their distance as the points of a sole do.
+    """
+    if moves_com(robot):
+        return sole_pliancy(robot)
+    return dict.fromkeys(robot.feet, _PLIANT)

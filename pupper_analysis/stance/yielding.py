@@ -1,0 +1,38 @@
+"""Soles on legs that cannot lay them quite flat: they lie as the legs lay them, to micrometres.
+
+A leg of four joints has three for its sole's place in a plane and its pitch. Roll and yaw are the
+leg's own, and a sole that is a microradian off level, by its mesh's digits or by what it sinks in,
+cannot be laid as it should.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.com_reach import moves_com
+from pupper_analysis.stance.problem import Goal
+from pupper_analysis.stance.solver import TASK_TOLERANCE, Point
+
+_YIELD = 2e-5
+"""Soles give way by less (m): a few percent of what feet sink in, and no more."""
+
+
+def yields(robot: Robot) -> bool:
+    """Tells whether a robot has soles that its legs cannot lay as they please."""
+    return len(robot.soles) < len(robot.feet) and not moves_com(robot)
+
+
+def as_the_legs_can(robot: Robot, goal: Goal, point: Point) -> Goal:
+    """Returns a goal whose feet are where a configuration has them, if they miss by micrometres.
+
+    Args:
+        robot: The robot.
+        goal: The goal.
+        point: Where a solver ended.
+    """
+    if point.miss < TASK_TOLERANCE or point.miss >= _YIELD or not yields(robot):
+        return goal
+    places = Configuration(robot, point.qpos).foot_positions()
+    return replace(goal, targets={foot: places[foot] for foot in goal.targets})

@@ -1,0 +1,153 @@
+"""A study's designs in cells over two of its numbers: what a map of them shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+BINS, FEWEST = 24, 4
+"""Cells along one side of a map, of a variable that has more than ``BINS`` values."""
+
+EACH = 3
+"""Designs that a cell then has, on average: fewer cells of more designs, than a map of holes."""
+
+SAME = 1e-9
+"""Relative: what differs by less differs by rounding."""
+
+
+class Cells:
+    """Values in cells: one per value where they are few, evenly wide ones where they are many.
+
+    Attributes:
+        levels: Whether each cell has one value.
+        edges: (n + 1,) between which the cells are.
+        centres: (n,) their values, or their middles.
+        index: (designs,) in which cell each design is.
+    """
+
+    def __init__(self, values: Array) -> None:
+        levels = np.unique(values)
+        self.levels = len(levels) <= BINS
+        if self.levels:
+            middle = (levels[1:] + levels[:-1]) / 2
+            first, last = levels[0], levels[-1]
+            half = (middle[0] - first, last - middle[-1]) if len(middle) else (0.5, 0.5)
+            self.edges = np.concatenate([[first - half[0]], middle, [last + half[1]]])
+            self.index = np.searchsorted(levels, values)
+            self.centres = levels
+            return
+        count = int(np.clip(np.sqrt(len(values) / EACH), FEWEST, BINS))
+        self.edges = np.linspace(levels[0], levels[-1], count + 1)
+        self.index = np.clip(np.searchsorted(self.edges, values, "right") - 1, 0, count - 1)
+        self.centres = (self.edges[1:] + self.edges[:-1]) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class MeanMap:
+    """Means of a measure over two variables.
+
+    Attributes:
+        x: The cells along.
+        y: The cells upwards.
+        means: (ny, nx); not a number where nothing was measured.
+        counts: (ny, nx) how many designs each is the mean of.
+    """
+
+    x: Cells
+    y: Cells
+    means: Array
+    counts: Array
+
+
+@dataclass(frozen=True, eq=False)
+class EndMap:
+    """What becomes of designs over two variables.
+
+    Attributes:
+        x: The cells along.
+        y: The cells upwards.
+        kinds: ``""`` for those of which all was measured, then kinds of failure, the most frequent
+            first.
+        counts: (kinds, ny, nx) designs.
+    """
+
+    x: Cells
+    y: Cells
+    kinds: tuple[str, ...]
+    counts: Array
+
+
+def mean_map(table: pd.DataFrame, x: str, y: str, measure: str) -> MeanMap:
+    """Returns the mean of a measure over two variables.
+
+    Raises:
+        ConfigurationError: If a column is not there, or the table is empty.
+    """
+    check_columns(table, x, y, measure)
+    columns, rows = (Cells(table[name].to_numpy(float)) for name in (x, y))
+    values = table[measure].to_numpy(float)
+    sums, counts = (np.zeros((len(rows.centres), len(columns.centres))) for _ in range(2))
+    known = np.isfinite(values)
+    at = (rows.index[known], columns.index[known])
+    np.add.at(sums, at, values[known])
+    np.add.at(counts, at, 1.0)
+    with np.errstate(invalid="ignore"):
+        return MeanMap(columns, rows, sums / counts, counts)
+
+
+def end_map(table: pd.DataFrame, x: str, y: str) -> EndMap:
+    """Returns what becomes of designs over two variables.
+
+    Raises:
+        ConfigurationError: If a column is not there, or the table is empty.
+    """
+    check_columns(table, x, y, "failure")
+    columns, rows = (Cells(table[name].to_numpy(float)) for name in (x, y))
+    reasons = table["failure"].fillna("").astype(str).to_numpy()
+    kinds = ("", *(str(kind) for kind in table["failure"].dropna().value_counts().index))
+    counts = np.zeros((len(kinds), len(rows.centres), len(columns.centres)))
+    kind_at = np.array([kinds.index(reason) for reason in reasons])
+    np.add.at(counts, (kind_at, rows.index, columns.index), 1.0)
+    return EndMap(columns, rows, kinds, counts)
+
+
+def span(low: float, high: float) -> float:
+    """Returns how far apart two values are; 0 if they are the same but for rounding."""
+    return high - low if high - low > SAME * max(abs(low), abs(high)) else 0.0
+
+
+def measures_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
+    """Returns the columns of a study's table with measures, of which something was measured."""
+    given = (*variables, "design", "failure", "reason")
+    return [str(name) for name in table.columns if name not in given and table[name].notna().any()]
+
+
+def spread_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
+    """Returns the variables with several values in a table, those of most values first."""
+    several = [name for name in variables if name in table and table[name].nunique() > 1]
+    return sorted(several, key=lambda name: -table[name].nunique())
+
+
+def check_columns(table: pd.DataFrame, *columns: str) -> None:
+    """Checks that a table has columns, and rows.
+
+    Raises:
+        ConfigurationError: If not; says which columns there are.
+    """
+    for name in columns:
+        if name not in table:
+            known = ", ".join(str(column) for column in table.columns)
+            raise ConfigurationError("column", f"there is no {name!r}; there are {known}")
+    if table.empty:
+        raise ConfigurationError("table", "it is empty: there is nothing to draw")

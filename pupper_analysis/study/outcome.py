@@ -1,0 +1,276 @@
+"""What came of a study, put together to be shown: failures, fronts, shares, how sure it is."""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pupper_analysis.arguments import check_type
+from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
+from pupper_analysis.results import Result
+from pupper_analysis.study.cells import Cells, measures_in, span, spread_in
+from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.pareto import pareto_front
+from pupper_analysis.study.sensitivity import AT_REST, LinearShares, SobolIndices, linear_shares
+from pupper_analysis.study.store import Store, needed
+from pupper_analysis.study.study import Study
+from pupper_analysis.study.tolerance import Certainty, Tolerance, certainty
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SHARES = 8
+"""So many measures are taken apart: more are more than anyone reads."""
+
+
+@dataclass(frozen=True)
+class Failures(Result):
+    """Designs that failed alike.
+
+    Attributes:
+        kind: How.
+        designs: How many.
+        share: Of all designs.
+        reason: What the first of them says.
+    """
+
+    kind: str
+    designs: int
+    share: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Measured(Result):
+    """What was measured, of all designs together.
+
+    Attributes:
+        measure: Its column.
+        meaning: In words, with its unit; empty of one's own functions without a docstring.
+        least: The least value.
+        median: The median.
+        greatest: The greatest.
+        designs: Of how many it was measured.
+        alone: {variable: share of its variance that the variable makes alone, among the designs of
+            which it was measured}; empty of single joints.
+    """
+
+    measure: str
+    meaning: str
+    least: float
+    median: float
+    greatest: float
+    designs: int
+    alone: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class StudyOutcome(Result):
+    """What came of a study.
+
+    Attributes:
+        robot: Whose it is, as it was asked.
+        variables: {number: what it varies over, as a study's file says it}.
+        table: One row per design that is there.
+        designs: How many the study asks for.
+        measured: What was measured.
+        failures: What failed, the most frequent first.
+        axes: The two variables over which maps are drawn; empty if there are no two.
+        objectives: {column: ``min`` or ``max``} of the front; empty if there is none.
+        front: The designs that no other beats in these, of those that stay up where that was
+            measured.
+        linear: Shares of variances from derivatives, where there are such.
+        sobol: Sobol's indices, if they were given.
+        certainty: How sure the stand is, if the numbers are samples of distributions and the study
+            measures it.
+        tolerance: The tightest tolerance, if it was given.
+    """
+
+    robot: str
+    variables: dict[str, dict[str, Any]]
+    table: pd.DataFrame
+    designs: int
+    measured: tuple[Measured, ...]
+    failures: tuple[Failures, ...]
+    axes: tuple[str, ...]
+    objectives: dict[str, str]
+    front: pd.DataFrame
+    linear: tuple[LinearShares, ...]
+    sobol: tuple[SobolIndices, ...]
+    certainty: Certainty | None
+    tolerance: Tolerance | None
+
+
+def study_outcome(
+    study: Study,
+    folder: str | Path,
+    *,
+    minimise: Sequence[str] = (),
+    maximise: Sequence[str] = (),
+    sobol: Mapping[str, SobolIndices] | None = None,
+    tolerance: Tolerance | None = None,
+) -> StudyOutcome:
+    """Puts together what came of a study; nothing is run.
+
+    Args:
+        study: The study.
+        folder: Where its results are.
+        minimise: Columns in which the designs of the front are least.
+        maximise: Columns in which they are greatest. If neither is given, they are the first two
+            measures of which it is known which way is better.
+        sobol: What ``sobol_indices`` has found.
+        tolerance: What ``tightest_tolerance`` has found.
+
+    Raises:
+        ConfigurationError: If a column is not there, or no design is.
+        StudyError: If the folder is no study's, or damaged.
+    """
+    check_type("study", study, Study)
+    check_type("minimise", minimise, Sequence[str])
+    check_type("maximise", maximise, Sequence[str])
+    check_type("sobol", sobol, Mapping[str, SobolIndices] | None)
+    check_type("tolerance", tolerance, Tolerance | None)
+    needed("pandas")
+    Store(Path(folder)).asked()  # that it is a study's folder
+    table = study.table(folder)
+    if table.empty:
+        raise ConfigurationError("folder", f"{folder} has no design of this study yet: run it")
+    variables = tuple(study.variables)
+    measures = measures_in(table, variables)
+    objectives = check_objectives(study, minimise, maximise) or _better(measures)
+    up = table[table["stands"] == 1] if "stands" in table else table
+    spread = spread_in(table, variables)
+    return StudyOutcome(
+        robot=_named(study.source.asked()),
+        variables={name: one.asked() for name, one in study.variables.items()},
+        table=table,
+        designs=len(study),
+        measured=tuple(_measured(table, name, spread, study) for name in measures),
+        failures=_failures(table),
+        axes=tuple(spread[:2]) if len(spread) > 1 else (),
+        objectives=objectives,
+        front=pareto_front(up, objectives) if objectives else table.iloc[:0],
+        linear=_linear(study, measures),
+        sobol=tuple((sobol or {}).values()),
+        certainty=_certainty(study, table),
+        tolerance=tolerance,
+    )
+
+
+def check_objectives(
+    study: Study, minimise: Sequence[str], maximise: Sequence[str]
+) -> dict[str, str]:
+    """Returns {column: ``min`` or ``max``} of a front; none if none are asked for.
+
+    Raises:
+        ConfigurationError: If the study has no such measure or number, or one is there twice.
+    """
+    measured = [one.name for one in study.measures]
+    for name in (*minimise, *maximise):
+        if name.partition(".")[0] not in measured and name not in study.variables:
+            known = ", ".join((*measured, *study.variables))
+            raise ConfigurationError(
+                "minimise, maximise", f"the study has no {name!r}; it has {known}"
+            )
+    objectives = {**dict.fromkeys(minimise, "min"), **dict.fromkeys(maximise, "max")}
+    if len(objectives) < len(minimise) + len(maximise):
+        raise ConfigurationError("minimise, maximise", "each column is to be there once")
+    return objectives
+
+
+def main_effects(table: pd.DataFrame, variables: Iterable[str], measure: str) -> dict[str, float]:
+    """Returns what share of a measure's variance each variable makes alone, in some designs.
+
+    That is the variance of the means over the variable's values, without what chance makes of so
+    few designs (Kelley's epsilon squared), in parts of the whole variance. Of the full product of
+    lists these are the main effects; designs of which it was not measured are left out.
+
+    Source: Kelley, "An unbiased correlation ratio measure", 1935.
+
+    Args:
+        table: Of a study.
+        variables: Columns.
+        measure: A column.
+    """
+    known = table[np.isfinite(table[measure].to_numpy(float))]
+    values = known[measure].to_numpy(float)
+    varies = len(values) > 0 and span(float(values.min()), float(values.max())) > 0
+    whole = float(((values - values.mean()) ** 2).sum()) if varies else 0.0
+    found = {}
+    for name in variables:
+        index = np.unique(Cells(known[name].to_numpy(float)).index, return_inverse=True)[1]
+        counts = np.bincount(index)
+        free = len(values) - len(counts)
+        if whole <= 0 or free < 1 or len(counts) < 2:
+            found[name] = 0.0 if whole <= 0 or len(counts) < 2 else float("nan")
+            continue
+        means = np.bincount(index, values) / counts
+        within = float(((values - means[index]) ** 2).sum())
+        found[name] = max(0.0, 1 - within / free / (whole / (len(values) - 1)))
+    return found
+
+
+def _measured(table: pd.DataFrame, name: str, spread: Sequence[str], study: Study) -> Measured:
+    column = table[name].dropna()
+    own = {one.name: one.meaning for one in study.measures}
+    kind = name if name in own else name.partition(".")[0]
+    return Measured(
+        measure=name,
+        meaning=own.get(kind, "").partition("\n")[0],
+        least=float(column.min()),
+        median=float(column.median()),
+        greatest=float(column.max()),
+        designs=len(column),
+        alone={} if "." in name else main_effects(table, spread, name),
+    )
+
+
+def _failures(table: pd.DataFrame) -> tuple[Failures, ...]:
+    counts = table["failure"].value_counts()
+    return tuple(
+        Failures(
+            str(kind),
+            int(count),
+            float(count) / len(table),
+            str(table.loc[table["failure"] == kind, "reason"].iloc[0]),
+        )
+        for kind, count in counts.items()
+    )
+
+
+def _better(measures: Sequence[str]) -> dict[str, str]:
+    known = {n: MEASURES[n].better for n in measures if n in MEASURES and MEASURES[n].better}
+    return dict(list(known.items())[:2]) if len(known) > 1 else {}
+
+
+def _linear(study: Study, measures: Sequence[str]) -> tuple[LinearShares, ...]:
+    """Returns what derivatives tell of the measures that have some; nothing where none do."""
+    derived = [n for n in measures if n in AT_REST or n.startswith("torque.")][:SHARES]
+    if not derived or not any(one.levels is None for one in study.variables.values()):
+        return ()
+    try:
+        return tuple(linear_shares(study, derived).values())
+    except PupperAnalysisError:  # a number without a derivative, a slope, a stand that ends
+        return ()
+
+
+def _certainty(study: Study, table: pd.DataFrame) -> Certainty | None:
+    """Returns how sure the stand is, where designs are samples of distributions."""
+    if study.sampling.samples is None or "stands" not in table:
+        return None
+    return certainty(table) if any(str(n).startswith("utilisation.") for n in table) else None
+
+
+def _named(source: Any) -> str:
+    """Returns a robot in a line: its base and scales, or its files' names."""
+    if not isinstance(source, Mapping):
+        return reprlib.repr(source)
+    if "base" in source:
+        scales = [f"{n} {v:g}" for n, v in source.items() if n != "base" and v != 1.0]
+        return ", ".join([str(source["base"]), *scales])
+    return f"{Path(source['urdf']).name}, {Path(source['mjcf']).name}"

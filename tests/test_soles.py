@@ -1,0 +1,121 @@
+"""Soles that are meshes, and soles on legs of few joints: what is laid flat, and what touches."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from legged import BIPED_FEET, Pair, aside, biped, held, quadruped, sole_mesh
+
+import pupper_analysis as pa
+from pupper_analysis.prepare.soles import corners, stays_flat
+from pupper_analysis.robot.robot import Robot
+
+
+def load(pair: Pair) -> Robot:
+    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+
+
+def holds(robot: Robot, task: pa.StandTask | None = None, *, within: float) -> pa.Stand:
+    stand = pa.sunk_stand(robot, task)
+    found = pa.verify_stand(robot, stand)
+    assert found.passed, found.failures
+    assert max(found.torque_error, found.force_error) < within
+    return stand
+
+
+def test_a_sole_of_a_mesh_has_balls_at_its_corners(tmp_path: Path) -> None:
+    """MuJoCo's contacts of a mesh with many vertices jump as loads shift: by 1.4 % on an H1-2."""
+    pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
+    robot = load(pair)
+    note = next(note for note in robot.notes if note.startswith("soles of"))
+    assert "small balls" in note
+    for points in robot.soles.values():
+        assert len(points) == 8
+        assert {robot.foot_radius[point] for point in points} == {2e-3}
+    for shape in range(robot.mj_model.ngeom):
+        if robot.mj_model.geom_type[shape] == mujoco.mjtGeom.mjGEOM_MESH.value:
+            assert robot.mj_model.geom_contype[shape] == 0
+    # The shoe's lowest points are 60 mm below its frame, and from -60 to 120 mm along it.
+    places = pa.Configuration(robot, robot.neutral()).foot_positions()
+    soles = np.array([places[point] for point in robot.soles["left_tilt_link"]])
+    tilt = pa.Configuration(robot, robot.neutral()).joint_position("left_tilt")
+    np.testing.assert_allclose(soles[:, 2] - tilt[2], -0.06 + 2e-3, atol=1e-9)
+    assert 0.17 < np.ptp(soles[:, 0]) < 0.18  # the corners are inside of what is round
+    holds(robot, within=1e-5)
+    # Uneven loads: the depths that a plane leaves are those of a law that is no line.
+    holds(robot, pa.StandTask(offset=(0.02, 0.015)), within=1e-3)
+
+
+def test_a_sole_of_a_mesh_with_four_corners_touches_itself(tmp_path: Path) -> None:
+    """A box as a mesh has its four corners in contact, however it tilts."""
+    box = " ".join(
+        f"{x} {y} {z}" for x in (-0.06, 0.12) for y in (-0.04, 0.04) for z in (-0.06, -0.04)
+    )
+    pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
+    text = pair.mjcf.read_text()
+    start = text.index('vertex="') + len('vertex="')
+    pair.mjcf.write_text(text[:start] + box + text[text.index('"', start) :])
+    robot = load(pair)
+    assert not any("small balls" in note for note in robot.notes)
+    assert {len(points) for points in robot.soles.values()} == {4}
+    holds(robot, within=1e-5)
+
+
+def test_the_corners_of_a_hull_are_those_that_matter() -> None:
+    angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    ring = np.column_stack([0.1 * np.cos(angles), 0.05 * np.sin(angles), np.zeros(60)])
+    above = ring + np.array([0, 0, 0.01])
+    found = corners(np.vstack([ring, above]), np.array([0.0, 0.0, -1.0]), 1e-3)
+    assert len(found) == 8
+    assert max(found) < 60
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0, 0], [0.5, 0.5, 0]])
+    assert sorted(corners(square, np.array([0.0, 0.0, 1.0]), 1e-3)) == [0, 1, 2, 3]
+    line = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    assert corners(line, np.array([0.0, 0.0, 1.0]), 1e-3) == []
+
+
+@pytest.mark.parametrize("shape", ["box", "four spheres", "two capsules"])
+def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
+    """Roll at the hip; pitch at hip, knee and ankle: as TRON 1's. The com is 2 um aside."""
+    pair = held(biped(tmp_path, BIPED_FEET[shape]), "_yaw", "_tilt")
+    robot = load(aside(pair, 2e-6))
+    assert robot.nu == 8
+    assert len(robot.feet) == 8
+    assert any("com 'inside'" in note for note in robot.notes)
+    stand = holds(robot, within=1e-2)
+    assert stand.foot_error < 1e-9
+    holds(robot, pa.StandTask(height=0.95 * robot.stand_height), within=1e-2)
+
+
+def test_a_sole_that_is_not_quite_level_lies_as_the_leg_lays_it(tmp_path: Path) -> None:
+    """By a mesh's last digits: no roll of the foot can mend it."""
+    foot = BIPED_FEET["box"].replace("/>", ' euler="3e-6 0 0"/>')
+    pair = held(biped(tmp_path, foot), "_yaw", "_tilt")
+    holds(load(pair), within=1e-2)
+
+
+def test_what_legs_of_four_joints_cannot_do_is_refused(tmp_path: Path) -> None:
+    robot = load(held(biped(tmp_path), "_yaw", "_tilt"))
+    task = pa.StandTask(foot_offsets={"left_tilt_link": (0.0, 0.03)})
+    with pytest.raises(pa.StanceUnreachableError, match="foot_offsets"):
+        pa.solve_stand(robot, task)
+
+
+def test_legs_of_four_joints_that_tilt_their_feet_have_one_point_each(tmp_path: Path) -> None:
+    """Yaw, roll, pitch and knee: the foot tilts as they bend."""
+    pair = held(biped(tmp_path), "_ankle", "_tilt")
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    foot = model.body("left_tilt_link").id
+    assert not stays_flat(model, foot, np.array([0.0, 0.0, -1.0]))
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    model = mujoco.MjModel.from_xml_path(str(biped(whole).mjcf))
+    assert stays_flat(model, model.body("left_tilt_link").id, np.array([0.0, 0.0, -1.0]))
+
+
+def test_a_quadruped_with_boxes_at_three_joints_has_points(tmp_path: Path) -> None:
+    foot = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2"/>'
+    assert len(load(quadruped(tmp_path, foot=foot)).feet) == 4
