@@ -51,7 +51,10 @@ STATUSES = (0, 1, 2)
 BEFORE = b'{"written": "before"}\n'
 """What stands in every output file before the command runs."""
 
-OUTPUTS = ("out.json", "out.csv", "out.npz", "out.png")
+OUTPUTS = ("out.json", "out.csv", "out.npz", "out.png", "out.html", "new.xml", "new.urdf")
+
+STDIN = "stdin"
+"""The file that a command is given as standard input."""
 
 
 class Hang(BaseException):
@@ -117,7 +120,7 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
         yield f"a traceback: {said[-500:]}"
     yield from _shown(said, github="github" in case.arguments)
     yield from _written(folder, before, may_write=command == "sync")
-    if status == 0 and command in ("audit", "crosscheck", "stand"):
+    if status == 0 and command in ("audit", "crosscheck", "stand", "convert", "check"):
         refusal = _refused(folder, case.arguments)
         if refusal and "--help" not in case.arguments and "-h" not in case.arguments:
             yield f"accepted, and MuJoCo refuses it: {refusal}"
@@ -131,6 +134,8 @@ def _run(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, flo
         raise Hang
 
     out = io.StringIO()
+    given = (folder / STDIN).read_bytes() if (folder / STDIN).is_file() else b""
+    usual, sys.stdin = sys.stdin, io.TextIOWrapper(io.BytesIO(given))
     status: int | None = None
     timers = {
         signal.SIGPROF: (signal.ITIMER_PROF, SECONDS + 1),
@@ -156,6 +161,7 @@ def _run(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, flo
     except BaseException as error:
         status, _ = -1, out.write(f"\n{type(error).__name__} went through: {error}")
     finally:
+        sys.stdin = usual
         for number, (timer, _) in timers.items():
             signal.setitimer(timer, 0)
             signal.signal(number, before[number])
@@ -190,8 +196,14 @@ def _written(folder: Path, before: Mapping[str, bytes], *, may_write: bool) -> I
         if now == content:
             continue
         if name in OUTPUTS:
-            ends = {"out.json": (b"}\n", b"]\n", b"}", b"]"), "out.csv": (b"\n",)}
-            begins = {"out.npz": b"PK", "out.png": b"\x89PNG"}
+            ends = {
+                "out.json": (b"}\n", b"]\n", b"}", b"]"),
+                "out.csv": (b"\n",),
+                "out.html": (b"</html>\n", b"</html>"),
+                "new.xml": (b"</mujoco>\n", b"</mujoco>"),
+                "new.urdf": (b"</robot>\n", b"</robot>"),
+            }
+            begins = {"out.npz": b"PK", "out.png": b"\x89PNG", "out.html": b"<!"}
             whole = now.endswith(ends.get(name, b"")) and now.startswith(begins.get(name, b""))
             if name == "out.json" and whole:
                 try:
@@ -215,7 +227,7 @@ def _refused(folder: Path, arguments: tuple[str, ...]) -> str | None:
     """Says what MuJoCo has against an MJCF that a command was given, by MuJoCo's own reader."""
     import mujoco
 
-    for name in arguments:
+    for name in (*arguments, *(["robot.xml"] if arguments[0] == "check" else [])):
         if name in ("robot.xml", "--mjcf=robot.xml") and (folder / "robot.xml").is_file():
             mujoco.set_mju_user_warning(lambda _: None)
             try:
@@ -546,11 +558,22 @@ _MODELS = {
     "--dry-run": (),
     "--backup": (),
     "--force": (),
+    "--report": ("out.html", "-", ".", "no/such/x.html"),
+    "--fixed-base": (),
+    "--free-base": (),
+    "--merge-fixed": (),
+    "--armature": ("0.01", "*=1e9", "-1", "nan", "x=1", "*hip*=0.02", "="),
+    "--sag": ("1deg", "0", "-1", "nan", "1e9", "1cm"),
+    "--damping-ratio": ("1", "0", "nan", "1e9"),
+    "--config": ("pupper-analysis.toml", "none.toml", "."),
+    "--update-baseline": (),
+    "--figures": (),
+    "--workers": ("1", "0", "x"),
 }
 _COMMON = ("--json", "--tolerance", "--map", "--map-file", "--foot", "--package")
 OF_MODELS = {
-    "audit": ("--format", "--json", "--package"),
-    "crosscheck": (*_COMMON, "--format", "--strict", "--all"),
+    "audit": ("--format", "--json", "--package", "--report"),
+    "crosscheck": (*_COMMON, "--format", "--strict", "--all", "--report"),
     "sync": (*_COMMON, "--take", "--dry-run", "--backup", "--force", "--coarse"),
 }
 
@@ -579,6 +602,127 @@ def on_files(draw: st.DrawFn) -> Case:
 
 def _said(draw: st.DrawFn, option: str, values: tuple[str, ...]) -> list[str]:
     return [option, draw(st.sampled_from(values))] if values else [option]
+
+
+OF_FILES = {
+    "convert": (
+        "--json",
+        "--foot",
+        "--fixed-base",
+        "--free-base",
+        "--merge-fixed",
+        "--armature",
+        "--sag",
+        "--damping-ratio",
+        "--package",
+    ),
+    "check": ("--json", "--format", "--all", "--config", "--update-baseline"),
+    "diff": ("--json", "--map", "--package", "--tolerance"),
+    "study": ("--json", "--workers"),
+}
+
+_TOML = {
+    "pupper-analysis.toml": """
+baseline = "known.toml"
+[[pair]]
+name = "machine"
+urdf = "robot.urdf"
+mjcf = "robot.xml"
+feet = ["foot0"]
+[pair.tolerances]
+mass = 1e-3
+[pair.disable]
+armature-zero = "none was measured"
+[pair.map]
+hip0 = "hip0"
+""",
+    "study.toml": """
+robot = "skeleton"
+measure = ["peak_utilisation", "com_margin"]
+seed = 1
+[vary]
+height = { grid = [0.14, 0.17, 3] }
+pitch = [0.0, 0.05]
+kp = { uniform = [20.0, 40.0] }
+[stand]
+ground_clearance = 0.0
+""",
+}
+
+_TOML_VALUES = (
+    *(
+        "nan",
+        "inf",
+        "-1",
+        "0",
+        '""',
+        "[]",
+        "{}",
+        "true",
+        "1e400",
+        "99999999999999999999",
+        "[1, 'a']",
+    ),
+    *("{ grid = [0, 1, 1e9] }", "{ grid = [1, 0, -1] }", "{ uniform = [1, 0] }", "1979-05-27"),
+    *('"../x"', '"\\u202e"', '"\\n::error::owned"', "{ normal = [0, -1] }", "[[1]]", '"v3"'),
+)
+
+
+def _spoil_toml(draw: st.DrawFn, text: bytes) -> bytes:
+    """Spoils a line or some bits of a TOML file."""
+    rows = text.decode("utf-8", "replace").split("\n")
+    at = draw(st.integers(0, len(rows) - 1))
+    name, equals, _ = rows[at].partition("=")
+    value = draw(st.sampled_from(_TOML_VALUES))
+    what = draw(
+        st.sampled_from(["value", "value", "value", "name", "drop", "double", "bits", "cut"])
+    )
+    if what == "bits":
+        return _flip(draw, text)
+    if what == "cut":
+        return _cut(draw, text)
+    if what == "value" and equals:
+        rows[at] = f"{name}= {value}"
+    elif what == "name" and equals:
+        rows[at] = f"{draw(st.sampled_from(['x', 'seed', 'robot', 'pair']))} ={value}"
+    elif what == "drop":
+        del rows[at]
+    else:
+        rows.insert(draw(st.integers(0, len(rows))), rows[at])
+    return "\n".join(rows).encode()
+
+
+@st.composite
+def on_projects(draw: st.DrawFn) -> Case:
+    """Draws a command on several files, of which one or some are spoilt; or on standard input."""
+    command = draw(st.sampled_from(["diff", "diff", "check", "check", "convert", "study", "-"]))
+    files = draw(spoilt_files())
+    most = draw(st.sampled_from([0, 0, 1, 2]))
+    names = OF_FILES.get(command, ("--json",))
+    options = draw(st.lists(st.sampled_from(names), max_size=most, unique=True))
+    more = [word for option in options for word in _said(draw, option, _MODELS[option])]
+    which = draw(st.sampled_from(["robot.urdf", "robot.xml"]))
+    if command == "diff":
+        whole = draw(st.sampled_from(_base_files()))
+        suffix = Path(which).suffix
+        files[f"old{suffix}"] = whole[which == "robot.xml"]
+        return Case((command, *draw(st.permutations([f"old{suffix}", which])), *more), files)
+    if command == "convert":
+        new = "new.xml" if which == "robot.urdf" else "new.urdf"
+        return Case((command, which, "-o", new, "--force", *more), files)
+    if command == "-":
+        files[STDIN] = files[which]
+        others = ["-", "robot.xml"] if which == "robot.urdf" else ["robot.urdf", "-"]
+        chosen = draw(st.sampled_from([["audit", "-"], ["crosscheck", *others]]))
+        return Case((*chosen, *more), files)
+    name = "study.toml" if command == "study" else "pupper-analysis.toml"
+    text = _TOML[name].encode()
+    for _ in range(draw(st.sampled_from([0, 1, 1, 2]))):
+        text = _spoil_toml(draw, text)
+    if command == "study":
+        words = ("study", name, "-o", "results", "--dry-run")
+        return Case((*words, *more), {name: text})
+    return Case((command, *more), {**files, name: text})
 
 
 @st.composite
@@ -616,8 +760,8 @@ def on_variants(draw: st.DrawFn) -> Case:
 
 
 def cases() -> st.SearchStrategy[Case]:
-    """Draws inputs: one in five is of arguments alone."""
-    return st.one_of(on_files(), on_files(), on_files(), on_files(), on_variants())
+    """Draws inputs: one in six is of arguments alone."""
+    return st.one_of(*[on_files()] * 4, on_projects(), on_variants())
 
 
 # ------------------------------------------------------------------------------------- runs

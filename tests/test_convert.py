@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -541,6 +542,8 @@ def test_the_command_says_what_it_did(tmp_path: Path) -> None:
     ("arguments", "problem"),
     [
         (("-o", "-"), "-: the new file names meshes beside it; give it a name"),
+        (("-o", "a.txt"), "cannot write a.txt: quad.urdf becomes an MJCF: end its name in .xml"),
+        (("-o", "a.urdf"), "cannot write a.urdf: quad.urdf becomes an MJCF: end its name in .xml"),
         (("-o", "no/where.xml", "--sag", "0"), "sag: 0.0 is not positive"),
         (("-o", "a.xml", "--armature", "x*=1"), "no joint is like 'x*'; there are: FL_roll"),
         (("-o", "a.xml", "--armature", "-1"), "armature: -1.0 kg m^2 is negative, or no number"),
@@ -565,3 +568,25 @@ def test_a_failure_is_exit_status_1_and_said(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "failed: it does not stand: " in done.stdout
     assert (tmp_path / "machine.xml").is_file()
+
+
+def test_nothing_goes_into_a_pipe(tmp_path: Path) -> None:
+    source, pipe = tmp_path / "robot.urdf", tmp_path / "new.xml"
+    source.write_text(urdf_text(arm()))
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        with pytest.raises(pa.OutputError, match="no regular file"):
+            pa.convert_model(source, pipe, force=True)
+        assert os.read(reader, 1) == b""
+    finally:
+        os.close(reader)
+    assert pipe.is_fifo()
+
+
+def test_a_urdf_is_not_called_xml(tmp_path: Path) -> None:
+    source = tmp_path / "robot.xml"
+    source.write_text(mjcf_text(arm()))
+    with pytest.raises(pa.OutputError, match=r"becomes a URDF: end its name in \.urdf"):
+        pa.convert_model(source, tmp_path / "new.xml")
+    assert [path.name for path in tmp_path.iterdir()] == ["robot.xml"]

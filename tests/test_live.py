@@ -10,6 +10,8 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -428,6 +430,33 @@ def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
     for host, wrong in (("203.0.113.7", None), ("no such host", None), ("127.0.0.1", 70000)):
         with pytest.raises(pa.ConfigurationError, match=r"--port|cannot serve"):
             viser_parts.free_port(host, wrong)
+
+
+class Headers(dict[str, str]):
+    """Of a request, as viser keeps it."""
+
+
+def connected(path: str, headers: dict[str, str]) -> Any:
+    """A server of viser's with one connection, 3."""
+    connection = SimpleNamespace(request=SimpleNamespace(path=path, headers=Headers(headers)))
+    return SimpleNamespace(
+        _websock_server=SimpleNamespace(_live_connections={3: connection}),
+        get_host=lambda: "127.0.0.1",
+        get_port=lambda: 80,
+    )
+
+
+def test_a_browser_says_where_it_comes_from_and_what_it_asks_for() -> None:
+    own = connected("/?state=roll:3;pitch:-1", {"Host": "pi:81", "Origin": "http://pi:81"})
+    assert viser_parts.asked_for(own, 3) == ("pi:81", "roll:3;pitch:-1")
+    assert viser_parts.foreign(own, 3) == ""
+    other = connected("/", {"Host": "127.0.0.1:81", "Origin": "http://example.com"})
+    assert viser_parts.foreign(other, 3) == "http://example.com"
+    assert viser_parts.asked_for(other, 3) == ("127.0.0.1:81", "")
+    assert viser_parts.foreign(connected("/", {"Host": "a:1"}), 3) == ""  # no browser's page
+    # A viser that keeps it elsewhere: a page without a state.
+    assert viser_parts.asked_for(own, 4) == ("127.0.0.1:80", "")
+    assert viser_parts.foreign(own, 4) == ""
 
 
 @pytest.mark.parametrize(

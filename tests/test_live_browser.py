@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -240,7 +241,8 @@ def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
     opened.tab("Stance")
     opened.set("roll (°)", 3)
     opened.takes(pa.solve_stand(load("v3"), pa.StandTask(roll=np.radians(3.0))))
-    assert "Pushed" not in " ".join(opened.all_words())  # it was about another stance
+    # It was about another stance.
+    wait_for(lambda: "Pushed" not in " ".join(opened.all_words()), "an old result is left")
     wait_for(lambda: not twin(), "the robot of another stance is left")
 
 
@@ -325,6 +327,11 @@ def test_a_command_serves_until_it_is_interrupted(command: str, tmp_path: Path) 
     said = process.stdout.readline()
     found = re.match(r"(http://127\.0\.0\.1:\d+/)  \(Ctrl-C ends it\)$", said)
     assert found is not None, said
+    port = int(found[1].split(":")[2].rstrip("/"))
+    for nonsense in (b"", b"\x00\xff\r\n\r\n", b"GET /../../etc HTTP/1.1\r\n\r\n"):
+        with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as knocks:
+            knocks.sendall(nonsense)
+    time.sleep(0.5)  # before viser quietens what is said of such
     with urllib.request.urlopen(found[1], timeout=PATIENCE) as answered:
         assert b"<title>" in answered.read()
     process.send_signal(signal.SIGINT)

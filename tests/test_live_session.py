@@ -133,14 +133,14 @@ def test_out_of_reach_is_told_at_once_and_explained_later(page: Open) -> None:
     wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
     wait_for(lambda: "In the way: roll" in page.numbers, "it is not explained")
     panels = page.session._panels
-    assert panels._nearest.visible
+    wait_for(lambda: panels._nearest.visible, "there is no way to the nearest")
     assert "◆ 23.8 possible" in page.controls.sliders["roll"].label
     assert [mark.value for mark in page.controls.sliders["roll"]._marks] == [23.8]
     assert page.controls.sliders["pitch"]._marks is None
     page.session.go_to_nearest()
     wait_for(lambda: "It stands" in page.numbers, "the nearest is out of reach")
     assert page.controls.state == State(roll=23.8)
-    assert not panels._nearest.visible
+    wait_for(lambda: not panels._nearest.visible, "there is a way to the nearest still")
     assert page.controls.sliders["roll"].label == "roll (°)"
     assert page.controls.sliders["roll"]._marks is None
 

@@ -257,3 +257,31 @@ def test_an_error_with_a_name_in_lines_is_one_line(capsys: pytest.CaptureFixture
         cli.run(named, [])
     err = capsys.readouterr().err
     assert err == "error: x: \\n::error::forged\\x1b[31m\\x9b\\u202e\n"
+
+
+def test_a_signal_that_a_library_swallows_is_raised_again() -> None:
+    code = """
+        import os, signal, time
+        from pupper_analysis.cli.process import Ended, endings
+
+        swallowed = 0
+        with endings() as ending:
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except BaseException:
+                swallowed += 1
+            try:
+                try:
+                    time.sleep(30)
+                finally:
+                    time.sleep(1)  # what is tidied up is not disturbed
+                    swallowed += 1
+            except Ended:
+                ending.caught = True
+                swallowed += 1
+        time.sleep(1)  # nor what comes after
+        print(swallowed)
+    """
+    process = start(sys.executable, "-c", textwrap.dedent(code))
+    assert process.communicate(timeout=25) == ("3\n", "")
+    assert process.returncode == 0

@@ -41,6 +41,7 @@ from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import base_pose, trees
 from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -205,7 +206,7 @@ def _described(
     urdf, mjcf = files
     return Description(
         name=spec.modelname,
-        urdf=etree.tostring(root, encoding="unicode"),
+        urdf=for_engines(root),
         urdf_source=urdf.path,
         mjcf=spec,
         mjcf_source=mjcf.path,
@@ -222,7 +223,7 @@ def _in_one_convention(
     meant = _conventions(robot, tolerances, notes)
     if meant.base is not None or meant.zeros:
         rewrite(root, robot.base, meant, trees(robot)[0])
-        text = etree.tostring(root, encoding="unicode")
+        text = for_engines(root)
         robot = build_robot(replace(description, urdf=text))
     return robot, meant
 

@@ -14,6 +14,7 @@ from lxml import etree
 from pupper_analysis.checks.matching_places import at_zero
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
+from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.robot.robot import Robot
 
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -158,7 +159,7 @@ def urdf_tree(
     Raises:
         ModelError: If Pinocchio cannot read it.
     """
-    text = etree.tostring(root, encoding="unicode")
+    text = for_engines(root)
     try:
         model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
     except (ValueError, RuntimeError) as error:

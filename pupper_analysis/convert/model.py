@@ -81,9 +81,15 @@ def convert_model(
     check_writable(output)
     if output.resolve() == source.resolve():
         raise OutputError(output, "it is the source; give the new file another name")
+    if output.exists() and not output.is_file():
+        raise OutputError(output, "it is no regular file; the new file is read again, to prove it")
     if output.exists() and not force:
         raise OutputError(output, "it exists; add --force (force=True) to replace it")
     file = read_model(source, packages)
+    wanted = ".xml" if isinstance(file, UrdfFile) else ".urdf"
+    if output.suffix.lower() != wanted:
+        kind = {".xml": "an MJCF", ".urdf": "a URDF"}[wanted]
+        raise OutputError(output, f"{source} becomes {kind}: end its name in {wanted}")
     options = MjcfOptions(feet, fixed_base, merge_fixed, armature, sag, damping_ratio)
     if isinstance(file, UrdfFile):
         check_joints(file, dict(armature or {}))

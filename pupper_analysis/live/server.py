@@ -13,6 +13,7 @@ from pupper_analysis.live.model import Model
 from pupper_analysis.live.session import Session
 from pupper_analysis.live.source import Source
 from pupper_analysis.live.state import State, parse
+from pupper_analysis.report.formats import visible
 
 LOOPBACK = "127.0.0.1"
 
@@ -70,6 +71,10 @@ class Page:
         self._server.on_client_disconnect(self._left)
 
     def _opened(self, client: Any) -> None:
+        if other := viser_parts.foreign(self._server, client.client_id):
+            told = f"{other} is another page; open {self.address}"
+            client.add_notification("Not from here", visible(told), color="red")
+            return
         address, words = viser_parts.asked_for(self._server, client.client_id)
         state, problem = self._state, ""
         if words:

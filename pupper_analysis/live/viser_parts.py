@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import socket
 from collections.abc import Iterator
 from importlib import import_module
@@ -63,6 +64,8 @@ def started(host: str, port: int, label: str) -> Any:
         port: A free one.
         label: What the page is called.
     """
+    # What knocks at the port and says nothing, or nonsense, is no error of this program.
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
     with quiet():
         server = viser().ViserServer(host=host, port=port, label=label, verbose=False)
     server.request_share_url = lambda *_, **__: None
@@ -88,6 +91,20 @@ def asked_for(server: Any, client_id: int) -> tuple[str, str]:
     except (AttributeError, KeyError, TypeError, ValueError):
         return f"{server.get_host()}:{server.get_port()}", ""
     return address, given[0]
+
+
+def foreign(server: Any, client_id: int) -> str:
+    """Returns which other page it is that has opened a connection; empty for the server's own.
+
+    Any page in a browser may connect to a server of the same machine. What a browser says of the
+    page (``Origin``) and of the server (``Host``) are the same for one that came from the server.
+    """
+    try:
+        headers = server._websock_server._live_connections[client_id].request.headers
+        origin, host = headers.get("Origin", ""), headers.get("Host", "")
+    except (AttributeError, KeyError, TypeError):
+        return ""
+    return "" if not origin or urlsplit(origin).netloc == host else str(origin)
 
 
 def mark(slider: Any, values: tuple[float, ...]) -> None:

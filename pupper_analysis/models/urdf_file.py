@@ -13,6 +13,7 @@ from lxml import etree
 
 from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.packages import existing, folders_of_package
 from pupper_analysis.models.places import Place, line_of, refusal_at, source_name
 from pupper_analysis.models.urdf_checks import (
@@ -25,7 +26,7 @@ from pupper_analysis.models.urdf_checks import (
     leave_out_odd_materials,
     leave_out_undeclared,
 )
-from pupper_analysis.models.xml import parse, to_text
+from pupper_analysis.models.xml import parse
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +162,6 @@ def urdf_from(
     if spaces or UNTIDY_NUMBER.search(text):
         rewritten = True
         notes.append("white space in numbers was normalised: Pinocchio takes single spaces only")
-    if rewritten:
-        text = to_text(root)
+    if rewritten or next(root.iter("capsule"), None) is not None:
+        text = for_engines(root)
     return UrdfFile(path, text, root, MappingProxyType(dict(packages or {})), tuple(notes))
