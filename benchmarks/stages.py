@@ -15,6 +15,9 @@ import pinocchio as pin
 import pupper_analysis as pa
 from pupper_analysis.stance.clearance import shapes_of
 from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.steady_state import pose_at, release_margin
+from pupper_analysis.stance.sag.way import Way
 from pupper_analysis.stance.solver import Solver, measure
 from pupper_analysis.statics.contacts import contacts_of
 
@@ -48,7 +51,12 @@ def stages(variant: str, calls: int) -> dict[str, Parts]:
         calls: Of each job, which take turns.
     """
     robot = pa.load_variant(variant)
-    jobs = {"solve_stand": _stand, "Configuration": _configuration, "gravity_compensation": _forces}
+    jobs = {
+        "solve_stand": _stand,
+        "Configuration": _configuration,
+        "gravity_compensation": _forces,
+        "steady_state": _sag,
+    }
     watches = {name: Watch() for name in jobs}
     runs = {name: job(robot, watches[name]) for name, job in jobs.items()}
     for _ in range(calls):
@@ -59,7 +67,8 @@ def stages(variant: str, calls: int) -> dict[str, Parts]:
 
 
 def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
-    shapes = shapes_of(robot)
+    shapes, home = shapes_of(robot), robot.home[robot.nq - robot.nu :]
+    wrapper = shapes.wrapper
 
     def run() -> None:
         task = pa.StandTask()
@@ -67,12 +76,25 @@ def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
         goal = goal_of(robot, task, {})
         watch.stop("the task in numbers")
         solver = Solver(shapes, goal)
-        point = solver.run(robot.home[robot.nq - robot.nu :])
+        point = solver.run(home)
         watch.stop("PlaCo: aiming and steps")
-        measure(shapes, goal, point.qpos, point.iterations)
+        stand = measure(shapes, goal, point.qpos, point.iterations)
         watch.stop("errors by Pinocchio, clearance, result")
         pa.solve_stand(robot)
         watch.stop("solve_stand, all of it")
+        # What some of these are made of.
+        solver.begin(home, goal.place)
+        watch.start()
+        for _ in range(point.iterations):
+            solver.tasks.solver.solve(True)
+            wrapper.update_kinematics()
+        watch.stop("of PlaCo: as many programmes alone")
+        pa.Configuration(robot, point.qpos)
+        watch.stop("of the errors: a Configuration")
+        shapes.above_ground(point.qpos, task.ground, goal.targets, goal.depths)
+        watch.stop("of the errors: how high all parts are")
+        pa.Stand(**vars(stand))
+        watch.stop("of the errors: a Stand that is there already")
 
     return run
 
@@ -121,5 +143,27 @@ def _forces(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
         watch.stop("forces: a least-squares problem of 6 by 12")
         pa.gravity_compensation(config)
         watch.stop("gravity_compensation, all of it")
+
+    return run
+
+
+def _sag(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
+    stand = pa.solve_stand(robot)
+
+    def run() -> None:
+        system = Equilibrium(robot, stand, None, "pinned")
+        watch.stop("the equations")
+        way = Way(system)
+        watch.stop("statics, and steps to the stand on soft ground")
+        way.follow(1.0)
+        watch.stop("steps without feed-forward, stiffness")
+        pose_at(way, release_margin(way))
+        watch.stop("what is told of the end")
+        derivative = system.derivative(way.solution.qpos, system.stacked(way.solution))
+        watch.stop("of a step: the derivative")
+        np.linalg.solve(derivative, derivative[0])
+        watch.stop("of a step: the linear equations")
+        pa.steady_state(robot, stand)
+        watch.stop("steady_state, all of it")
 
     return run

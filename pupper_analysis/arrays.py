@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -59,3 +60,16 @@ def crosses(vectors: Array) -> Array:
     matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
     matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
     return matrices
+
+
+def angle_between(one: Sequence[float], other: Sequence[float]) -> float:
+    """Returns the angle (rad) between the turns of two unit quaternions (w, x, y, z)."""
+    (a, b, c, d), (w, x, y, z) = one, other
+    return 2 * math.atan2(
+        math.hypot(
+            a * x - b * w - c * z + d * y,
+            a * y + b * z - c * w - d * x,
+            a * z - b * y + c * x - d * w,
+        ),
+        abs(a * w + b * x + c * y + d * z),
+    )

@@ -10,6 +10,7 @@ import shapely
 from conftest import NAMES, load, stand_of
 
 import pupper_analysis as pa
+from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.stance.clearance import Shapes, shapes_of
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.solver import Solver
@@ -87,3 +88,41 @@ def test_margin_is_shapelys() -> None:
         expected = hull.exterior.distance(at) if inside else -hull.distance(at)
         found = com_margin(com, dict(zip(map(str, range(len(places))), places, strict=True)))
         assert found == pytest.approx(expected, rel=1e-12, abs=1e-14)
+
+
+def test_nobody_changes_what_stands_by_default_share() -> None:
+    robot = load("v3")
+    one, other = pa.solve_stand(robot), pa.solve_stand(robot)
+    for field in ("feet", "foot_offsets", "swing"):
+        assert getattr(one.task, field) is not getattr(other.task, field)
+    assert one.task.ground is not other.task.ground
+    expected = [point.copy() for point in other.contact_points.values()]
+    for point in one.contact_points.values():
+        point[:] = np.nan
+    one.depths.clear()
+    again = pa.solve_stand(robot)
+    np.testing.assert_array_equal(list(again.contact_points.values()), expected)
+    assert again.depths == other.depths
+
+
+def test_a_depth_is_found_from_anywhere() -> None:
+    robot = load("v3")
+    law = GroundLaw.of(robot, robot.feet[0])
+    for force in np.geomspace(1e-3, 1e3, 13):
+        depth = law.depth(force)
+        for near in (0.0, 0.1 * depth, 0.999 * depth, depth, 3 * depth, 1.0, -1.0):
+            assert law.depth(force, near) == pytest.approx(depth, rel=1e-14)
+
+
+def test_a_cell_of_a_sweep_is_what_it_is_alone() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    kp, kd = (20.0, 60.0), (0.5, 2.0)
+    grid = pa.sweep_gains(robot, stand, kp=kp, kd=kd, duration=2.0).height_deviation
+    alone = [
+        [
+            float(pa.sweep_gains(robot, stand, kp=[p], kd=[d], duration=2.0).height_deviation[0, 0])
+            for d in kd
+        ]
+        for p in kp
+    ]
+    np.testing.assert_array_equal(grid, alone)

@@ -22,6 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
+from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.spec_state import spec_from, state_of
 from pupper_analysis.stance.clearance import Shapes
 
@@ -307,3 +308,23 @@ def test_without_files_in_memory_it_is_the_same(monkeypatch: pytest.MonkeyPatch)
     one = Shapes(load("v3")).between_links(stand_of("v3").qpos)
     monkeypatch.delattr(os, "memfd_create", raising=False)
     assert Shapes(load("v3")).between_links(stand_of("v3").qpos) == one
+
+
+def test_silence_ends_with_the_last_who_wanted_it() -> None:
+    """Threads compile and simulate at once; MuJoCo's warnings are the process's."""
+
+    def heard(_: str) -> None:
+        raise AssertionError
+
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(heard)
+    try:
+        first, second = quiet(), quiet()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert mujoco.get_mju_user_warning() is not heard
+        second.__exit__(None, None, None)
+        assert mujoco.get_mju_user_warning() is heard
+    finally:
+        mujoco.set_mju_user_warning(before)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import gc
+import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -13,6 +14,8 @@ import pytest
 from conftest import NAMES, load, random_state
 
 import pupper_analysis as pa
+from pupper_analysis.robot.coordinates import PinocchioConvention
+from pupper_analysis.robot.structure import Structure
 
 QUANTITIES: dict[str, Callable[[pa.Configuration], object]] = {
     "feet": lambda config: list(config.foot_positions().values()),
@@ -131,6 +134,48 @@ def test_public_coordinates_are_those_of_the_convention(any_robot: pa.Robot) -> 
             frame = model.getFrameId(any_robot.foot_frames[foot], pin.FrameType.BODY)
             local = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
             numbers_agree(jacobian, (local.reshape(6, -1) @ turn)[:3])
+
+
+def test_joints_may_be_in_any_order(any_robot: pa.Robot) -> None:
+    """Also in one that Pinocchio cannot have: it wants what a joint carries behind the joint."""
+    model, (qpos, _) = any_robot.pin_model, random_state(any_robot, 3)
+    base = any_robot.nq - any_robot.nu
+    for seed in range(5):
+        order = np.random.default_rng(seed).permutation(any_robot.nu)
+        names = [any_robot.joint_names[index] for index in order]
+        convention = PinocchioConvention.of(model, names)
+        structure = Structure(model, convention, names, any_robot.foot_frames)
+        mixed = np.concatenate([qpos[:base], qpos[base:][order]])
+        held, q = structure.workspace(), structure.q(mixed)
+        data, turn = model.createData(), convention.velocity_map(mixed)
+        upper = np.triu(np.atleast_2d(pin.crba(model, data, convention.q(mixed))))
+        full = upper + np.triu(upper, 1).T
+        found = structure.inertia(pin.crba(structure.loaded(), held.data, q))
+        numbers_agree(found, turn.T @ full @ turn)
+        forces = pin.computeGeneralizedGravity(model, data, convention.q(mixed))
+        own = pin.computeGeneralizedGravity(structure.model, held.data, q)
+        numbers_agree(structure.dual(own), turn.T @ forces)
+
+
+def test_armature_that_changes_is_heeded() -> None:
+    robot = pa.load_variant("v3")
+    config = pa.Configuration(robot, robot.home)
+    before, rest = config.mass_matrix(), config.forward_dynamics(np.zeros(robot.nv))
+    robot.pin_model.armature[robot.pin_convention.v_index] += 0.25
+    np.testing.assert_allclose(
+        np.diag(config.mass_matrix() - before)[6:], np.full(robot.nu, 0.25), rtol=1e-12
+    )
+    slower = config.forward_dynamics(np.zeros(robot.nv))
+    assert np.abs(slower[6:]).max() < 0.5 * np.abs(rest[6:]).max()
+
+
+def test_nobody_changes_a_velocity_of_zero(any_robot: pa.Robot) -> None:
+    for robot in (any_robot, pickle.loads(pickle.dumps(any_robot))):
+        config = pa.Configuration(robot, random_state(robot, 0)[0])
+        with pytest.raises(ValueError, match="read-only"):
+            config.qvel[0] = 1.0
+        with pytest.raises(ValueError, match="WRITEABLE"):
+            config.qvel.flags.writeable = True
 
 
 def numbers_agree(actual: np.ndarray, expected: np.ndarray) -> None:

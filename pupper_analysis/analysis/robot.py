@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import mujoco
@@ -161,8 +162,14 @@ def analyze_variant(
     stand = solve_stand(robot, task)
     config = Configuration(robot, stand.qpos)
     rest = Configuration(robot, robot.neutral())
-    verification = verify_stand(robot, stand, duration=SECONDS)
-    check = cross_check(robot)
+    # All at once: MuJoCo's steps leave Python to others, who import and check meanwhile.
+    with ThreadPoolExecutor() as pool:
+        holding = pool.submit(verify_stand, robot, stand, duration=SECONDS)
+        checking = pool.submit(cross_check, robot)
+        sinking = pool.submit(verify_stand, robot, stand, feedforward=False, duration=SECONDS)
+        sweeping = pool.submit(sweep_gains, robot, stand, progress=progress)
+        verification, check = holding.result(), checking.result()
+        sagging, sweep = sinking.result(), sweeping.result()
     failures = list(verification.failures)
     failures += [
         f"cross-check: {quantity.name} deviate by {quantity.relative:.1e} ({quantity.whose}; "
@@ -190,8 +197,8 @@ def analyze_variant(
         hanging_torques=gravity_compensation(config, contacts=[]).joint_torques,
         foot_jacobians=leg_jacobians(config),
         verification=verification,
-        sagging=verify_stand(robot, stand, feedforward=False, duration=SECONDS),
-        sweep=sweep_gains(robot, stand, progress=progress),
+        sagging=sagging,
+        sweep=sweep,
         check=check,
         verified=not failures,
         failures=tuple(failures),

@@ -6,8 +6,9 @@ import math
 import re
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from threading import Lock
 from xml.etree import ElementTree
 
 import mujoco
@@ -113,17 +114,44 @@ def no_number(model: mujoco.MjModel) -> str | None:
     return None
 
 
+class _Silence:
+    """MuJoCo's warnings are the process's: the first who wants silence begins it, the last ends it.
+
+    In between, what was before must not be taken for what shall be afterwards: threads compile and
+    simulate at once.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._wanted, self._undo = Lock(), 0, ExitStack()
+
+    def begin(self) -> None:
+        with self._lock:
+            self._wanted += 1
+            if self._wanted == 1:
+                before = mujoco.get_mju_user_warning()
+                self._undo.callback(mujoco.set_mju_user_warning, before)
+                mujoco.set_mju_user_warning(lambda _: None)
+                self._undo.enter_context(warnings.catch_warnings())
+                warnings.simplefilter("ignore")
+
+    def end(self) -> None:
+        with self._lock:
+            self._wanted -= 1
+            if not self._wanted:
+                self._undo.close()
+
+
+_SILENCE = _Silence()
+
+
 @contextmanager
 def quiet() -> Iterator[None]:
     """Keeps MuJoCo from writing its warnings to a file MUJOCO_LOG.TXT, and from issuing them."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
+    _SILENCE.begin()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
+        yield
     finally:
-        mujoco.set_mju_user_warning(before)
+        _SILENCE.end()
 
 
 def to_xml(spec: mujoco.MjSpec) -> str:

@@ -101,8 +101,13 @@ class GroundLaw:
         low, high = max(depth - 1e-8, start), max(depth, start) + 1e-8
         return (self.force(high) - self.force(low)) / (high - low)
 
-    def depth(self, force: float) -> float:
-        """Returns the penetration (m) under a normal force (N); linear where the foot pulls."""
+    def depth(self, force: float, near: float | None = None) -> float:
+        """Returns the penetration (m) under a normal force (N); linear where the foot pulls.
+
+        Args:
+            force: The force.
+            near: A penetration that is not far from it (m), to begin with.
+        """
         start = -self.margin
         linear = force / self.rate(start)
         if force <= 0:
@@ -112,10 +117,12 @@ class GroundLaw:
             high *= 2
         # Newton's iteration, held between bounds that close in on x, how deep beyond the margin.
         low, x, last = 0.0, linear, math.inf
+        if near is not None and 0 < near - start < high:
+            x = near - start
         for _ in range(_MAX_ITERATIONS):
-            left = self.force(start + x) - force
+            found, slope = self._pressed(start + x)
+            left = found - force
             low, high = (x, high) if left < 0 else (low, x)
-            slope = self._slope(start + x)
             tried = x - left / slope if slope > 0 else math.inf
             if abs(tried - x) <= _QUADRATIC * x:
                 return start + tried
@@ -126,8 +133,8 @@ class GroundLaw:
             x, last = tried, abs(left)
         return start + x
 
-    def _slope(self, depth: float) -> float:
-        """Returns the derivative of ``force`` (N/m)."""
+    def _pressed(self, depth: float) -> tuple[float, float]:
+        """Returns ``force`` (N) and its derivative (N/m)."""
         dmin, dmax, width, midpoint, power = self.solimp
         d, x = self.impedance(depth), 1.0
         if dmin != dmax and width > mujoco.mjMINVAL:
@@ -136,8 +143,10 @@ class GroundLaw:
         if x < 1:
             share = x / midpoint if x <= midpoint else (1 - x) / (1 - midpoint)
             steeper = power * share ** (power - 1) * (dmax - dmin) / width
-        changing = steeper * (2 - d) * d / (1 - d) ** 2 * (depth + self.margin)
-        return self.stiffness * (changing + d**2 / (1 - d)) / self.normal
+        deep = depth + self.margin
+        changing = steeper * (2 - d) * d / (1 - d) ** 2 * deep
+        force = self.stiffness * d**2 * deep / ((1 - d) * self.normal)
+        return force, self.stiffness * (changing + d**2 / (1 - d)) / self.normal
 
     def viscosity(self, depth: float) -> float:
         """Returns c (N s/m), tangential force per creep velocity, at a penetration (m)."""

@@ -47,25 +47,26 @@ class Configuration:
         """
         if type(robot) is not Robot:
             check_type("robot", robot, Robot)
-        self.robot = robot
-        self.qpos = vector("qpos", qpos, robot.nq)
-        self.qvel = np.zeros(robot.nv) if qvel is None else vector("qvel", qvel, robot.nv)
         self._structure = structure = robot.structure
-        self._turn: Array | None = None
-        if robot.floating:
-            norm = math.hypot(*self.qpos[3:7].tolist())
+        self.robot = robot
+        self.qpos = own = vector("qpos", qpos, structure.nq)
+        self.qvel = structure.rest
+        if qvel is not None:
+            self.qvel = vector("qvel", qvel, structure.nv)
+            self.qvel.flags.writeable = False
+        if structure.floating:
+            norm = math.hypot(*own[3:7].tolist())
             if norm < 1e-9:
                 raise ConfigurationError("qpos", "its quaternion, qpos[3:7], is zero")
-            self.qpos[3:7] /= norm
-            self._turn = rotation_from_quaternion(self.qpos[3:7])
-        self.qpos.flags.writeable = False
-        self.qvel.flags.writeable = False
+            if norm != 1.0:
+                own[3:7] /= norm
+        own.flags.writeable = False
 
         self._model = structure.model
         # Held for as long as this configuration, or a copy of it, exists.
         self._workspace = structure.workspace()
         self._data = self._workspace.data
-        self._q = robot.pin_convention.unit_q(self.qpos)
+        self._q = structure.q(own)
         pin.computeJointJacobians(self._model, self._data, self._q)
         pin.updateFramePlacements(self._model, self._data)
 
@@ -110,17 +111,15 @@ class Configuration:
         return number
 
     def _jacobian(self, frame: int) -> Array:
-        local = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
-        # Pinocchio's is flat for one joint.
-        return self._structure.columns(local.reshape(6, -1), self._turn)
+        """Returns the Jacobian (6, nv) of a frame, which nobody else has."""
+        own = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
+        return self._structure.columns(own)
 
-    def _jacobians(self, feet: Iterable[str], rows: int = 6) -> Array:
-        """Returns the first rows of the Jacobians (n, 6, nv) of some feet's centres."""
-        numbers, size = self._structure.feet, self.robot.nv
-        model, data, frame = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
-        local = [pin.getFrameJacobian(model, data, numbers[foot], frame) for foot in feet]
-        wanted = np.array(local).reshape(-1, 6, size)[:, :rows]
-        return self._structure.columns(wanted, self._turn, with_base=True)
+    def _jacobians(self, feet: Iterable[str]) -> Array:
+        """Returns the Jacobians (n, 6, nv) of some feet's centres."""
+        numbers = self._structure.feet
+        all_of_them = np.array([self._jacobian(numbers[foot]) for foot in feet])
+        return all_of_them.reshape(-1, 6, self._structure.nv)
 
     def joint_position(self, name: str) -> Array:
         """Returns where a joint is (3,), in the world (m).
@@ -156,16 +155,15 @@ class Configuration:
     def foot_places(self, feet: Iterable[str]) -> Array:
         """Returns the centres (n, 3) of some feet's spheres, in the world (m)."""
         placements, numbers = self._data.oMf, self._structure.feet
-        places = np.array([placements[numbers[foot]].translation for foot in feet])
-        return places.reshape(-1, 3)
+        places = [placements[numbers[foot]].translation.tolist() for foot in feet]
+        return np.array(places, dtype=float).reshape(-1, 3)
 
     def foot_jacobians(self) -> dict[str, Array]:
         """Returns the Jacobian of each foot's centre, {foot: (3, nv)}, in world axes.
 
         J qvel is the foot's velocity in the world (m/s).
         """
-        feet = self._structure.feet
-        return dict(zip(feet, self._jacobians(feet, 3), strict=True))
+        return {foot: self._jacobian(at)[:3] for foot, at in self._structure.feet.items()}
 
     def foot_rotations(self, feet: Iterable[str]) -> list[Array]:
         """Returns the rotation (3, 3) of each of some feet's frames, to the world's axes."""
@@ -223,36 +221,35 @@ class Configuration:
     def center_of_mass(self) -> Array:
         """Returns the centre of mass (3,) in the world (m)."""
         moving: Array = np.array(pin.centerOfMass(self._model, self._data, self._q, False))
-        structure = self._structure  # Pinocchio leaves what does not move out of the com
+        structure = self._structure
+        if not structure.fixed:
+            return moving
+        # Pinocchio leaves what does not move out of the com.
         com: Array = moving + structure.fixed * (structure.lever - moving)
         return com
 
     def com_jacobian(self) -> Array:
         """Returns the Jacobian (3, nv) of the centre of mass: J qvel is its velocity (m/s)."""
-        local = pin.jacobianCenterOfMass(self._model, self._data, self._q)
-        moving = self._structure.columns(local.reshape(3, -1), self._turn)
-        jacobian: Array = (1 - self._structure.fixed) * moving
+        moving = pin.jacobianCenterOfMass(self._model, self._data, self._q)
+        jacobian: Array = (1 - self._structure.fixed) * self._structure.columns(moving)
         return jacobian
 
     def mass_matrix(self) -> Array:
         """Returns the joint-space inertia matrix M (nv, nv), armature included."""
-        upper = np.atleast_2d(pin.crba(self._model, self._data, self._q))
-        return self._structure.inertia(upper, self._turn)
+        return self._structure.inertia(pin.crba(self._structure.loaded(), self._data, self._q))
 
     def bias_forces(self) -> Array:
         """Returns h (nv,): Coriolis, centrifugal and gravity forces.
 
         In M qacc + h = tau + J^T f, with no passive joint forces in h.
         """
-        drift = self._structure.drift(self.qvel, self._turn)
-        forces = pin.rnea(self._model, self._data, self._q, self._v, drift)
-        # Armature belongs to the public coordinates, in which there is no drift.
-        return self._structure.dual(forces - self._model.armature * drift, self._turn)
+        forces = pin.nonLinearEffects(self._model, self._data, self._q, self._v)
+        return self._structure.dual(forces)
 
     def gravity(self) -> Array:
         """Returns g (nv,): the bias forces at rest. Its first three rows are the weight (N)."""
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
-        return self._structure.dual(forces, self._turn)
+        return self._structure.dual(forces)
 
     def passive(self) -> Array:
         """Returns what the MJCF's springs, gravity compensation and wind do at rest (nv,).
@@ -277,26 +274,22 @@ class Configuration:
                 axes, in which they do not change.
         """
         model, data, structure = self._model, self._data, self._structure
-        external = pin.StdVec_Force()
-        external.extend([pin.Force.Zero() for _ in range(model.njoints)])
-        bearing, turning = self.gravity(), np.zeros((self.robot.nv, self.robot.nv))
-        for jacobian, (foot, wrench) in zip(
-            self._jacobians(tuple(wrenches)), wrenches.items(), strict=True
-        ):
-            joint = structure.parents[foot]
-            force, moment = wrench[:3], wrench[3:]
-            centre = data.oMf[structure.feet[foot]].translation
-            about_origin = pin.Force(force, moment + pin.skew(centre) @ force)
-            external[joint] = external[joint] + data.oMi[joint].actInv(about_origin)
-            bearing -= jacobian.T @ wrench
+        external = pin.StdVec_Force(model.njoints, pin.Force.Zero())
+        turning = np.zeros((structure.nv, structure.nv))
+        if wrenches:
+            jacobians, pushes = self._jacobians(wrenches), np.array(list(wrenches.values()))
             # Pinocchio's turn with their link: they would change by omega x w.
-            both = np.concatenate([pin.skew(force), pin.skew(moment)])
-            turning += jacobian.T @ both @ jacobian[3:]
+            skews = crosses(pushes.reshape(-1, 3)).reshape(-1, 6, 3)
+            changes = (skews @ jacobians[:, 3:]).reshape(-1, structure.nv)
+            turning = jacobians.reshape(-1, structure.nv).T @ changes
+            centres = crosses(self.foot_places(wrenches))
+            pushes[:, 3:] += (centres @ pushes[:, :3, None])[:, :, 0]  # about the origin
+            for foot, wrench in zip(wrenches, pushes, strict=True):
+                joint = structure.parents[foot]
+                external[joint] += data.oMi[joint].actInv(pin.Force(wrench))
         held = structure.workspace()
         rates = pin.computeStaticTorqueDerivatives(model, held.data, self._q, external)
-        changed = structure.square(np.atleast_2d(rates), self._turn) - turning
-        if self._turn is not None:  # the base's first three are a force that Pinocchio turns
-            changed[:3, 3:6] -= pin.skew(bearing[:3]) @ self._turn
+        changed: Array = structure.square(np.atleast_2d(rates)) - turning
         if self.robot.acts_at_rest:
             springs = AtRest(self.robot.mj_model, self.robot.mj_convention)
             changed -= springs.rates(self.qpos)
@@ -311,13 +304,9 @@ class Configuration:
         Raises:
             ConfigurationError: If the vector has a wrong length or a value is not finite.
         """
-        wanted = vector("force", force, self.robot.nv)
-        drift = self._structure.drift(self.qvel, self._turn)
-        # T^-T = T: T is orthogonal. On the armature see bias_forces.
-        own = self._structure.velocity(wanted, self._turn)
-        given = own + self._model.armature * drift
-        acceleration = pin.aba(self._model, self._data, self._q, self._v, given)
-        return self._structure.dual(acceleration - drift, self._turn)
+        wanted = self._structure.velocity(vector("force", force, self.robot.nv))
+        acceleration = pin.aba(self._structure.loaded(), self._data, self._q, self._v, wanted)
+        return self._structure.dual(acceleration)
 
     def foot_accelerations(self, qacc: ArrayLike) -> dict[str, Array]:
         """Returns the acceleration of each foot, {foot: (6,)}, in world axes.
@@ -349,9 +338,7 @@ class Configuration:
 
     def _accelerated(self, qacc: ArrayLike) -> Workspace:
         """Returns a workspace with this acceleration."""
-        drift = self._structure.drift(self.qvel, self._turn)
-        wanted = vector("qacc", qacc, self.robot.nv)
-        a = self._structure.velocity(wanted, self._turn) + drift
+        a = self._structure.velocity(vector("qacc", qacc, self.robot.nv))
         held = self._structure.workspace()
         pin.forwardKinematics(self._model, held.data, self._q, self._v, a)
         pin.updateFramePlacements(self._model, held.data)
@@ -359,7 +346,7 @@ class Configuration:
 
     @property
     def _v(self) -> Array:
-        return self._structure.velocity(self.qvel, self._turn)
+        return self._structure.velocity(self.qvel)
 
     def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:
         """Returns what a gyro and an accelerometer at a frame read.
@@ -390,6 +377,6 @@ class Configuration:
 
     def base_rotation(self) -> Array:
         """Returns the rotation (3, 3) from the base's axes to the world's."""
-        if self._turn is not None:
-            return self._turn.copy()
+        if self._structure.floating:
+            return rotation_from_quaternion(self.qpos[3:7])
         return self.frame_rotation(self.robot.base)

@@ -96,6 +96,11 @@ class PinocchioConvention:
         order[self.q_index] = len(base) + np.arange(len(self.q_index))
         return order
 
+    @cached_property
+    def _back(self) -> IntArray | None:
+        """Where each element of qpos is in q; None where one is an angle of a cosine."""
+        return None if self._order is None else np.argsort(self._order)
+
     def with_joints(self, q: Array, joints: Array) -> Array:
         """Returns Pinocchio's q (model.nq,) with other joint positions (n,), and the same base."""
         other = q.copy()
@@ -107,6 +112,9 @@ class PinocchioConvention:
 
     def qpos(self, q: Array) -> Array:
         """Returns the public qpos of Pinocchio's q; a continuous joint's is in (-pi, pi]."""
+        if self._back is not None:
+            there: Array = q.take(self._back)
+            return there
         joints = q[self.q_index]
         turning = self.q_index[self.unbounded]
         joints[self.unbounded] = np.arctan2(q[turning + 1], q[turning])

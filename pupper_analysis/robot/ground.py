@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 
+_LEVEL = 0.0
+
+
 @dataclass(frozen=True)
 class Ground:
     """A plane through the world's origin, with steps on it.
@@ -27,11 +30,14 @@ class Ground:
         heights: {foot: height of the step under it, above the plane and parallel to it (m)}.
     """
 
-    slope: float = 0.0
-    uphill: float = 0.0
+    slope: float = _LEVEL
+    uphill: float = _LEVEL
     heights: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        plain = self.slope is _LEVEL and self.uphill is _LEVEL
+        if plain and type(self.heights) is dict and not self.heights:
+            return  # what the class says itself needs no check
         check_fields(self)
         object.__setattr__(self, "slope", finite("slope", self.slope))
         object.__setattr__(self, "uphill", finite("uphill", self.uphill))

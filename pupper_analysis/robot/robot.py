@@ -89,7 +89,9 @@ class Robot:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        return plain_state(self)
+        state = plain_state(self)
+        state.pop("structure", None)  # worked out again, quicker than it travels
+        return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
@@ -143,7 +145,8 @@ class Robot:
     @property
     def effort_limits(self) -> Array:
         """(nu,) effort limits of the URDF (N m)."""
-        return np.array(self.pin_model.effortLimit[self.pin_convention.v_index])
+        limits: Array = self.pin_model.effortLimit.take(self.pin_convention.v_index)
+        return limits
 
     @property
     def velocity_limits(self) -> Array:

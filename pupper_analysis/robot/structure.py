@@ -1,12 +1,12 @@
-"""What depends on a robot alone: numbers of frames and joints, orders of coordinates, workspaces.
+"""What depends on a robot alone: a model in public coordinates, numbers of frames and joints.
 
 It is worked out once per robot, so that a configuration, of which there may be thousands, looks
-up no name and allocates nothing of Pinocchio's.
+up no name, turns no axes, and allocates nothing of Pinocchio's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -19,10 +19,6 @@ IntArray = NDArray[np.int64]
 
 _MOST_SPARE = 32
 """Workspaces that are kept for later (some 10 kB each); those that are in use are not counted."""
-
-
-_TRANSLATION = np.eye(6, 3)
-"""What the base's translation in the world does to what it carries: it moves as much."""
 
 
 class Workspace:
@@ -46,12 +42,14 @@ class Structure:
     """What depends on a robot alone.
 
     Attributes:
-        model: Pinocchio's model.
-        convention: The maps between public coordinates and the model's.
+        model: The robot's model in public coordinates; see ``in_public_coordinates``.
+        nq: Size of the public qpos.
+        nv: Size of the public qvel.
         links: {link: number of its frame}.
         joints: {joint: its number}.
         feet: {foot: number of its frame}.
         parents: {foot: number of the joint that carries it}.
+        rest: (nv,) a velocity of zero, which nobody can change.
         total_mass: kg.
         fixed: Mass of what does not move, a fixed base's, in parts of the total.
         lever: (3,) its centre (m).
@@ -64,22 +62,37 @@ class Structure:
         joint_names: Sequence[str],
         foot_frames: Mapping[str, str],
     ) -> None:
-        self.model, self.convention = model, convention
+        self.model = in_public_coordinates(model, joint_names)
+        self._given, self._convention = model, convention
+        self.floating = convention.floating
+        self.nv = convention.base_nv + len(joint_names)
+        self.nq = self.nv + self.floating
         # Of links of one name Pinocchio's own search finds the first.
-        frames = [(n, f.name) for n, f in enumerate(model.frames) if f.type == pin.FrameType.BODY]
+        frames = [
+            (n, f.name) for n, f in enumerate(self.model.frames) if f.type == pin.FrameType.BODY
+        ]
         self.links: dict[str, int] = {name: number for number, name in reversed(frames)}
-        self.joints: dict[str, int] = {name: int(model.getJointId(name)) for name in joint_names}
+        self.joints: dict[str, int] = {
+            name: int(self.model.getJointId(name)) for name in joint_names
+        }
         self.feet = {foot: self.links[frame] for foot, frame in foot_frames.items()}
         self.parents = {
-            foot: int(model.frames[frame].parentJoint) for foot, frame in self.feet.items()
+            foot: int(self.model.frames[frame].parentJoint) for foot, frame in self.feet.items()
         }
         self.total_mass = float(sum(inertia.mass for inertia in model.inertias))
         self.fixed = float(model.inertias[0].mass) / self.total_mass if self.total_mass else 0.0
         self.lever = np.array(model.inertias[0].lever)
-        base = np.arange(convention.base_nv)
-        self._columns = np.concatenate([base, convention.v_index])
-        one, other = np.meshgrid(self._columns, self._columns, indexing="ij")
-        self._upper = np.minimum(one, other) * convention.nv + np.maximum(one, other)
+        # A view of what cannot be written to cannot be made writeable.
+        rest = np.zeros(self.nv)
+        rest.flags.writeable = False
+        self.rest = rest[:]
+        self._own = PinocchioConvention.of(self.model, joint_names)
+        self._armature = b""
+        columns = np.concatenate([np.arange(convention.base_nv), self._own.v_index])
+        one, other = np.meshgrid(columns, columns, indexing="ij")
+        self._upper = np.minimum(one, other) * self.nv + np.maximum(one, other)
+        in_order = bool((columns == np.arange(self.nv)).all())
+        self._columns: IntArray | None = None if in_order else columns
         self._spare: list[pin.Data] = []
 
     def workspace(self) -> Workspace:
@@ -99,56 +112,90 @@ class Structure:
         """
         self._spare = spare
 
-    def columns(self, jacobian: Array, turn: Array | None, *, with_base: bool = False) -> Array:
-        """Returns J_pin T: Pinocchio's Jacobians (..., 3 or 6, nv) in public coordinates.
+    def loaded(self) -> pin.Model:
+        """Returns the model with the armature that the robot's has now: it may be changed."""
+        given = self._given.armature
+        if given.tobytes() != self._armature:
+            armature, free = np.zeros(self.nv), self._convention.base_nv
+            armature[:free] = given[:free]
+            armature[self._own.v_index] = given[self._convention.v_index]
+            self.model.armature, self._armature = armature, given.tobytes()
+        return self.model
 
-        Args:
-            jacobian: The Jacobians, in world axes: of a point's velocity, and of rotation.
-            turn: (3, 3) the base's rotation R; None for a fixed base.
-            with_base: They are of points that move with the base, as feet do. J_pin has R itself in
-                the first columns then, and R R^T = 1.
-        """
-        public: Array = jacobian.take(self._columns, axis=-1)
-        if turn is not None:
-            moved = _TRANSLATION[: public.shape[-2]] if with_base else public[..., :3] @ turn.T
-            public[..., :3] = moved
-        return public
+    def q(self, qpos: Array) -> Array:
+        """Returns the model's q of a public qpos (nq,) whose quaternion is normalised."""
+        return self._own.unit_q(qpos)
 
-    def dual(self, forces: Array, turn: Array | None) -> Array:
-        """Returns T^T f_pin: Pinocchio's generalised forces (nv,) in public coordinates."""
-        public: Array = forces.take(self._columns)
-        if turn is not None:
-            public[:3] = turn @ public[:3]
-        return public
+    def columns(self, jacobian: Array) -> Array:
+        """Returns the model's Jacobian (n, nv) with its columns in public order."""
+        if self.nv == 1:  # Pinocchio's is flat
+            jacobian = jacobian.reshape(-1, 1)
+        return jacobian if self._columns is None else jacobian.take(self._columns, axis=1)
 
-    def inertia(self, upper: Array, turn: Array | None) -> Array:
-        """Returns T^T M_pin T of a matrix (nv, nv) whose upper triangle counts."""
-        return self._turned(upper.take(self._upper), turn)
+    def dual(self, forces: Array) -> Array:
+        """Returns the model's generalised forces, or accelerations, (nv,) in public order."""
+        public: Array = forces if self._columns is None else forces.take(self._columns)
+        return public.copy()
 
-    def square(self, matrix: Array, turn: Array | None) -> Array:
-        """Returns T^T A T of any matrix A (nv, nv)."""
-        return self._turned(matrix.take(self._columns, axis=0).take(self._columns, axis=1), turn)
+    def inertia(self, upper: Array) -> Array:
+        """Returns a symmetric matrix (nv, nv) of the model, whose upper triangle counts."""
+        symmetric: Array = upper.take(self._upper)
+        return symmetric
 
-    @staticmethod
-    def _turned(public: Array, turn: Array | None) -> Array:
-        if turn is not None:
-            public[:3] = turn @ public[:3]
-            public[:, :3] = public[:, :3] @ turn.T
-        return public
+    def square(self, matrix: Array) -> Array:
+        """Returns any matrix (nv, nv) of the model in public order."""
+        if self._columns is None:
+            return matrix.copy()
+        return matrix.take(self._columns, axis=0).take(self._columns, axis=1)
 
-    def velocity(self, qvel: Array, turn: Array | None) -> Array:
-        """Returns T qvel (nv,): Pinocchio's velocity of a public one."""
-        own = np.empty(len(qvel))
+    def velocity(self, qvel: Array) -> Array:
+        """Returns the model's velocity, or force, (nv,) of a public one."""
+        if self._columns is None:
+            return qvel
+        own = np.empty(self.nv)
         own[self._columns] = qvel
-        if turn is not None:
-            own[:3] = qvel[:3] @ turn
         return own
 
-    def drift(self, qvel: Array, turn: Array | None) -> Array:
-        """Returns dT/dt qvel (nv,): the base frame turns under a constant world velocity."""
-        rate = np.zeros(len(qvel))
-        if turn is not None:
-            x, y, z = (qvel[:3] @ turn).tolist()
-            a, b, c = qvel[3:6].tolist()
-            rate[:3] = c * y - b * z, a * z - c * x, b * x - a * y
-        return rate
+
+def in_public_coordinates(model: pin.Model, joint_names: Sequence[str]) -> pin.Model:
+    """Returns the same robot, without armature, in a model whose coordinates are the public ones.
+
+    What moves freely does so by a translation, whose velocity is in the world's axes, and a ball
+    joint, whose velocity is in its own: MuJoCo's free joint. Nothing has to be turned then that
+    Pinocchio computes. The joints are in actuator order, as far as Pinocchio, which wants each
+    with all that it carries behind it, can have them so; and q has the quaternion's w last.
+
+    Args:
+        model: The robot, its base on a free flyer.
+        joint_names: In actuator order.
+    """
+    own = pin.Model()
+    own.name, own.gravity = model.name, model.gravity
+    numbers = {0: 0}
+    wanted = [int(model.getJointId(name)) for name in joint_names]
+    for joint in _carried_behind(model, wanted):
+        kind, parent = model.joints[joint], numbers[model.parents[joint]]
+        place, name = model.jointPlacements[joint], model.names[joint]
+        if kind.nv == 6:
+            parent = own.addJoint(parent, pin.JointModelTranslation(), place, f"{name} moves")
+            kind, place = pin.JointModelSpherical(), pin.SE3.Identity()
+        numbers[joint] = own.addJoint(parent, kind, place, name)
+    for joint, number in numbers.items():
+        own.appendBodyToJoint(number, model.inertias[joint], pin.SE3.Identity())
+    for frame in list(model.frames)[1:]:
+        joint = numbers[frame.parentJoint]
+        own.addFrame(pin.Frame(frame.name, joint, 0, frame.placement, frame.type), False)
+    return own
+
+
+def _carried_behind(model: pin.Model, wanted: Sequence[int]) -> Iterator[int]:
+    """Yields the joints, what each carries behind it, and in the wanted order among those."""
+    place = {joint: index for index, joint in enumerate(wanted)}
+    carried: dict[int, list[int]] = {}
+    for joint in sorted(range(1, model.njoints), key=lambda joint: -place.get(joint, -1)):
+        carried.setdefault(int(model.parents[joint]), []).append(joint)
+    ahead = carried.get(0, [])
+    while ahead:
+        joint = ahead.pop()
+        yield joint
+        ahead += carried.get(joint, ())

@@ -74,6 +74,8 @@ class Shapes:
         self.limits: tuple[Array, Array] | None = None
         self.wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _primitives(robot))
         _leave_names_to_links(self.wrapper.model)
+        self._convention = robot.pin_convention
+        self._model, self._shapes = self.wrapper.model, self.wrapper.collision_model
         self._objects = list(self.wrapper.collision_model.geometryObjects)
         self._links = [self.wrapper.model.frames[o.parentFrame].name for o in self._objects]
         self._paired = False
@@ -81,6 +83,7 @@ class Shapes:
         self._placed = pin.GeometryData(self.wrapper.collision_model)
         self._looked_at = [*self._not_feet()]
         self._forms = [_form(shape) for _, shape, _ in self._looked_at]
+        self._plain = None not in self._forms
 
     def pair(self) -> None:
         """Makes PlaCo look at the distances between links, but not between neighbours.
@@ -133,11 +136,11 @@ class Shapes:
 
         See ``heights``.
         """
-        heights = self.heights(qpos, ground, places, depths)
-        if not np.isfinite(heights).any():
+        found = self._heights(qpos, ground, places, depths)
+        if not found:
             return None
-        lowest = int(np.argmin(heights))
-        return Clearance(float(heights[lowest]), (self._links[lowest],))
+        lowest, height = min(found, key=lambda one: one[1])
+        return Clearance(height, (self._links[lowest],))
 
     def heights(
         self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
@@ -154,39 +157,50 @@ class Shapes:
             depths: {foot: how deep it is in the ground (m)}.
         """
         heights = np.full(len(self._objects), np.inf)
-        if all(self._forms) and not any(height > 0 for height in ground.heights.values()):
-            for index, height in self._above_plane(qpos, ground.normal(), depths):
-                heights[index] = height
-            return heights
-        for index, near, depth in self._above(qpos, ground, places, depths):
-            heights[index] = near.min_distance + depth
+        for index, height in self._heights(qpos, ground, places, depths):
+            heights[index] = height
         return heights
+
+    def _heights(
+        self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
+    ) -> list[tuple[int, float]]:
+        """Returns number and height of each shape that is no foot; see ``heights``."""
+        steps = ground.heights and any(height > 0 for height in ground.heights.values())
+        if self._plain and not steps:
+            return self._above_plane(qpos, ground.normal(), depths)
+        return [
+            (index, float(near.min_distance) + depth)
+            for index, near, depth in self._above(qpos, ground, places, depths)
+        ]
 
     def _above_plane(
         self, qpos: Array, normal: Array, depths: Mapping[str, float]
-    ) -> Iterator[tuple[int, float]]:
-        """Yields number and height above a plane through the origin of what is no foot (m).
+    ) -> list[tuple[int, float]]:
+        """Returns number and height above a plane through the origin of what is no foot (m).
 
         A shape reaches below its centre by its support function, which of a sum of convex sets is
         the sum of theirs.
         """
         self._place(qpos)
         at, (a, b, c) = self._placed.oMg, normal.tolist()
+        found = []
         for (index, _, sunk), form in zip(self._looked_at, self._forms, strict=True):
             assert form is not None
             place, (half_x, half_y, half_z, disc, ball) = at[index], form
-            x, y, z = place.translation.tolist()
-            along_x, along_y, along_z = (normal @ place.rotation).tolist()
+            (xx, xy, xz, x), (yx, yy, yz, y), (zx, zy, zz, z), _ = place.homogeneous.tolist()
+            along_x = a * xx + b * yx + c * zx
+            along_y = a * xy + b * yy + c * zy
+            along_z = a * xz + b * yz + c * zz
             box = half_x * abs(along_x) + half_y * abs(along_y) + half_z * abs(along_z)
             reach = box + disc * math.hypot(along_x, along_y) + ball
             depth = 0.0 if sunk is None else depths.get(sunk, 0.0)
-            yield index, a * x + b * y + c * z - reach + depth
+            found.append((index, a * x + b * y + c * z - reach + depth))
+        return found
 
     def _place(self, qpos: Array) -> None:
-        """Moves the shapes to a configuration."""
-        q, model = self.robot.pin_convention.q(qpos), self.wrapper.model
-        shapes = self.wrapper.collision_model
-        pin.updateGeometryPlacements(model, self._data, shapes, self._placed, q)
+        """Moves the shapes to a configuration, whose quaternion is normalised."""
+        q = self._convention.unit_q(qpos)
+        pin.updateGeometryPlacements(self._model, self._data, self._shapes, self._placed, q)
 
     def moved_by(self, joints: IntArray) -> BoolArray:
         """Tells of each shape (n,), feet included, whether one of some joints moves it.

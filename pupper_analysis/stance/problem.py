@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import copy
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """A task in numbers, for one robot.
+    """A task in numbers, for one robot. Goals may share arrays, which nobody changes.
 
     Attributes:
         task: The task, with its height and com filled in.
@@ -30,7 +30,9 @@ class Goal:
         depths: {foot that carries: m} how deep these are in the ground.
         stance_feet: The feet that carry.
         contacts: (n, 3) contact points of these.
+        centre: (3,) the mean of these.
         height: z of the base frame.
+        turn: Its orientation, a unit quaternion (w, x, y, z).
         place: (2,) of the com, or of the base frame.
         by_base: Whether ``place`` is the base frame's.
         lower: (nu,) joint limits, less the margin.
@@ -42,7 +44,9 @@ class Goal:
     depths: dict[str, float]
     stance_feet: tuple[str, ...]
     contacts: Array
+    centre: Array
     height: float
+    turn: tuple[float, float, float, float]
     place: Array
     by_base: bool
     lower: Array
@@ -59,7 +63,8 @@ def goal_of(
         task: How to stand.
         depths: {foot that carries: how deep it sinks into the ground (m)}; 0 where not given.
         like: Another goal of the robot, as it is, with these depths: if its feet are to be in the
-            same places, they are not worked out again; nor are equal limits.
+            same places, they are not worked out again; nor are equal limits. By default the nominal
+            stand, if there are no depths.
 
     Raises:
         ConfigurationError: If the robot's base is fixed, or it has no feet; or if the margins leave
@@ -68,9 +73,29 @@ def goal_of(
     """
     if task.ik_seed is not None and len(task.ik_seed) != robot.nu:
         raise ConfigurationError("ik_seed", f"it must have {robot.nu} values")
+    if like is None and not depths:
+        model = robot.pin_model
+        limits = model.lowerPositionLimit.tobytes(), model.upperPositionLimit.tobytes()
+        like = _nominal(robot, limits)
+    return _goal_of(robot, task, depths, like)
+
+
+@functools.lru_cache(maxsize=8)
+def _nominal(robot: Robot, _limits: tuple[bytes, bytes]) -> Goal | None:
+    """Returns the goal of the nominal stand, if it has one; it depends on the robot alone.
+
+    Who wants other limits of its joints may change those of its model.
+    """
+    try:
+        return _goal_of(robot, StandTask(), {}, None)
+    except ConfigurationError:
+        return None
+
+
+def _goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float], like: Goal | None) -> Goal:
     if like is not None and _same_feet(like.task, task):
-        stance_feet, contacts = like.stance_feet, like.contacts
-        targets = {foot: place.copy() for foot, place in like.targets.items()}
+        stance_feet, contacts, targets = like.stance_feet, like.contacts, like.targets
+        centre = like.centre
     else:
         stance_feet = _stance_feet(robot, task, depths)
         normal = task.ground.normal()
@@ -81,45 +106,40 @@ def goal_of(
         targets = sunk_into(
             robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
         )
+        centre = contacts.mean(axis=0)
     task = _filled(robot, task)
     assert task.height is not None
     assert task.com is not None
-    centre = contacts.mean(axis=0)
     if like is not None and like.task.joint_margin == task.joint_margin:
         lower, upper = like.lower, like.upper
     else:
         lower = robot.lower_limits + task.joint_margin
         upper = robot.upper_limits - task.joint_margin
-    if (lower > upper).any():
-        name = robot.joint_names[int(np.argmax(lower - upper))]
-        raise ConfigurationError(
-            "joint_margin", f"{task.joint_margin} rad leaves nothing of the range of {name}"
-        )
+        if (lower > upper).any():
+            name = robot.joint_names[int(np.argmax(lower - upper))]
+            raise ConfigurationError(
+                "joint_margin", f"{task.joint_margin} rad leaves nothing of the range of {name}"
+            )
     place, by_base = centre[:2], False
     if task.offset is not None:
-        place, by_base = centre[:2] + task.offset, True
+        place, by_base = place + task.offset, True
     elif not isinstance(task.com, str):
         place = np.array(task.com)
-    points = dict(zip(stance_feet, contacts, strict=True))
-    # The centre, of which no margin is asked, always is.
-    centred = isinstance(task.com, str) and task.com_margin == 0.0
-    inside = 0.0 if by_base or centred else com_margin(np.append(place, 0.0), points)
-    if inside < min(task.com_margin, 0.0):
-        x, y = place
-        problem = f"({x:.4g}, {y:.4g}) m is {-1e3 * inside:.1f} mm outside the support polygon"
-        raise ConfigurationError("com", f"{problem}; or say com='inside'")
-    if not by_base and inside < task.com_margin:
-        raise ConfigurationError(
-            "com_margin",
-            f"{task.com_margin} m is more than the {inside:.4g} m that the support polygon leaves",
-        )
+    elif like is not None and centre is like.centre and _centred(like.task):
+        place = like.place
+    # The centre, of which no margin is asked, always is inside.
+    if not by_base and not (isinstance(task.com, str) and task.com_margin == 0.0):
+        _check_inside(task, place, dict(zip(stance_feet, contacts, strict=True)))
+    turn = like.turn if like is not None and _turned_alike(like.task, task) else task.turn()
     return Goal(
         task=task,
         targets=targets,
         depths={foot: float(depths.get(foot, 0.0)) for foot in stance_feet},
         stance_feet=stance_feet,
         contacts=contacts,
+        centre=centre,
         height=float(centre[2]) + task.height,
+        turn=turn,
         place=place,
         by_base=by_base,
         lower=lower,
@@ -127,17 +147,41 @@ def goal_of(
     )
 
 
+def _check_inside(task: StandTask, place: Array, points: Mapping[str, Array]) -> None:
+    """Checks that the com shall be inside the support polygon, with the task's margin."""
+    inside = com_margin(np.append(place, 0.0), points)
+    if inside < min(task.com_margin, 0.0):
+        x, y = place
+        problem = f"({x:.4g}, {y:.4g}) m is {-1e3 * inside:.1f} mm outside the support polygon"
+        raise ConfigurationError("com", f"{problem}; or say com='inside'")
+    if inside < task.com_margin:
+        raise ConfigurationError(
+            "com_margin",
+            f"{task.com_margin} m is more than the {inside:.4g} m that the support polygon leaves",
+        )
+
+
 def _filled(robot: Robot, task: StandTask) -> StandTask:
     """Returns a task with the robot's own height and com, where it leaves them open."""
     if task.com is not None and task.height is not None:
         return task
-    task = copy.copy(task)  # its values have been checked
-    if task.com is None:
-        anywhere = task.offset is None and not moves_com(robot)
-        object.__setattr__(task, "com", "inside" if anywhere else "centre")
-    if task.height is None:
-        object.__setattr__(task, "height", robot.stand_height)
-    return task
+    com, height = task.com, task.height
+    if com is None:
+        com = "inside" if task.offset is None and not moves_com(robot) else "centre"
+    filled = object.__new__(StandTask)  # its values have been checked
+    vars(filled).update(
+        vars(task), com=com, height=robot.stand_height if height is None else height
+    )
+    return filled
+
+
+def _centred(task: StandTask) -> bool:
+    """Whether the com shall be over the centre, or inside, where a search begins at the centre."""
+    return task.offset is None and isinstance(task.com, str)
+
+
+def _turned_alike(one: StandTask, other: StandTask) -> bool:
+    return one.roll == other.roll and one.pitch == other.pitch and one.yaw == other.yaw
 
 
 def _same_feet(one: StandTask, other: StandTask) -> bool:

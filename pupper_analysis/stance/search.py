@@ -119,8 +119,7 @@ def begin_inside(shapes: Shapes, goal: Goal, joints: Array, com: Array) -> Stand
 
 def begin_at(shapes: Shapes, goal: Goal, joints: Array) -> Stand | None:
     """Looks for a stand from joint positions (nu,) alone, the com or the base in its place."""
-    there = _At(shapes, goal)
-    return there.result() if there.add(Solver(shapes, goal).run(joints)) else None
+    return _At(shapes, goal).add(Solver(shapes, goal).run(joints))
 
 
 class _At:
@@ -139,16 +138,16 @@ class _At:
         """Tries all starts, until one leads to a stand."""
         robot, goal = self.shapes.robot, self.goal
         solver = Solver(self.shapes, goal)
-        if self._any(solver, chain(hints, starts(robot, goal))):
-            return self.result()
+        if found := self._any(solver, chain(hints, starts(robot, goal))):
+            return found
         bent: list[Array] = []
         for _ in range(_ROUNDS):
             nearest = self._nearest()
             self.found = branches(robot, nearest.qpos, goal.targets, goal.lower, goal.upper)
             reach = 0.0 if goal.by_base else _shift(robot, nearest.qpos, self.found)
             bent += (new := tuple(choices(robot, goal, self.found, reach, _ATTEMPTS)))
-            if self._any(solver, new):
-                return self.result()
+            if found := self._any(solver, new):
+                return found
             # Much nearer, the base may be where legs have branches that they had not before.
             if self.reached or self._nearest().miss > nearest.miss / 2:
                 break
@@ -160,17 +159,23 @@ class _At:
     def _nearest(self) -> Point:
         return min(self.points, key=lambda point: point.miss)
 
-    def _any(self, solver: Solver, joints: Iterable[Array]) -> bool:
-        return any(self.add(solver.run(start)) for start in joints)
+    def _any(self, solver: Solver, joints: Iterable[Array]) -> Stand | None:
+        """Returns the first stand that is solved; None if no start leads to one."""
+        for start in joints:
+            stand = self.add(solver.run(start))
+            if stand is not None:
+                return stand
+        return None
 
-    def add(self, point: Point) -> bool:
-        """Adds where a solver ended; returns whether it is a solved stand."""
+    def add(self, point: Point) -> Stand | None:
+        """Adds where a solver ended; returns the stand if it is solved."""
         self.points.append(point)
         goal = as_the_legs_can(self.shapes.robot, self.goal, point)
         if point.miss >= 2 * TASK_TOLERANCE and goal is self.goal:
-            return False
-        self.reached.append(self._measure(point, goal))
-        return self.reached[-1].solved
+            return None
+        stand = self._measure(point, goal)
+        self.reached.append(stand)
+        return stand if stand.solved else None
 
     def result(self) -> Stand:
         """Returns the solved stand; or that with the least in the way; or what misses least."""

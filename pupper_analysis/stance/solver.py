@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 import placo
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import angle_between
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -239,24 +239,26 @@ class Tasks:
     def aim(self, goal: Goal) -> None:
         """Takes the goal's numbers, and its joint limits, which are the wrapper's."""
         limits, given = (goal.lower, goal.upper), self._shapes.limits
-        if given is None or any(a is not b for a, b in zip(limits, given, strict=True)):
+        if given is None or limits[0] is not given[0] or limits[1] is not given[1]:
             joints, self._shapes.limits = self._shapes.robot.joint_names, limits
             for name, low, high in zip(joints, *limits, strict=True):
                 if math.isfinite(low) and math.isfinite(high):
                     self._shapes.wrapper.set_joint_limits(name, low, high)
         if goal is self._goal:
             return
-        self._goal = goal
-        for point, task in self.feet:
-            task.target_world = goal.targets[point]
-        self._orientation.R_world_frame = goal.task.rotation()
-        self._height.target_world = goal.height * UP
-        if self._place is not None:
-            self._place.target_world = np.array([*goal.place, 0.0])
+        before, self._goal = self._goal, goal
+        if goal.targets is not before.targets:
+            for point, task in self.feet:
+                task.target_world = goal.targets[point]
+        if goal.turn is not before.turn:
+            self._orientation.R_world_frame = goal.task.rotation()
+        self._height.target_world = np.array([0.0, 0.0, goal.height])
+        if self._place is not None and goal.place is not before.place:
+            self._place.target_world = np.array([*goal.place.tolist(), 0.0])
 
     def error(self) -> float:
         """Returns the sum of squares of what feet and com, or base, are off (m^2)."""
-        error: float = sum(foot.error_norm() ** 2 for _, foot in self.feet)
+        error: float = sum([foot.error_norm() ** 2 for _, foot in self.feet])
         if self._place is not None:
             error += self._place.error_norm() ** 2
         return error
@@ -275,6 +277,9 @@ class Solver:
         inside: The com may be anywhere in the support polygon with the task's margin, instead of
             at ``goal.place``.
         apart: Heed the task's least distance between links.
+
+    Attributes:
+        tasks: PlaCo's tasks, which other goals may have as well.
     """
 
     def __init__(
@@ -286,12 +291,12 @@ class Solver:
         if apart:
             shapes.pair()  # before the state is set: it moves the robot
         if inside or apart or len(shapes.robot.soles) < len(shapes.robot.feet):
-            self._tasks = Tasks(shapes, goal, inside=inside, apart=apart)
+            self.tasks = Tasks(shapes, goal, inside=inside, apart=apart)
         else:  # tasks that differ in numbers alone
             kept = shapes.tasks
             if goal.by_base not in kept:
                 kept[goal.by_base] = Tasks(shapes, goal, inside=False, apart=False)
-            self._tasks = kept[goal.by_base]
+            self.tasks = kept[goal.by_base]
 
     def run(self, joints: Array, place: Array | None = None) -> Point:
         """Solves from joint positions (nu,); the base begins where it puts the com in its place.
@@ -301,12 +306,12 @@ class Solver:
             place: (2,) where the com, or the base, begins (m); by default where it shall be.
         """
         wrapper, convention = self.shapes.wrapper, self.shapes.robot.pin_convention
-        tasks = self._tasks
+        tasks = self.tasks
         tasks.aim(self.goal)
-        self._begin(joints, self.goal.place if place is None else place)
+        q = self.begin(joints, self.goal.place if place is None else place)
         # A trust region: where a step makes things worse it is undone, and the next one is shorter.
         radius, iterations, slow = _TRUST_RADIUS, 0, 0
-        q, error, last = np.array(wrapper.state.q), math.inf, 0.0
+        error, last = math.inf, 0.0
         while iterations < _MAX_ITERATIONS and radius > _STEP_TOLERANCE and slow < _SLOW:
             iterations += 1
             left = _MAX_ITERATIONS - iterations
@@ -332,60 +337,62 @@ class Solver:
             settled = self.inside and max(error, new_error) < _SETTLED**2
             hopeless = new_error > TASK_TOLERANCE**2 and nearer * left < math.sqrt(new_error) / 2
             slow = slow + 1 if hopeless else 0
-            error, q = new_error, np.array(wrapper.state.q)
-            moved = float(np.abs(step).max())
+            error, q = new_error, wrapper.state.q.copy()
+            moved = max(map(abs, step.tolist()))
             following = moved * min(1.0, moved / last) if last else moved
             if settled or following < _STEP_TOLERANCE:
                 break
             last = moved
-        miss = max(foot.error_norm() for _, foot in tasks.feet)
-        return Point(convention.qpos(np.array(wrapper.state.q)), float(miss), iterations)
+        miss = max([foot.error_norm() for _, foot in tasks.feet])
+        return Point(convention.qpos(wrapper.state.q), miss, iterations)
 
-    def _begin(self, joints: Array, place: Array) -> None:
-        """Puts PlaCo's robot upright, its com or base over a place (2,) (m)."""
-        robot, wrapper, goal = self.shapes.robot, self.shapes.wrapper, self.goal
-        qpos = robot.neutral()
-        qpos[:3] = (*place, goal.height)
-        x, y, z, w = pin.Quaternion(goal.task.rotation()).coeffs()
-        qpos[3:7] = w, x, y, z
-        qpos[7:] = np.minimum(np.maximum(joints, goal.lower), goal.upper)
-        q = robot.pin_convention.q(qpos)
+    def begin(self, joints: Array, place: Array) -> Array:
+        """Puts PlaCo's robot upright, its com or base over a place (2,) (m); returns its q."""
+        convention, goal = self.shapes.robot.pin_convention, self.goal
+        wrapper = self.shapes.wrapper
+        w, i, j, k = goal.turn
+        base = (*place.tolist(), goal.height, w, i, j, k)
+        bent = np.minimum(np.maximum(joints, goal.lower), goal.upper)
+        q = convention.unit_q(np.concatenate([base, bent]))
         wrapper.state.q = q
         wrapper.update_kinematics()
         if not goal.by_base:
             q[:2] += place - wrapper.com_world()[:2]
             wrapper.state.q = q
             wrapper.update_kinematics()
+        return q
 
 
 def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
     """Returns the stand at a configuration, with its errors and clearances."""
-    config = Configuration(shapes.robot, qpos)
+    robot, task = shapes.robot, goal.task
+    config = Configuration(robot, qpos)
     com = config.center_of_mass()
-    turn = goal.task.rotation().T @ config.base_rotation()
-    at = config.qpos[:2] if goal.by_base else com[:2]
-    missed = config.foot_places(goal.targets) - np.array(list(goal.targets.values()))
-    normal = goal.task.ground.normal()
-    contacts = dict(zip(goal.stance_feet, goal.contacts, strict=True))
+    at = config.qpos if goal.by_base else com
+    # Who changes a stand changes that alone: goals share their arrays.
+    targets = {foot: target.copy() for foot, target in goal.targets.items()}
+    contacts = dict(zip(goal.stance_feet, goal.contacts.copy(), strict=True))
+    missed = [
+        math.dist(position.tolist(), targets[foot].tolist())
+        for foot, position in config.foot_positions().items()
+    ]
+    above = shapes.above_ground(config.qpos, task.ground, targets, goal.depths)
+    apart = None if task.self_clearance is None else shapes.between_links(config.qpos)
     return Stand(
-        task=goal.task,
+        task=task,
         qpos=config.qpos.copy(),
-        foot_targets=goal.targets,
+        foot_targets=targets,
         depths=goal.depths,
         stance_feet=goal.stance_feet,
-        normals=dict.fromkeys(goal.stance_feet, normal),
+        normals=dict.fromkeys(goal.stance_feet, task.ground.normal()),
         contact_points=contacts,
-        foot_error=max(math.hypot(*miss) for miss in missed.tolist()),
-        orientation_error=math.hypot(*pin.log3(turn)),
+        foot_error=max(missed),
+        orientation_error=angle_between(goal.turn, config.qpos[3:7].tolist()),
         height_error=abs(float(config.qpos[2]) - goal.height),
-        com_error=math.hypot(*(at - goal.place)),
+        com_error=math.dist(at[:2].tolist(), goal.place.tolist()),
         com_margin=com_margin(com, contacts),
-        ground_clearance=shapes.above_ground(
-            config.qpos, goal.task.ground, goal.targets, goal.depths
-        ),
-        self_clearance=(
-            None if goal.task.self_clearance is None else shapes.between_links(config.qpos)
-        ),
+        ground_clearance=above,
+        self_clearance=apart,
         iterations=iterations,
-        robot=shapes.robot.fingerprint,
+        robot=robot.fingerprint,
     )

@@ -125,6 +125,10 @@ class _Sequence:
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
+        # Given are the base's turn, height and place, and of each foot what its points fix: a line
+        # may still turn about itself.
+        fixed = sum(_FIXED.get(len(points), 6) for points in robot.soles.values())
+        self._fixed = 6 + fixed >= robot.nv
         self._before: list[Array] = []  # joints of the last two stands
 
     def solve(self, goal: Goal, *, explain: bool) -> Stand:
@@ -142,25 +146,24 @@ class _Sequence:
 
     def _continued(self, shapes: Shapes, goal: Goal) -> Stand | None:
         """Returns the stand that those before lead to; None if they lead to none nearby."""
-        if not self._before or not _determined(self.robot, goal):
+        if not self._before or not self._fixed or _is_open(goal):
             return None
         last = self._before[-1]
         ahead = 2 * last - self._before[0]  # as far again as from the one before to the last
-        for start in (ahead, last) if np.abs(ahead - last).max() < _NEAR else (last,):
+        for start in (ahead, last) if _largest(ahead - last) < _NEAR else (last,):
             stand = begin_at(shapes, goal, start)
-            if stand is not None and np.abs(stand.joint_positions(self.robot) - last).max() < _NEAR:
+            if stand is not None and _largest(stand.joint_positions(self.robot) - last) < _NEAR:
                 return stand
         return None
 
 
-def _determined(robot: Robot, goal: Goal) -> bool:
-    """Whether a task leaves nothing open but how legs are bent, so that any start will do."""
+def _is_open(goal: Goal) -> bool:
+    """Whether a task leaves more open than how legs are bent, or says itself where to begin."""
     task = goal.task
     if task.ik_seed is not None or task.self_clearance is not None:
-        return False
-    if task.com == "inside" and not goal.by_base:
-        return False
-    # Given are the base's turn, height and place, and of each foot what its points fix: a line may
-    # still turn about itself.
-    fixed = sum(_FIXED.get(len(points), 6) for points in robot.soles.values())
-    return 6 + fixed >= robot.nv
+        return True
+    return task.com == "inside" and not goal.by_base
+
+
+def _largest(turns: Array) -> float:
+    return float(max(map(abs, turns.tolist())))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 
 import numpy as np
 import pinocchio as pin
@@ -72,6 +73,8 @@ class StandTask:
         def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
+        if self._as_by_default():
+            return
         check_fields(self)
         if self.self_clearance is not None:
             put("self_clearance", length("self_clearance", self.self_clearance))
@@ -117,10 +120,32 @@ class StandTask:
         if self.ik_seed is not None:
             put("ik_seed", tuple(finite("ik_seed", value) for value in self.ik_seed))
 
+    def _as_by_default(self) -> bool:
+        """Whether nothing is asked: what the class says itself needs no check."""
+        if type(self.ground) is not Ground:
+            return False
+        if any(type(each) is not dict or each for each in (self.feet, self.foot_offsets)):
+            return False
+        if type(self.swing) is not dict or self.swing:
+            return False
+        return all(map(operator.is_, map(vars(self).__getitem__, _PLAIN), _PLAIN.values()))
+
     def rotation(self) -> Array:
         """Returns the base's rotation (3, 3) in the world."""
         rotation: Array = pin.rpy.rpyToMatrix(self.roll, self.pitch, self.yaw)
         return rotation
+
+    def turn(self) -> tuple[float, float, float, float]:
+        """Returns the base's rotation in the world as a unit quaternion (w, x, y, z)."""
+        a, b, c = self.roll / 2, self.pitch / 2, self.yaw / 2
+        cx, sx, cy, sy = math.cos(a), math.sin(a), math.cos(b), math.sin(b)
+        cz, sz = math.cos(c), math.sin(c)
+        return (
+            cx * cy * cz + sx * sy * sz,
+            sx * cy * cz - cx * sy * sz,
+            cx * sy * cz + sx * cy * sz,
+            cx * cy * sz - sx * sy * cz,
+        )
 
     def __str__(self) -> str:
         """Names the values, with units."""
@@ -151,6 +176,10 @@ class StandTask:
         if self.self_clearance is not None:
             parts.append(f"links {1e3 * self.self_clearance:.0f} mm apart")
         return ", ".join(parts)
+
+
+_PLAIN = {one.name: one.default for one in fields(StandTask) if one.default is not MISSING}
+"""Fields that have one default for all tasks, and which."""
 
 
 def _millimetres(point: Point) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -60,9 +61,10 @@ class Balance:
         forces = metric.shortest(self.base, self.weight)
         if forces is not None:
             left = self.weight - self.base @ forces
-            if np.abs(left).max() > _ROUNDING * np.abs(self.weight).max():
+            if _largest(left) > _ROUNDING * _largest(self.weight):
                 again = metric.shortest(self.base, left)
-                forces = forces if again is None else forces + again
+                if again is not None:
+                    forces += again
             held = friction is None or self._violation(forces, friction) <= 0
             if held and self._balances(forces):
                 return forces
@@ -120,14 +122,19 @@ class Balance:
         return _along(self.normals, forces)
 
     def _balances(self, forces: Array) -> bool:
-        error = np.abs(self.base @ forces - self.weight).max()
-        return bool(error < BALANCE_TOLERANCE * np.abs(self.weight).max())
+        error = _largest(self.base @ forces - self.weight)
+        return error < BALANCE_TOLERANCE * _largest(self.weight)
 
     def _violation(self, forces: Array, friction: Array) -> float:
-        per_foot, normal = forces.reshape(-1, 3), self.normal_forces(forces)
-        aside = per_foot - normal[:, None] * self.normals
-        sliding = np.sqrt((aside * aside).sum(axis=1))
-        return float((sliding - friction * normal).max())
+        """Returns the largest tangential force beyond its cone (N); negative inside all."""
+        excess = []
+        for (x, y, z), (a, b, c), coefficient in zip(
+            forces.reshape(-1, 3).tolist(), self.normals.tolist(), friction.tolist(), strict=True
+        ):
+            pressing = x * a + y * b + z * c
+            sliding = math.hypot(x - pressing * a, y - pressing * b, z - pressing * c)
+            excess.append(sliding - coefficient * pressing)
+        return _nan_or_max(excess)
 
     def _cones(self, friction: Array) -> Array:
         """Returns rows (4 n, 3 n) that take f to (mu f_n, f_t) per foot, to be in the cone."""
@@ -263,17 +270,25 @@ class _Metric:
 
     def __init__(self, normals: Array, grip: Array) -> None:
         self._normals, self._weights = normals, (_TANGENTIAL / np.sqrt(grip))[:, None]
-        self._level = bool((normals == _UP).all())
+        self._diagonal: Array | None = None  # where the ground is level, the matrix has no more
+        if (normals == _UP).all():
+            scale = np.ones((len(normals), 3))
+            scale[:, :2] = self._weights
+            self._diagonal = scale.ravel()
 
     def __matmul__(self, forces: Array) -> Array:
+        if self._diagonal is not None:
+            return (self._diagonal * forces.T).T
         return self._times(self._weights, forces)
+
+    def _undone(self, forces: Array) -> Array:
+        """Returns the product with the inverse."""
+        if self._diagonal is not None:
+            return (forces.T / self._diagonal).T
+        return self._times(1 / self._weights, forces)
 
     def _times(self, weights: Array, forces: Array) -> Array:
         columns = forces.reshape(len(self._normals), 3, -1)
-        if self._level:  # the matrix is diagonal
-            scaled = columns.copy()
-            scaled[:, :2] *= weights[:, :, None]
-            return scaled.reshape(forces.shape)
         normals = self._normals[:, :, None]
         along = normals * (normals * columns).sum(axis=1, keepdims=True)
         product: Array = along + weights[:, :, None] * (columns - along)
@@ -281,7 +296,7 @@ class _Metric:
 
     def inverse(self) -> Array:
         """Returns this matrix's inverse (3 n, 3 n)."""
-        return self._times(1 / self._weights, np.eye(3 * len(self._normals)))
+        return self._undone(np.eye(3 * len(self._normals)))
 
     def shortest(self, rows: Array, right: Array) -> Array | None:
         """Returns the f (3 n,) of rows f = right with the shortest product with this matrix W.
@@ -294,10 +309,19 @@ class _Metric:
             return None
         wanted = np.zeros(size)
         wanted[:count] = right
-        triangle, found, _ = lapack.dgels(self._times(1 / self._weights, rows.T).T, wanted)
+        triangle, found, _ = lapack.dgels(self._undone(rows.T).T, wanted)
         if lapack.dtrcon(triangle[:, :count], uplo="L")[0] < _INDEPENDENT:
             return None
-        return self._times(1 / self._weights, found.ravel())
+        return self._undone(found.ravel())
+
+
+def _largest(values: Array) -> float:
+    """Returns the largest absolute value of a few: quicker than by NumPy."""
+    return _nan_or_max([abs(value) for value in values.tolist()])
+
+
+def _nan_or_max(values: list[float]) -> float:
+    return math.nan if math.isnan(sum(values)) else max(values)
 
 
 def _along(normals: Array, forces: Array) -> Array:

@@ -10,6 +10,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arrays import crosses
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.contact import contact_offset
@@ -40,7 +41,7 @@ class Contacts:
     friction: Array
     offsets: Array
 
-    @property
+    @functools.cached_property
     def level(self) -> bool:
         """Whether the ground is level under all feet."""
         return bool(np.abs(self.normals - UP).max(initial=0.0) < BALANCE_TOLERANCE)
@@ -51,8 +52,17 @@ class Contacts:
 
     def jacobian(self, config: Configuration) -> Array:
         """Returns J^T (nv, 3 n): what generalised force their forces make."""
-        jacobians = config.point_jacobians(self.feet, self.offsets)
-        return jacobians.reshape(-1, self.robot.nv).T
+        return (self._moved @ config.foot_twists(self.feet).reshape(-1, self.robot.nv)).T
+
+    @functools.cached_property
+    def _moved(self) -> Array:
+        """The matrix (3 n, 6 n) from the twists of feet to the velocities of their contacts."""
+        count = len(self.feet)
+        moved = np.zeros((count, 3, count, 6))
+        each = np.arange(count)
+        moved[each, :, each, :3] = np.eye(3)
+        moved[each, :, each, 3:] = -crosses(self.offsets)
+        return moved.reshape(3 * count, 6 * count)
 
     def balance(self, transposed: Array, load: Array) -> Balance:
         """Returns the equations of balance.

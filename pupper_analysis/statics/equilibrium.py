@@ -322,16 +322,9 @@ def _result(
         contact_points=points,
         friction_utilisation=sliding,
         foot_loads={
-            foot: foot_load(
-                [point for point in robot.soles[foot] if point in forces],
-                forces,
-                points,
-                normals,
-                friction,
-                sliding,
-                tiny,
-            )
-            for foot in robot.feet_with(forces)
+            foot: foot_load(own, forces, points, normals, friction, sliding, tiny)
+            for foot, soles in robot.soles.items()
+            if (own := [point for point in soles if point in forces])
         },
         base_wrench=base_wrench,
         center_of_mass=config.center_of_mass(),

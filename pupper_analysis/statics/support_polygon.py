@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import shapely
@@ -38,10 +38,10 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
         The distance; positive inside, negative outside; minus infinity if the point is not a
         number, as the zero-moment point of feet that would have to pull.
     """
-    if not np.isfinite(com[:2]).all():
+    x, y, *_ = com.tolist()
+    if not math.isfinite(x) or not math.isfinite(y):
         return -math.inf
-    corners = tuple([(x, y) for x, y, *_ in [point.tolist() for point in points.values()]])
-    inside = _depth_inside(com.tolist(), corners)
+    inside = _depth_inside((x, y), tuple([_corner(point) for point in points.values()]))
     if inside is not None:
         return inside
     polygon = shapely.MultiPoint([point[:2] for point in points.values()]).convex_hull
@@ -51,7 +51,12 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
     return -float(polygon.distance(projection))
 
 
-def _depth_inside(place: Sequence[float], points: tuple[Corner, ...]) -> float | None:
+def _corner(point: Array) -> Corner:
+    x, y, *_ = point.tolist()
+    return x, y
+
+
+def _depth_inside(place: Corner, points: tuple[Corner, ...]) -> float | None:
     """Returns the distance (m) of a place from the edge of points' convex hull, if it is inside.
 
     Both are seen from above. The usual case without shapely's objects: None says nothing.
@@ -59,10 +64,13 @@ def _depth_inside(place: Sequence[float], points: tuple[Corner, ...]) -> float |
     ring = _ring(points)
     if len(ring) < 3:
         return None
-    x, y, *_ = place
-    least = math.inf
-    for x0, y0, along_x, along_y, length in ring:
-        least = min(least, (along_x * (y - y0) - along_y * (x - x0)) / length)
+    x, y = place
+    least = min(
+        [
+            (along_x * (y - y0) - along_y * (x - x0)) / length
+            for x0, y0, along_x, along_y, length in ring
+        ]
+    )
     return least if least > 0 else None
 
 

@@ -119,9 +119,9 @@ def _gravity_regressor(config: Configuration) -> Array:
     model, q = robot.pin_model, robot.pin_convention.unit_q(config.qpos)
     still = np.zeros(model.nv)
     data = model.createData()
-    columns = np.array(pin.computeJointTorqueRegressor(model, data, q, still, still)).T
-    turn = config.base_rotation()
-    return np.array([robot.structure.dual(column, turn) for column in columns]).T
+    own: Array = pin.computeJointTorqueRegressor(model, data, q, still, still)
+    regressor: Array = robot.pin_convention.velocity_map(config.qpos).T @ own
+    return regressor
 
 
 def _inertial(

@@ -86,23 +86,25 @@ class Equilibrium:
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
         self.yielding: dict[str, float] = {}  # m/N: creep in this step per force
         self.friction, self.lift = DryFriction.of(robot), lift
-        self.joint_friction = np.zeros(robot.nu)
+        self.joint_friction, self._joints = np.zeros(robot.nu), np.arange(6, robot.nv)
         self.moments: dict[str, Array] = {}  # N m: on feet, in the ground's frame
 
     def depths(self, config: Configuration) -> dict[str, float]:
         """Returns how deep every foot is in the ground or its step; negative: above it (m)."""
-        cosine = float(self.normal[2])
+        cosine, radius = float(self.normal[2]), self.robot.foot_radius
+        feet = self.robot.feet
         return {
-            foot: self.robot.foot_radius[foot]
-            - (float(centre[2]) - self.ground.height(centre[:2], self._sole[foot])) * cosine
-            for foot, centre in config.foot_positions().items()
+            foot: radius[foot] - (z - self.ground.height((x, y), self._sole[foot])) * cosine
+            for foot, (x, y, z) in zip(feet, config.foot_places(feet).tolist(), strict=True)
         }
 
     def sunk(self, forces: Array) -> Array:
         """Returns how deep the feet that touch sink (n,) under forces (n, 3)."""
         asked = tuple(zip(self.anchors, forces[:, 2].tolist(), strict=True))
         if asked != self._sunk[0]:
-            depths = [self.laws[foot].depth(force) for foot, force in asked]
+            # By the last step, or the last place, they are known nearly.
+            known = {foot: depth for (foot, _), depth in zip(*self._sunk, strict=True)}
+            depths = [self.laws[foot].depth(force, known.get(foot)) for foot, force in asked]
             self._sunk = asked, np.array(depths)
         return self._sunk[1].copy()
 
@@ -128,6 +130,8 @@ class Equilibrium:
 
     def _turning(self) -> Array:
         """Returns the moments (n, 3) on the feet that touch."""
+        if not self.moments:
+            return np.zeros((len(self.anchors), 3))
         moments = [self.moments.get(foot, np.zeros(3)) for foot in self.anchors]
         return np.array(moments).reshape(-1, 3)
 
@@ -174,7 +178,7 @@ class Equilibrium:
         by_qpos[:n] = touch.balance_rates(forces, self._turning())
         servos = self.kp * (self.target - qpos[7:])
         moving = (servos > self.lower) & (servos < self.upper)
-        by_qpos[:n, :n][np.arange(6, n), np.arange(6, n)] += np.where(moving, self.kp, 0.0)
+        by_qpos[self._joints, self._joints] += np.where(moving, self.kp, 0.0)
         by_qpos[n:] = touch.place_rates().reshape(-1, n)
         if self.feet == "sliding":
             by_qpos[n:].reshape(-1, 3, n)[:, :2] *= _WEAK
@@ -206,6 +210,8 @@ class Equilibrium:
 
     def _begun(self) -> Array:
         """Returns the slips (n, 2) from which the feet that touch stick, or slip on (m)."""
+        if not self.crept:
+            return np.zeros((len(self.anchors), 2))
         begun = [self.crept.get(foot, np.zeros(2)) for foot in self.anchors]
         return np.array(begun).reshape(-1, 2)
 
@@ -219,12 +225,14 @@ class Equilibrium:
         if self.feet == "sliding":
             return []
         found = []
-        for row, (foot, force, place) in enumerate(zip(self.anchors, forces, places, strict=True)):
-            mu, tried = self.friction.sliding[foot], force[:2] - _RHO * place[:2]
+        rows = zip(self.anchors, forces.tolist(), places.tolist(), strict=True)
+        for row, (foot, force, place) in enumerate(rows):
+            (x, y, pressing), (slip_x, slip_y, _) = force, place
+            tried = x - _RHO * slip_x, y - _RHO * slip_y
             # Without friction where it pulls: so nothing jumps when it is let go of there.
-            mu = mu if force[2] > 0 else 0.0
-            if np.linalg.norm(tried) > mu * force[2]:
-                found.append((row, mu, tried))
+            mu = self.friction.sliding[foot] if pressing > 0 else 0.0
+            if math.hypot(*tried) > mu * pressing:
+                found.append((row, mu, np.array(tried)))
         return found
 
     def solve(self, guess: Solution) -> Solution | None:
@@ -249,7 +257,7 @@ class Equilibrium:
 
     def _rub(self, solution: Solution, share: float) -> bool:
         """Moves friction, by a share, to what lifts the base most, or least; tells if it can."""
-        derivative = self.derivative(solution.qpos, self._stacked(solution))
+        derivative = self.derivative(solution.qpos, self.stacked(solution))
         height = np.zeros(len(derivative))
         height[2] = np.sign(self.lift)
         try:
@@ -267,13 +275,13 @@ class Equilibrium:
             self.moments[foot] = (1 - share) * before + share * moment
         return True
 
-    def _stacked(self, solution: Solution) -> Array:
+    def stacked(self, solution: Solution) -> Array:
         """Returns the forces (n, 3) on the feet that touch."""
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
 
     def _newton(self, guess: Solution) -> Solution | None:
         qpos, n = guess.qpos, self.robot.nv
-        forces = self._stacked(guess)
+        forces = self.stacked(guess)
         residuals: list[float] = []
         for _ in range(_MAX_ITERATIONS):
             residual = self.residual(qpos, forces)
@@ -331,7 +339,7 @@ class Equilibrium:
 
     def slipping(self, solution: Solution) -> tuple[str, ...]:
         """Returns the pinned feet that slip."""
-        forces = self._stacked(solution)
+        forces = self.stacked(solution)
         _, places, _ = self.terms(solution.qpos, forces)
         places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
         names = tuple(self.anchors)
@@ -339,7 +347,7 @@ class Equilibrium:
 
     def begin_creep(self, solution: Solution, seconds: float) -> None:
         """Begins a step of creep, with the viscosities of where it begins."""
-        _, places, _ = self.terms(solution.qpos, self._stacked(solution))
+        _, places, _ = self.terms(solution.qpos, self.stacked(solution))
         self.crept = dict(zip(self.anchors, places[:, :2], strict=True))
         self.yielding = {
             foot: seconds / self.viscosity(foot, depth)
@@ -351,17 +359,9 @@ class Equilibrium:
         law = self.laws[foot]
         return law.viscosity(depth) if depth > -law.margin else math.inf
 
-    def friction_left(self, forces: dict[str, Array]) -> float:
-        """Returns the least of mu f_n - |f_t|, in parts of the weight."""
-        left = [
-            self.robot.contacts[foot].sliding_friction * force[2] - np.linalg.norm(force[:2])
-            for foot, force in forces.items()
-        ]
-        return float(min(left) / (self.robot.total_mass * np.linalg.norm(self.robot.gravity)))
-
     def stiffness(self, solution: Solution) -> float:
         """Returns the least eigenvalue of the Hessian where the feet allow it to move."""
-        n, forces = self.robot.nv, self._stacked(solution)
+        n, forces = self.robot.nv, self.stacked(solution)
         derivative = self.derivative(solution.qpos, forces)
         touch = self.touch(solution.qpos)
         config, places, jacobian = touch.config, touch.places, touch.jacobians.reshape(-1, n)

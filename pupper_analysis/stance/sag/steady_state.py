@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import threading
 from dataclasses import dataclass
 
 import mujoco
@@ -193,7 +195,12 @@ def release_margin(way: Way) -> float:
         foot: 2 * way.solution.force(foot) - held.get(foot, np.zeros(3))
         for foot in {*held, *way.solution.forces}
     }
-    return way.system.friction_left(overshot)
+    robot = way.system.robot
+    left = [
+        robot.contacts[foot].sliding_friction * force[2] - np.linalg.norm(force[:2])
+        for foot, force in overshot.items()
+    ]
+    return float(min(left) / (robot.total_mass * np.linalg.norm(robot.gravity)))
 
 
 @checked
@@ -250,7 +257,7 @@ def pose_at(way: Way, margin: float) -> SteadyState:
     robot, stand, qpos = system.robot, system.stand, solution.qpos
     forces = np.array(list(solution.forces.values())).reshape(-1, 3)
     derivative = system.derivative(qpos, forces)
-    stiffness = system.stiffness(solution)
+    stiffness = way.stiffness(solution)
     depths = system.depths(Configuration(robot, qpos))
     creep, flow = np.zeros((len(forces), 2)), np.zeros(len(derivative))
     if system.feet == "pinned":
@@ -287,6 +294,12 @@ def pose_at(way: Way, margin: float) -> SteadyState:
     )
 
 
+@functools.lru_cache(maxsize=8)
+def _data_of(robot: Robot, _thread: int) -> mujoco.MjData:
+    """Returns data that belong to one thread; what is asked of them depends on qpos alone."""
+    return mujoco.MjData(robot.mj_model)
+
+
 def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tuple[str, ...]:
     robot, stand, slipping = system.robot, system.stand, system.slipping(solution)
     failures = [] if stiffness > 0 else [f"the equilibrium is not stable ({stiffness:.3g} 1/s^2)"]
@@ -303,8 +316,10 @@ def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tupl
     qpos = solution.qpos
     beyond = (qpos[7:] < robot.lower_limits) | (qpos[7:] > robot.upper_limits)
     failures += [f"joint {robot.joint_names[i]} is at its limit" for i in np.flatnonzero(beyond)]
-    data = mujoco.MjData(robot.mj_model)
+    data = _data_of(robot, threading.get_ident())
     robot.mj_convention.set_state(data, qpos)
-    mujoco.mj_forward(robot.mj_model, data)
-    _, others = contact.ground_forces(robot.mj_model, data, robot.foot_geoms)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    mujoco.mj_comPos(robot.mj_model, data)
+    mujoco.mj_collision(robot.mj_model, data)
+    others = contact.bodies_on_ground(robot.mj_model, data, robot.foot_geoms)
     return (*failures, *(f"{body} touches the ground" for body in sorted(others)))

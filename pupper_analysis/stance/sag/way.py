@@ -46,6 +46,7 @@ class Way:
 
     def __init__(self, system: Equilibrium, end: Array | None = None) -> None:
         self.system, stand = system, system.stand
+        self._looked_at: tuple[Solution, float] | None = None
         self.end: Array = stand.qpos[7:] if end is None else end
         self.balance: GravityCompensation = stand_statics(
             system.robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
@@ -68,7 +69,7 @@ class Way:
         while self.share < goal:
             wanted = min(self.share + step, goal)
             found = self._at(wanted)
-            if found is not None and step > _CAREFUL and self.system.stiffness(found) <= 0:
+            if found is not None and step > _CAREFUL and self.stiffness(found) <= 0:
                 # A long step may end on another branch, beyond where this one is stable.
                 found = None
             if found is not None:
@@ -86,6 +87,12 @@ class Way:
                     f"ends where {self.share:.0%} of the feed-forward is taken away"
                     f"{self._about_to_slide()}",
                 )
+
+    def stiffness(self, solution: Solution) -> float:
+        """Returns the system's stiffness at a solution: the way and its end ask for the same."""
+        if self._looked_at is None or self._looked_at[0] is not solution:
+            self._looked_at = solution, self.system.stiffness(solution)
+        return self._looked_at[1]
 
     def creep(self, seconds: float) -> None:
         """Lets pinned feet creep.
