@@ -193,7 +193,8 @@ class Demand:
             worst[: len(short)] = short
             return missed, worst
         else:
-            place = com - (self.centre[:2] if task.com == "centre" else np.array(task.com))
+            centred = task.com in (None, "centre")
+            place = com - (self.centre[:2] if centred else np.array(task.com))
         return missed, place
 
     def in_the_way(self, qpos: np.ndarray) -> bool:

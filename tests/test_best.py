@@ -202,7 +202,8 @@ def test_the_rest_of_the_task_stays() -> None:
     )
     found = best_stance(robot, task=task)
     assert found.value < found.nominal_value
-    free = {"height": None, "roll": 0.05, "pitch": 0.0, "yaw": 0.0, "offset": None}
+    assert found.stand.task.com == "centre"  # which is where it is if nothing is said
+    free = {"com": None, "height": None, "roll": 0.05, "pitch": 0.0, "yaw": 0.0, "offset": None}
     assert replace(found.stand.task, foot_offsets={}, **free) == task
     np.testing.assert_allclose(found.stand.foot_targets["FL"][:2], (0.07, 0.10))
     assert "FL x" not in found.coordinates

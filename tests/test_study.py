@@ -419,3 +419,15 @@ def test_measures_that_simulate_are_what_their_names_say() -> None:
         assert MEASURES[name].function(design) == pytest.approx(float(value), rel=1e-6), name
     simulating = {name for name, measure in MEASURES.items() if measure.simulates}
     assert simulating == {*expected, "yaw_range"}
+
+
+def test_an_offset_may_vary_where_no_com_is_asked_for(tmp_path: Path) -> None:
+    one = study({"offset_x": [0.0, 0.01]}, "com_margin", robot="v3")
+    with ThreadPoolExecutor(1) as executor:
+        table = one.run(tmp_path, executor=executor)
+    margins = [float(margin) for margin in table["com_margin"]]
+    for offset, margin in zip((0.0, 0.01), margins, strict=True):
+        stand = pa.solve_stand(load("v3"), pa.StandTask(offset=(offset, 0.0)))
+        assert margin == pytest.approx(stand.com_margin, abs=1e-9)
+    with pytest.raises(pa.ConfigurationError, match="not both"):
+        study({"offset_x": [0.0, 0.01]}, "com_margin", task=pa.StandTask(com="inside"))

@@ -104,7 +104,7 @@ class State:
             pitch=radians(self.pitch),
             yaw=radians(self.yaw),
             offset=offset,
-            com="inside" if self.place == "inside" else "centre",
+            com="inside" if self.place == "inside" else None,  # where the robot's usually is
             com_margin=metres(self.com_margin),
             foot_offsets={foot: (metres(x), metres(y)) for foot, (x, y) in self.moves.items()},
             swing={self.lift: metres(self.lift_height)} if self.lift else {},

@@ -125,7 +125,7 @@ class Study:
 
     def _check_variables(self) -> None:
         offset = next((name for name in ("offset_x", "offset_y") if name in self.variables), None)
-        if offset is not None and self.task.com != "centre":
+        if offset is not None and self.task.com not in (None, "centre"):
             raise ConfigurationError(f"vary[{offset!r}]", "give an offset, or a com, not both")
         for name, one in self.variables.items():
             check_name(name, self.source)
