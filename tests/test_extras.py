@@ -255,8 +255,8 @@ PASSIVE = {
     "density": ("<worldbody>", '<option density="{}"/><worldbody>'),
     "viscosity": ("<worldbody>", '<option viscosity="{}"/><worldbody>'),
     "motor damping": ('joint="hip3"', 'joint="hip3" damping="{}"'),
-    "motor damping polynomial": ('joint="knee3"', 'joint="knee3" damping="0 {}"'),
-    "motor armature": ('joint="knee0"', 'joint="knee0" armature="{}"'),
+    "motor damping polynomial": ('name="m_knee3"', 'name="m_knee3" damping="0 {}"'),
+    "motor armature": ('name="m_knee0"', 'name="m_knee0" armature="{}"'),
     "wrapped spring": (
         "<worldbody>",
         '<tendon><spatial stiffness="{}" springlength="0.3"><site site="foot0"/><geom geom="drum"/>'

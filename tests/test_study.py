@@ -430,4 +430,4 @@ def test_an_offset_may_vary_where_no_com_is_asked_for(tmp_path: Path) -> None:
         stand = pa.solve_stand(load("v3"), pa.StandTask(offset=(offset, 0.0)))
         assert margin == pytest.approx(stand.com_margin, abs=1e-9)
     with pytest.raises(pa.ConfigurationError, match="not both"):
-        study({"offset_x": [0.0, 0.01]}, "com_margin", task=pa.StandTask(com="inside"))
+        study({"offset_x": [0.0, 0.01]}, "com_margin", stand=pa.StandTask(com="inside"))

@@ -70,7 +70,7 @@ def test_the_task_is_where_it_begins() -> None:
     with pytest.raises(pa.StanceUnreachableError):
         reachable_heights(robot, pa.StandTask(height=1.0))
     assert base_workspace(robot, pa.StandTask(yaw=0.1)).start.task == replace(
-        pa.StandTask(yaw=0.1), height=robot.stand_height
+        pa.StandTask(yaw=0.1), height=robot.stand_height, com="centre"
     )
 
 
