@@ -1,7 +1,6 @@
 """What it takes to write numbers into either file."""
 
-from __future__ import annotations
-
+# Annotations are types, not texts: who inherits the fields has them in a signature elsewhere.
 from dataclasses import dataclass, field
 
 from pupper_analysis.models.parameters import Parameters
