@@ -10,7 +10,15 @@ import pytest
 from conftest import load
 
 import pupper_analysis as pa
-from pupper_analysis.stance.demands import DEMANDS, differ, far_off, in_words, rounded, shrunk
+from pupper_analysis.stance.demands import (
+    DEMANDS,
+    differ,
+    far_off,
+    in_radians,
+    in_words,
+    rounded,
+    shrunk,
+)
 
 TASK = pa.StandTask(
     height=0.15,
@@ -116,3 +124,57 @@ def test_a_unit_is_doubted_where_fifty_times_too_much_is_asked() -> None:
     assert far_off(robot, pa.StandTask(roll=20.0 / 57), possible, ["roll"]) is False
     assert far_off(robot, pa.StandTask(height=0.4), possible, ["height"]) is False
     assert far_off(robot, pa.StandTask(height=19.0, roll=0.4), possible, ["height", "roll"])
+
+
+def test_limits_that_go_together_are_true_in_degrees_and_in_radians() -> None:
+    """Pitch and slope: 5e-5 rad less of the one, by its digits, is as much more of the other."""
+    robot = load("v3-heavy")
+    task = pa.StandTask(
+        height=0.10822022826741418,
+        pitch=-0.6822468279746785,
+        foot_offsets={"FR": (-0.0068000657982635795, 0.0076523052175465345)},
+        swing={"FL": 0.0170867879027447},
+        ground=pa.Ground(slope=0.7891893415388722),
+    )
+    with pytest.raises(pa.StanceUnreachableError) as refusal:
+        pa.solve_stand(robot, task)
+    tried = 0
+    for name, limits in refusal.value.limits.items():
+        typed = replace(task, **limits)
+        demands = name.split(" and ")
+        for some in ([], *([demand] for demand in demands), demands):
+            pa.solve_stand(robot, in_radians(typed, some), explain=False)
+            tried += 1
+    assert tried >= 3
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        pa.StandTask(
+            height=0.20047667468034105,
+            pitch=-0.2372697394099059,
+            foot_offsets={"FR": (-0.0005147, 0.0306285), "RL": (-0.0123176, -0.0195083)},
+            swing={"FR": 0.019351277718355632},
+            ground=pa.Ground(slope=0.6871469943880313),
+            com="inside",
+            com_margin=0.00577389212896338,
+        ),
+        pa.StandTask(
+            height=0.18864414326309378,
+            pitch=-0.07161810094888375,
+            yaw=-0.04777819716249121,
+            ground=pa.Ground(slope=0.9055428657837088),
+            com="inside",
+            com_margin=0.011435812887292361,
+        ),
+    ],
+)
+def test_limits_of_stretched_legs_are_found_by_who_types_them(task: pa.StandTask) -> None:
+    """They were found on the way from other stands, and refused when they were asked for."""
+    robot = load("long-leg")
+    with pytest.raises(pa.StanceUnreachableError) as refusal:
+        pa.solve_stand(robot, task)
+    assert refusal.value.limits
+    for limits in refusal.value.limits.values():
+        pa.solve_stand(robot, replace(task, **limits), explain=False)

@@ -154,6 +154,21 @@ def rounded(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
     return task
 
 
+def in_radians(task: StandTask, demands: Sequence[str]) -> StandTask:
+    """Returns a task with the angles of some demands as ``in_words`` prints them in radians."""
+    for demand in demands:
+        if demand in _ANGLES:
+            task = replace(task, **{demand: _short(getattr(task, demand))})  # type: ignore[arg-type]
+        elif demand == "ground":
+            task = replace(task, ground=replace(task.ground, slope=_short(task.ground.slope)))
+    return task
+
+
+def _short(angle: float) -> float:
+    """Returns an angle rounded towards zero, as limits are."""
+    return math.trunc(angle * 1e4) / 1e4
+
+
 def _inwards(number: _Number) -> float:
     unit = math.radians(1.0) if _is_angle(number.key) else 1e-3  # degrees, millimetres
     value, nominal = number.value / unit, number.nominal / unit
@@ -202,9 +217,8 @@ def _text(value: float, digits: int) -> str:
 
 
 def _angle(value: float) -> str:
-    """Returns an angle in degrees, and in radians: rounded towards zero, as limits are."""
-    short = math.trunc(value * 1e4) / 1e4
-    return f"{_text(math.degrees(value), 1)} deg ({short:.4f} rad)"
+    """Returns an angle in degrees, and in radians."""
+    return f"{_text(math.degrees(value), 1)} deg ({_short(value):.4f} rad)"
 
 
 def _millimetres(value: float) -> str:

@@ -11,10 +11,19 @@ from numpy.typing import NDArray
 from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import Shapes
-from pupper_analysis.stance.demands import DEMANDS, differ, far_off, in_words, rounded, shrunk
+from pupper_analysis.stance.demands import (
+    DEMANDS,
+    differ,
+    far_off,
+    in_radians,
+    in_words,
+    rounded,
+    shrunk,
+)
 from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.search import follow, search
 from pupper_analysis.stance.solver import TASK_TOLERANCE, Stand
+from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
 
@@ -113,8 +122,9 @@ def furthest(shapes: Shapes, goal: Goal, demands: Sequence[str]) -> Stand | None
         if low == 0.0 or again == 1.0 or not way.solves(again):
             break
         low, refused = again, 1.0
-    for less in (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0):
-        if way.solves(low * (1 - less * RESOLUTION), as_typed=True):
+    # Where a stand was only found on the way from another one, who types the limit may not find it.
+    for less in (0.0, *(2.0**power for power in range(10))):
+        if way.solves_as_typed(low * (1 - less * RESOLUTION)):
             break
     return way.stand
 
@@ -126,33 +136,51 @@ class _Way:
         self.shapes, self.goal, self.demands = shapes, goal, demands
         self.stand: Stand | None = None
 
-    def solves(self, share: float, *, as_typed: bool = False) -> bool:
+    def solves(self, share: float) -> bool:
         """Tells whether there is a stand at a share, by the search everywhere.
 
         Args:
             share: From 0, the nominal stand's, to 1, the task's.
-            as_typed: Round off, and search as for someone who types it: without a hint.
         """
-        goal = self._goal(share, as_typed)
-        hints = []
-        if self.stand is not None and not as_typed:
-            hints.append(self.stand.joint_positions(self.shapes.robot))
+        goal = self._goal(self._task(share))
+        hints = [] if self.stand is None else [self.stand.joint_positions(self.shapes.robot)]
         return goal is not None and self._found(search(self.shapes, goal, hints))
+
+    def solves_as_typed(self, share: float) -> bool:
+        """Tells whether there is a stand at a share as it is printed.
+
+        The search is as for someone who types it: without a hint, each angle in degrees or in
+        radians. Where several demands go together, the less of one, by its digits, may ask for more
+        of another.
+        """
+        robot, demands = self.shapes.robot, self.demands
+        task = rounded(robot, self._task(share), demands)
+        readings = [
+            reading
+            for count in range(len(demands), -1, -1)  # degrees alone last: that is what is kept
+            for some in combinations(demands, count)
+            if count == 0 or all(in_radians(task, [demand]) != task for demand in some)
+            for reading in [in_radians(task, some)]
+        ]
+        for reading in readings:
+            goal = self._goal(reading)
+            if goal is None or not self._found(search(self.shapes, goal)):
+                return False
+        return True
 
     def follows(self, share: float) -> bool:
         """Tells whether there is a stand at a share, as the last one leads to."""
-        goal = self._goal(share)
+        goal = self._goal(self._task(share))
         if goal is None or self.stand is None:
             return False
         return self._found(follow(self.shapes, goal, self.stand))
 
-    def _goal(self, share: float, round_off: bool = False) -> Goal | None:
-        robot = self.shapes.robot
-        task = shrunk(robot, self.goal.task, self.demands, share)
-        if round_off:
-            task = rounded(robot, task, self.demands)
+    def _task(self, share: float) -> StandTask:
+        return shrunk(self.shapes.robot, self.goal.task, self.demands, share)
+
+    def _goal(self, task: StandTask) -> Goal | None:
         try:
-            return goal_of(robot, task, self.goal.depths)
+            return goal_of(self.shapes.robot, task, self.goal.depths)
         except ConfigurationError:
             return None
 
