@@ -28,6 +28,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 import unicodedata
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -227,7 +228,7 @@ def _refused(folder: Path, arguments: tuple[str, ...]) -> str | None:
     """Says what MuJoCo has against an MJCF that a command was given, by MuJoCo's own reader."""
     import mujoco
 
-    for name in (*arguments, *(["robot.xml"] if arguments[0] == "check" else [])):
+    for name in (*arguments, *_checked(folder, arguments)):
         if name in ("robot.xml", "--mjcf=robot.xml") and (folder / "robot.xml").is_file():
             mujoco.set_mju_user_warning(lambda _: None)
             try:
@@ -235,6 +236,18 @@ def _refused(folder: Path, arguments: tuple[str, ...]) -> str | None:
             except (ValueError, RuntimeError) as error:
                 return " ".join(str(error).split())
     return None
+
+
+def _checked(folder: Path, arguments: tuple[str, ...]) -> list[str]:
+    """Returns the MJCFs that ``check`` was to look at: a pair may have lost its own."""
+    if arguments[0] != "check":
+        return []
+    try:
+        found = tomllib.loads((folder / "pupper-analysis.toml").read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # not for --help
+        return []
+    pairs = found.get("pair", [])
+    return [str(pair["mjcf"]) for pair in pairs if isinstance(pair, dict) and "mjcf" in pair]
 
 
 # ------------------------------------------------------------------------------------- files
