@@ -273,23 +273,18 @@ class Configuration:
             wrenches: {foot: (6,)} force (N), and moment about the foot's centre (N m), in world
                 axes, in which they do not change.
         """
-        model, data, structure = self._model, self._data, self._structure
-        external = pin.StdVec_Force(model.njoints, pin.Force.Zero())
-        turning = np.zeros((structure.nv, structure.nv))
+        structure = self._structure
+        held = structure.workspace()
+        rates = pin.computeGeneralizedGravityDerivatives(self._model, held.data, self._q)
+        changed = structure.square(np.atleast_2d(rates))
         if wrenches:
             jacobians, pushes = self._jacobians(wrenches), np.array(list(wrenches.values()))
-            # Pinocchio's turn with their link: they would change by omega x w.
             skews = crosses(pushes.reshape(-1, 3)).reshape(-1, 6, 3)
-            changes = (skews @ jacobians[:, 3:]).reshape(-1, structure.nv)
-            turning = jacobians.reshape(-1, structure.nv).T @ changes
-            centres = crosses(self.foot_places(wrenches))
-            pushes[:, 3:] += (centres @ pushes[:, :3, None])[:, :, 0]  # about the origin
-            for foot, wrench in zip(wrenches, pushes, strict=True):
-                joint = structure.parents[foot]
-                external[joint] += data.oMi[joint].actInv(pin.Force(wrench))
-        held = structure.workspace()
-        rates = pin.computeStaticTorqueDerivatives(model, held.data, self._q, external)
-        changed: Array = structure.square(np.atleast_2d(rates)) - turning
+            turned, n = skews @ jacobians[:, 3:], structure.nv
+            pushed = jacobians[:, :3].reshape(-1, n).T @ turned[:, :3].reshape(-1, n)
+            both = jacobians.reshape(-1, n).T @ turned.reshape(-1, n)
+            # What carries a joint turns its column of J; what it carries moves its foot.
+            changed -= np.where(structure.carried, both, pushed.T)
         if self.robot.acts_at_rest:
             springs = AtRest(self.robot.mj_model, self.robot.mj_convention)
             changed -= springs.rates(self.qpos)
