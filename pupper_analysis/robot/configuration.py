@@ -165,10 +165,10 @@ class Configuration:
         """
         return {foot: self._jacobian(at)[:3] for foot, at in self._structure.feet.items()}
 
-    def foot_rotations(self, feet: Iterable[str]) -> list[Array]:
-        """Returns the rotation (3, 3) of each of some feet's frames, to the world's axes."""
+    def foot_rotations(self, feet: Iterable[str]) -> Array:
+        """Returns the rotations (n, 3, 3) of some feet's frames, to the world's axes."""
         placements, numbers = self._data.oMf, self._structure.feet
-        return [np.array(placements[numbers[foot]].rotation) for foot in feet]
+        return np.array([placements[numbers[foot]].rotation for foot in feet]).reshape(-1, 3, 3)
 
     def foot_twists(self, feet: Sequence[str]) -> Array:
         """Returns the Jacobians (n, 6, nv) of some feet, of centre and rotation, in world axes."""
@@ -273,18 +273,20 @@ class Configuration:
             wrenches: {foot: (6,)} force (N), and moment about the foot's centre (N m), in world
                 axes, in which they do not change.
         """
-        structure = self._structure
+        pushes = np.array(list(wrenches.values())).reshape(-1, 6)
+        return self.pushed_rates(self._jacobians(wrenches), pushes)
+
+    def pushed_rates(self, jacobians: Array, wrenches: Array) -> Array:
+        """Returns ``static_rates`` for feet's Jacobians (n, 6, nv) and wrenches (n, 6)."""
+        structure, n = self._structure, self._structure.nv
         held = structure.workspace()
         rates = pin.computeGeneralizedGravityDerivatives(self._model, held.data, self._q)
         changed = structure.square(np.atleast_2d(rates))
-        if wrenches:
-            jacobians, pushes = self._jacobians(wrenches), np.array(list(wrenches.values()))
-            skews = crosses(pushes.reshape(-1, 3)).reshape(-1, 6, 3)
-            turned, n = skews @ jacobians[:, 3:], structure.nv
-            pushed = jacobians[:, :3].reshape(-1, n).T @ turned[:, :3].reshape(-1, n)
-            both = jacobians.reshape(-1, n).T @ turned.reshape(-1, n)
-            # What carries a joint turns its column of J; what it carries moves its foot.
-            changed -= np.where(structure.carried, both, pushed.T)
+        turned = crosses(wrenches.reshape(-1, 3)).reshape(-1, 6, 3) @ jacobians[:, 3:]
+        pushed = jacobians[:, :3].reshape(-1, n).T @ turned[:, :3].reshape(-1, n)
+        both = jacobians.reshape(-1, n).T @ turned.reshape(-1, n)
+        # What carries a joint turns its column of J; what it carries moves its foot.
+        changed -= np.where(structure.carried, both, pushed.T)
         if self.robot.acts_at_rest:
             springs = AtRest(self.robot.mj_model, self.robot.mj_convention)
             changed -= springs.rates(self.qpos)
