@@ -262,7 +262,7 @@ class Configuration:
 
     def load(self) -> Array:
         """Returns what motors and contacts hold at rest (nv,): gravity less ``passive``."""
-        return self.gravity() - self.passive()
+        return self.gravity() - self.passive() if self.robot.acts_at_rest else self.gravity()
 
     def static_rates(self, wrenches: Mapping[str, Array]) -> Array:
         """Returns the derivative (nv, nv) of ``load`` less wrenches on feet: of l - sum J^T w.

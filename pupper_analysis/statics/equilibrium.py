@@ -188,11 +188,10 @@ def equilibrium(
     carrying = contacts_of(robot, contacts, friction, normals, depths)
     base_rows, feet = robot.nv - robot.nu, carrying.feet
     if not feet:
-        return _result(config, load, load, point, {}, {}, {}, {}, load[:base_rows])
+        return _result(config, load, load, point, {}, {}, carrying, load[:base_rows])
     transposed = carrying.jacobian(config)
     problem = carrying.balance(transposed, load)
     points = dict(zip(feet, carrying.points(config), strict=True))
-    coefficients = dict(zip(feet, carrying.friction.tolist(), strict=True))
     limits = None if held else carrying.friction
     if wanted is ForceDistribution.MIN_PEAK:
         forces = problem.minimum_peak(limits, robot.effort_limits)
@@ -203,13 +202,10 @@ def equilibrium(
         if forces is not None and robot.contacts and limits is not None:
             forces = _creeping(problem, forces, carrying)
     if forces is None:
-        raise _explain(point, problem, points, coefficients, tipping)
+        raise _explain(point, problem, points, carrying.coefficients, tipping)
     per_foot = dict(zip(feet, forces.reshape(-1, 3), strict=True))
-    directions = dict(zip(feet, carrying.normals, strict=True))
-    left = load - transposed @ forces
-    return _result(
-        config, left, load, point, per_foot, points, directions, coefficients, np.zeros(base_rows)
-    )
+    left, held_base = load - transposed @ forces, np.zeros(base_rows)
+    return _result(config, left, load, point, per_foot, points, carrying, held_base)
 
 
 def distribution_of(value: str) -> ForceDistribution:
@@ -299,17 +295,16 @@ def _result(
     point: Array,
     forces: dict[str, Array],
     points: dict[str, Array],
-    normals: Mapping[str, Array],
-    friction: Mapping[str, float],
+    carrying: Contacts,
     base_wrench: Array,
 ) -> GravityCompensation:
-    robot = config.robot
-    base_rows = robot.nv - robot.nu
+    robot, normals, friction = config.robot, carrying.directions, carrying.coefficients
+    base_rows = len(base_wrench)
     torques = remainder[base_rows:].copy()
-    unbalanced = remainder[:base_rows] - base_wrench
+    unbalanced = (remainder[:base_rows] - base_wrench).tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
         utilisation = np.abs(torques) / robot.effort_limits
-    tiny = BALANCE_TOLERANCE * math.hypot(*load[:3])
+    tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
     sliding = {
         foot: sliding_share(force, normals[foot], friction[foot], tiny)
         for foot, force in forces.items()
