@@ -29,4 +29,5 @@ class Scaled:
         Raises:
             VariantError: If a scale is not a finite positive number.
         """
-        return VariantSpec(self.spec.base, **{**self.scales, **scales})
+        wanted = {**self.scales, **scales}
+        return VariantSpec(self.spec.base, wanted["leg_scale"], wanted["torso_mass_scale"])
