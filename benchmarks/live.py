@@ -18,6 +18,7 @@ import numpy as np
 
 import pupper_analysis as pa
 from pupper_analysis.live import viser_parts
+from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Model, sag
 from pupper_analysis.live.panels import Panels
 from pupper_analysis.live.scene import Scene
@@ -52,7 +53,7 @@ def measure(variant: str, moves: int) -> dict[str, list[float]]:
             with server.atomic():
                 scene.show(answer)
                 shown = time.thread_time()
-                panels.status(numbers(answer, None))
+                panels.status(numbers(Language(), answer, None))
                 panels.answered(answer)
             done = time.thread_time()
             wall.append(time.perf_counter() - begun)

@@ -14,7 +14,8 @@ from conftest import load
 import pupper_analysis as pa
 from pupper_analysis.live import viser_parts
 from pupper_analysis.live.model import Model
-from pupper_analysis.live.session import Session, between
+from pupper_analysis.live.motion import between
+from pupper_analysis.live.session import Session
 from pupper_analysis.live.state import State
 from pupper_analysis.pupper.live import Variants
 
