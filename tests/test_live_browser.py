@@ -285,7 +285,7 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     one.takes(stand, robot)
     one.tab("Share")
     wait_for(lambda: one.row("state").locator("input").first.input_value() == str(state), "state")
-    assert one.row("link").locator("input").first.input_value() == link(address, state)
+    assert one.row("link to it").locator("input").first.input_value() == link(address, state)
     with one.page.expect_download() as caught:
         one.button("Save the torques as CSV")
     rows = Path(caught.value.path()).read_text().splitlines()[1:]

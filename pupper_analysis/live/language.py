@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.report.html import sentences
 from pupper_analysis.report.html.document import Text
+from pupper_analysis.report.html.tasks import task_text
 from pupper_analysis.report.html.words import text
+from pupper_analysis.stance.task import StandTask
 
 NAMES = {"en": "English", "zh": "中文"}
 """{language: what it calls itself}."""
@@ -43,7 +45,19 @@ class Language:
     def sentence(self, sentence: str) -> str:
         """Returns what a result says; in English, where nobody has said it otherwise."""
         found = sentences.said(sentence)
-        return self._of(found) if isinstance(found, Text) else sentence
+        if isinstance(found, Text):
+            return self._of(found)
+        field, colon, problem = sentence.partition(": ")  # of a ConfigurationError
+        said = sentences.said(problem)
+        return f"{field}{colon}{self._of(said)}" if isinstance(said, Text) else sentence
+
+    def task(self, task: StandTask) -> str:
+        """Returns what is asked of a stand."""
+        return self._of(task_text(task))
+
+    def demands(self, demands: str) -> str:
+        """Returns demands that a refusal joins with ``and``."""
+        return self(" and ").join(self.sentence(demand) for demand in demands.split(" and "))
 
     def either(self, choices: Iterable[str]) -> str:
         """Returns choices with the word for *or* between them."""

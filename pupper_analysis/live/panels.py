@@ -74,6 +74,8 @@ class Panels:
         left.dock_left()
         left.set_width(330)
         self.controls = Controls(gui, robot, model.source.scales, say, acts.changed)
+        gui.add_html(text.PHONE)
+        self._brief = gui.add_html("")
         other = gui.add_button(say.other.name, color="gray")
         tabs = gui.add_tab_group()
         with tabs.add_tab(say("Stance")):
@@ -123,7 +125,7 @@ class Panels:
     def _share(self, gui: Any) -> None:
         say = self.say
         self._state = gui.add_text(say("state"), "", hint=say("Change it, or paste another one."))
-        self._link = gui.add_text(say("link"), "", hint=say("Opens a page with this state."))
+        self._link = gui.add_text(say("link to it"), "", hint=say("Opens a page with this state."))
         self._live = gui.add_text(say("this page"), "", multiline=True)
         self._command = gui.add_text(say("as a command"), "", multiline=True)
         self._python = gui.add_text(say("as Python"), "", multiline=True)
@@ -174,9 +176,15 @@ class Panels:
         """How hard (N s), and where to (rad)."""
         return float(self._impulse.value), math.radians(float(self._direction.value))
 
-    def status(self, html: str) -> None:
-        """Shows what it takes."""
+    def status(self, html: str, brief: str = "") -> None:
+        """Shows what it takes.
+
+        Args:
+            html: All of it.
+            brief: The same in a line, for a screen that has no room for it beside the sliders.
+        """
         self._numbers.content = html
+        self._brief.content = brief
 
     def result(self, html: str) -> None:
         """Shows what came of a simulation."""

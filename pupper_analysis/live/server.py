@@ -70,7 +70,7 @@ class Page:
         self._size = size = robot.stand_height
         camera = self._server.initial_camera
         camera.position = tuple(size * number for number in _FROM)
-        camera.look_at = (0.0, 0.0, 0.4 * size)
+        camera.look_at = self._target = (0.0, 0.0, 0.4 * size)
         camera.near = 0.05 * size
         self._server.on_client_connect(self._opened)
         self._server.on_client_disconnect(self._left)
@@ -91,9 +91,10 @@ class Page:
             except PupperAnalysisError as error:
                 state, problem = self._state, str(error)
         camera = client.camera
-        if camera.image_width < camera.image_height:  # a phone, upright: from further away
-            away = 1.3 * camera.image_height / camera.image_width
+        if camera.image_width < camera.image_height:  # a phone, upright: its sheet leaves 45 %
+            away = max(1.0, 1.3 * 0.45 * camera.image_height / camera.image_width)
             camera.position = tuple(away * self._size * number for number in _FROM)
+            camera.look_at = self._target
         session = Session(client, self._model, state, address, problem, say)
         with self._lock:
             self.sessions[client.client_id] = session

@@ -30,9 +30,9 @@ QUIET = 0.15
 
 _FRAME = 1 / 30  # s between the pictures of a motion
 
-MOVING = 0.12
-"""s from one state to the next by which a hand moves a slider: viser's page tells of it each
-0.05 s, and twice that if one is late."""
+MOVING = 0.3
+"""s from one state to the next by which a hand moves a slider: viser's page tells of it each 0.05 s,
+and a busy machine later."""
 
 BETWEEN = 0.025
 """s after which what is halfway makes room: half of viser's 0.05 s, so that 40 stances a second are
@@ -169,6 +169,7 @@ class Session:
         with self._lock:
             if self._motion is None:
                 return
+            self._held.clear()
             self._job = self._play
         self._think.set()
 
@@ -245,7 +246,7 @@ class Session:
             said = text.refusal(say, answer, self._refusal, pending=self._pending)
         else:
             said = text.numbers(say, answer, self._sag)
-        self._panels.status(said)
+        self._panels.status(said, text.brief(say, answer))
 
     def _looking(self) -> None:
         """Looks closer at what stays, and simulates."""
@@ -315,7 +316,7 @@ class Session:
     def _simulate(self, answer: Answer) -> None:
         held = answers.held_stand(answer)
         report = answers.simulated(answer, held, feedforward=self._panels.feedforward)
-        sag = self._sag
+        sag = answers.sag(answer, held)  # of what is simulated: with longer legs
 
         def said(say: Language) -> str:
             return text.simulation(say, report, held, sag)
@@ -336,6 +337,7 @@ class Session:
 
         def show() -> None:
             self._motion = motion
+            self._held.clear()
             self._say_result(said)
             self._panels.simulated(motion.duration)
 
@@ -348,13 +350,16 @@ class Session:
             motion = self._motion
         if motion is None:
             return
-        self._held.clear()
         begin = time.monotonic()
         last = False
         while not (last or self._think.is_set() or self._held.is_set()):
             at = time.monotonic() - begin
             last = at >= motion.duration
-            show = partial(self._draw_motion, answer, motion, min(at, motion.duration))
+
+            def show(at: float = at) -> None:
+                if not self._held.is_set():  # a hand may have taken the slider by now
+                    self._draw_motion(answer, motion, min(at, motion.duration))
+
             if not self._if_shown(answer, show) or self._closed.wait(_FRAME):
                 return
 

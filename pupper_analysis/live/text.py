@@ -31,6 +31,18 @@ STYLE = """<style>
 .pa .scale{display:flex;height:.6em;border-radius:2px;margin:.2em 0 0}
 </style>"""
 
+PHONE = """<style>
+.pa-page{display:none}
+@media (max-width:36em){
+.mantine-Paper-root:has(.pa-page){width:100% !important;max-height:55% !important}
+.mantine-Paper-root:has(.pa-page) [style*="width: 20em"]{width:100% !important}
+div:has(>.mantine-Paper-root .pa-page):not(:has([style*="display: none"] .pa-page))>div:has(canvas)
+{height:45% !important}
+.pa-page{display:block}
+}
+</style><div class="pa-page"></div>"""
+"""Where viser has a sheet over the scene, as wide as a hand, the scene ends where it begins."""
+
 
 def page(*parts: str) -> str:
     """Returns parts as one piece of a page."""
@@ -103,6 +115,20 @@ def numbers(say: Language, answer: Answer, sag: Sag | None) -> str:
     return page(*parts)
 
 
+def brief(say: Language, answer: Answer) -> str:
+    """Returns the verdict and which motor works hardest, in a line."""
+    parts = [verdict(say, answer)]
+    if answer.statics is not None:
+        statics = answer.statics
+        shares = np.nan_to_num(statics.motor_utilisation, nan=0.0, posinf=0.0)
+        if shares.any():
+            hardest = int(np.argmax(shares))
+            name, share = statics.joint_names[hardest], 100 * float(shares[hardest])
+            stands = say("It stands, in balance.")
+            parts = [box("good", f"{stands} {name}: {share:.0f} %")]
+    return f'<div class="pa-page">{page(*parts)}</div>'
+
+
 def _stance(say: Language, stand: Stand, statics: GravityCompensation | None) -> str:
     known = [
         (say("height of the base"), f"{1e3 * (stand.task.height or 0.0):.1f} mm"),
@@ -160,12 +186,13 @@ def _torques(say: Language, answer: Answer, statics: GravityCompensation) -> str
 
 
 def _legend(say: Language) -> str:
+    beyond = said(say("above"))
     stops = ",".join(f"{css(colour)} {100 * share:.0f}%" for share, colour in SCALE)
     return (
         f'<div class="scale" style="background:linear-gradient(90deg,{stops})"></div>'
         '<div style="display:flex;justify-content:space-between"><span>0</span>'
         f'<span>50 %</span><span>100 % <b style="color:{css(BEYOND)}">'
-        f"■ {said(say('above'))}</b></span></div>"
+        f"■ {beyond}</b></span></div>"
     )
 
 
@@ -196,10 +223,10 @@ def refusal(
     missing = [(foot, f"{1e3 * gap:.1f} mm") for foot, gap in error.shortfall.items() if gap > 0]
     parts = [head, box("bad", say("Out of reach."))]
     if error.possible:
-        demands = say.either(say.sentence(demand) for demand in error.possible)
+        demands = say.either(say.demands(demand) for demand in error.possible)
         parts.append(headed(say("In the way: {demands}", demands=demands)))
         parts.append(line(say("Possible with all else as asked:")))
-        parts += [line(f"• {say.sentence(text)}") for text in error.possible.values()]
+        parts += [line(f"• {say.demands(text)}") for text in error.possible.values()]
     if missing:
         parts += [headed(say("Feet miss their places by")), rows(missing)]
     if error.at_limit:
@@ -208,18 +235,18 @@ def refusal(
     parts += [line(say.sentence(text)) for text in error.blocked]
     if error.nearest is not None:
         parts += [headed(say("The ghost: the nearest stance in reach")),
-                  line(say.sentence(str(error.nearest.task)))]  # fmt: skip
+                  line(say.task(error.nearest.task))]  # fmt: skip
     return page(*parts)
 
 
-def simulation(say: Language, report: StandVerification, held: Stand, sag: Sag | None) -> str:
+def simulation(say: Language, report: StandVerification, held: Stand, sag: Sag) -> str:
     """Returns what MuJoCo made of a stance, beside the prediction.
 
     Args:
         say: The language.
         report: The simulation.
         held: The stand that was simulated.
-        sag: Where it settles without feed-forward, by prediction.
+        sag: Where that settles without feed-forward, by prediction.
     """
     if report.feedforward:
         title, good = "MuJoCo, {time} s with feed-forward", say("verified: as predicted")
@@ -231,7 +258,7 @@ def simulation(say: Language, report: StandVerification, held: Stand, sag: Sag |
         box("good", good) if report.passed else box("bad", "; ".join(failures)),
     ]
     expected = held.qpos[2] if report.feedforward else None
-    if not report.feedforward and sag is not None and sag.settled is not None:
+    if not report.feedforward and sag.settled is not None:
         expected = sag.settled.base_height
     table = [
         (
