@@ -82,15 +82,20 @@ def dragged(variant: str, executable: str, seconds: float = 6.0) -> tuple[float,
     """Returns how often a second a page tells of a slider, and how many stances are shown then."""
     from playwright.sync_api import sync_playwright
 
-    told, shown = [], []
+    told: list[float] = []
+    shown: list[float] = []
     show = Scene.show
 
     def counted(scene: Scene, answer: Answer) -> None:
         show(scene, answer)
         shown.append(time.monotonic())
 
+    def sent(frame: bytes | str) -> None:
+        if isinstance(frame, bytes) and b"GuiUpdate" in frame:
+            told.append(time.monotonic())
+
     def listen(socket: Any) -> None:
-        socket.on("framesent", lambda f: b"GuiUpdate" in f and told.append(time.monotonic()))
+        socket.on("framesent", sent)
 
     page = Page(Variants(pa.VARIANTS[variant]))
     with sync_playwright() as driver, mock.patch.object(Scene, "show", counted):

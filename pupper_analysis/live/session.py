@@ -31,8 +31,8 @@ QUIET = 0.15
 _FRAME = 1 / 30  # s between the pictures of a motion
 
 MOVING = 0.3
-"""s from one state to the next by which a hand moves a slider: viser's page tells of it each 0.05 s,
-and a busy machine later."""
+"""s from one state to the next by which a hand moves a slider: viser's page tells of it each
+0.05 s, and a busy machine later."""
 
 BETWEEN = 0.025
 """s after which what is halfway makes room: half of viser's 0.05 s, so that 40 stances a second are
