@@ -121,8 +121,8 @@ def test_a_step_and_a_slope_hold_in_simulation(name: str) -> None:
     for ground in (
         pa.Ground(heights={"FL": 0.02}),
         pa.Ground(slope=0.08, uphill=0.7),
-        pa.Ground(heights={"RR": -0.008}),  # a step down, into the floor
-        pa.Ground(slope=0.06, uphill=-2.0, heights={"FL": -0.006, "RR": 0.005}),
+        pa.Ground(heights={"RR": -0.004}),  # a step down, into the floor
+        pa.Ground(slope=0.06, uphill=-2.0, heights={"FL": -0.003, "RR": 0.005}),
     ):
         stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
         report = pa.verify_stand(robot, stand)
