@@ -19,7 +19,7 @@ import pupper_analysis as pa
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity, audit_model
 from pupper_analysis.checks.audit.from_urdf import urdf_view
 from pupper_analysis.checks.audit.pairs import mirror_name, mirror_pairs
-from pupper_analysis.checks.audit.registry import rules_table
+from pupper_analysis.checks.audit.registry import CHECKS, rules_table
 from pupper_analysis.checks.audit.rules.joints import expected_axis
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.report.html.document import Text
@@ -418,6 +418,10 @@ def test_six_equal_values_are_no_inertia(tmp_path: Path) -> None:
     result = audit_model(written(tmp_path, "urdf", (edit,)))
     assert not result.passed
     assert found(result, "triangle-inequality", "link 'base_link'")
+
+
+def test_every_rule_of_the_catalogue_has_its_function() -> None:
+    assert set(CHECKS) == set(RULES)
 
 
 def test_every_rule_has_a_test() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 from urllib.parse import quote
 
@@ -50,16 +51,7 @@ def python(source: Source, state: State) -> str:
 
 def _task(state: State) -> str:
     """Returns the arguments of a ``StandTask``: those that are not the usual ones."""
-    parts = [] if state.height is None else [f"height={metres(state.height)!r}"]
-    for name in ("roll", "pitch", "yaw"):
-        if value := getattr(state, name):
-            parts.append(f"{name}={_angle(value)}")
-    if state.place == "offset":
-        parts.append(f"offset=({metres(state.offset[0])!r}, {metres(state.offset[1])!r})")
-    if state.place == "inside":
-        parts.append("com='inside'")
-    if state.com_margin:
-        parts.append(f"com_margin={metres(state.com_margin)!r}")
+    parts = [f"{name}={_PYTHON[kind](value)}" for name, kind, value in _asked(state)]
     if state.moves:
         moves = {foot: (metres(x), metres(y)) for foot, (x, y) in state.moves.items()}
         parts.append(f"foot_offsets={moves!r}")
@@ -70,6 +62,21 @@ def _task(state: State) -> str:
             f"ground=pa.Ground(slope={_angle(state.slope)}, uphill={_angle(state.uphill)})"
         )
     return ", ".join(parts)
+
+
+def _asked(state: State) -> Iterator[tuple[str, str, Any]]:
+    """Yields what is asked of base and com: its name, kind and value; nothing that is usual."""
+    if state.height is not None:
+        yield "height", "length", state.height
+    for name in ("roll", "pitch", "yaw"):
+        if value := getattr(state, name):
+            yield name, "angle", value
+    if state.place == "offset":
+        yield "offset", "point", state.offset
+    if state.place == "inside":
+        yield "com", "word", "inside"
+    if state.com_margin:
+        yield "com_margin", "length", state.com_margin
 
 
 def _angle(degrees: float) -> str:
@@ -89,22 +96,15 @@ def live_command(source: Source, state: State) -> str:
 
 def _options(state: State) -> list[str]:
     """Returns what the command line's options of stance, payload and servos say."""
-    words = [] if state.height is None else [f"--height={metres(state.height)!r}"]
-    for name in ("roll", "pitch", "yaw"):
-        if value := getattr(state, name):
-            words.append(f"--{name}={plain(value)}deg")
-    if state.place == "offset":
-        words.append(f"--offset={_point(state.offset)}")
-    if state.place == "inside":
-        words.append("--com=inside")
-    if state.com_margin:
-        words.append(f"--com-margin={metres(state.com_margin)!r}")
+    words = [
+        f"--{name.replace('_', '-')}={_TYPED[kind](value)}" for name, kind, value in _asked(state)
+    ]
     words += [f"--move={foot}={_point(move)}" for foot, move in state.moves.items()]
     if state.lift:
         words.append(f"--swing={state.lift}={metres(state.lift_height)!r}")
     for name in ("slope", "uphill"):
         if value := getattr(state, name):
-            words.append(f"--{name}={plain(value)}deg")
+            words.append(f"--{name}={_TYPED['angle'](value)}")
     if state.payload:
         words += [f"--payload={state.payload!r}", f"--payload-at={_point(state.payload_at)}"]
     for name in ("kp", "kd"):
@@ -115,6 +115,23 @@ def _options(state: State) -> list[str]:
 
 def _point(point: tuple[float, ...]) -> str:
     return ",".join(repr(metres(number)) for number in point)
+
+
+_PYTHON: Mapping[str, Callable[[Any], str]] = {
+    "length": lambda value: repr(metres(value)),
+    "angle": _angle,
+    "point": lambda point: repr(tuple(map(metres, point))),
+    "word": repr,
+}
+"""How Python says a value of each kind."""
+
+_TYPED: Mapping[str, Callable[[Any], str]] = {
+    "length": lambda value: repr(metres(value)),
+    "angle": lambda degrees: f"{plain(degrees)}deg",
+    "point": _point,
+    "word": str,
+}
+"""How one types it."""
 
 
 def json(source: Source, answer: Answer, sag: Sag | None) -> str:
