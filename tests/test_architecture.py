@@ -24,12 +24,14 @@ def script() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 def test_committed_picture_is_current(script: ModuleType) -> None:
     assert script.embedded() == script.facts(script.room_graph()), (
         "draw it again: python docs/draw_architecture.py"
     )
 
 
+@pytest.mark.slow
 def test_rooms_are_those_of_the_layers_and_no_arrow_points_up(script: ModuleType) -> None:
     graph = script.room_graph()
     tops = {room for room, floor in FLOOR.items() if floor == 0}

@@ -114,6 +114,7 @@ def test_paths_keep_it() -> None:
         pa.stance_path(robot, [stances[1], replace(stances[1], offset=(0.09, 0.0))], 2.0)
 
 
+@pytest.mark.slow
 def test_workspaces_keep_it() -> None:
     robot = load("original")
     task = pa.StandTask(offset=(0.0, 0.0), com_margin=0.065)

@@ -140,6 +140,7 @@ def test_mujoco_confirms_the_least_time_and_not_less(name: str, kind: str) -> No
     assert np.isfinite(faster.torque_error)
 
 
+@pytest.mark.slow
 def test_a_reserve_is_the_default() -> None:
     """What is stated without further ado is what MuJoCo follows."""
     robot, tasks = load("v3"), stances("v3", "squat")

@@ -312,6 +312,7 @@ def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> No
 README_PAGES = [command for command in commands(README) if command.split()[1] == "live"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", README_PAGES)
 def test_a_command_serves_until_it_is_interrupted(command: str, tmp_path: Path) -> None:
     arguments = [sys.executable, "-m", "pupper_analysis", *command.split()[1:], "--no-browser"]

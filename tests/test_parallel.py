@@ -136,6 +136,7 @@ def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any])
     assert (back.description.urdf, back.feet) == (robot.description.urdf, robot.feet)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["v3-heavy", "long-leg"])
 def test_it_stands_the_same(variant: str) -> None:
     robot = load(variant)
@@ -227,6 +228,7 @@ def test_meshes_come_along(tmp_path: Path) -> None:
 # -------------------------------------------------------------------------------------- results
 
 
+@pytest.mark.slow
 @COPIES
 def test_results_come_back_the_same(copied: Callable[[Any], Any]) -> None:
     robot, stand = load("v3"), stand_of("v3")
@@ -260,6 +262,7 @@ def heights(robot: pa.Robot, height: float) -> list[float]:
     return [float(value) for value in stand.qpos]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", sorted({"spawn", "fork"} & {*multiprocessing.get_all_start_methods()})
 )

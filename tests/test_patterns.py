@@ -109,6 +109,7 @@ def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float 
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factors", "words"),
     [

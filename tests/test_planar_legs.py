@@ -68,6 +68,7 @@ def test_legs_of_three_joints_move_the_com(tmp_path: Path) -> None:
     assert pa.solve_stand(robot).task.com == "centre"
 
 
+@pytest.mark.slow
 def test_joints_with_more_than_a_turn_of_range_are_not_wound_up(tmp_path: Path) -> None:
     pair = planar(quadruped(tmp_path))
     for narrow in ("-2.6 -0.4", "-1.5 2.5"):
@@ -81,6 +82,7 @@ def test_joints_with_more_than_a_turn_of_range_are_not_wound_up(tmp_path: Path) 
     holds(robot)
 
 
+@pytest.mark.slow
 def test_why_it_does_not_settle_on_a_slope(tmp_path: Path) -> None:
     """MuJoCo's friction creeps, by as much as its law says."""
     robot = load(planar(quadruped(tmp_path)))
