@@ -299,6 +299,7 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     assert one.complaints == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", ["nonsense", "lift:tail,20"])
 def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> None:  # noqa: F811
     address = served.address.removeprefix("http://")

@@ -158,6 +158,7 @@ def test_products_of_inertia_that_are_dropped(tmp_path: Path) -> None:
     assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF, of 9 bodies")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", ["URDF", "MJCF"])
 def test_coms_that_are_left_out(file: str, tmp_path: Path) -> None:
     """As in a URDF of a LEAP Hand: each com is its link's origin."""

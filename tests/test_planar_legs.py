@@ -43,6 +43,7 @@ def test_the_centre_is_refused_if_it_is_asked_for(tmp_path: Path) -> None:
         pa.solve_stand(robot, pa.StandTask(com="centre"), explain=False)
 
 
+@pytest.mark.slow
 def test_it_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
     robot = load(planar(quadruped(tmp_path)))
     holds(robot, pa.StandTask(height=0.9 * robot.stand_height))

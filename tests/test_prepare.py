@@ -154,6 +154,7 @@ def test_a_robot_whose_limbs_touch_nothing(tmp_path: Path) -> None:
 COUNTS = {"box": 4, "four spheres": 4, "two capsules": 4, "cylinder": 3}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", BIPED_FEET)
 def test_a_biped_stands_on_two_flat_feet(shape: str, tmp_path: Path) -> None:
     robot = load(biped(tmp_path, BIPED_FEET[shape]))
@@ -312,6 +313,7 @@ def test_the_margin_of_a_contact_counts(tmp_path: Path) -> None:
     stands(robot)
 
 
+@pytest.mark.slow
 def test_feet_of_a_robot_that_lies_are_found_all_the_same(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path, keyframe="0 2.4 -2.6"))
     assert len(robot.soles) == 4
@@ -471,6 +473,7 @@ def test_bodies_that_overlap_are_kept_from_pushing(tmp_path: Path) -> None:
     stands(robot)
 
 
+@pytest.mark.slow
 def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     """The URDF counts one knee from 0.3 rad before the MJCF's zero: the same robot."""
     pair = quadruped(tmp_path)

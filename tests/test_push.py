@@ -81,6 +81,7 @@ def test_every_variant_has_limits_in_every_direction(variant: str) -> None:
     assert len(result.to_dict()["impulses"]) == 4
 
 
+@pytest.mark.slow
 def test_left_and_right_are_alike(variant: str) -> None:
     """v3's rear feet are not quite: 90 and 91 mm from its middle."""
     result = pushed(variant)
