@@ -273,7 +273,8 @@ def test_other_files_are_other_designs(tmp_path: Path) -> None:
 HEAVY = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs more than 4 kg
 
 
-@pytest.mark.parametrize("guilty", [pytest.param("crashes", marks=pytest.mark.slow), "hangs"])
+@pytest.mark.slow
+@pytest.mark.parametrize("guilty", [pytest.param("crashes", marks=pytest.mark.longest), "hangs"])
 def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) -> None:
     measure = getattr(study_measures, guilty)
     made = study(HEAVY, measure, time_limit=3.0)
