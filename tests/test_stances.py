@@ -119,7 +119,12 @@ def test_over_the_centre_the_skeletons_hind_legs_reach_their_limit(name: str) ->
 @pytest.mark.parametrize("name", ["long-leg", "v3"])
 def test_a_step_and_a_slope_hold_in_simulation(name: str) -> None:
     robot = load(name)
-    for ground in (pa.Ground(heights={"FL": 0.02}), pa.Ground(slope=0.08, uphill=0.7)):
+    for ground in (
+        pa.Ground(heights={"FL": 0.02}),
+        pa.Ground(slope=0.08, uphill=0.7),
+        pa.Ground(heights={"RR": -0.004}),  # a step down, into the floor
+        pa.Ground(slope=0.06, uphill=-2.0, heights={"FL": -0.003, "RR": 0.005}),
+    ):
         stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
         report = pa.verify_stand(robot, stand)
         assert report.passed, report.failures

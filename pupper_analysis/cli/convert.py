@@ -14,6 +14,7 @@ from pupper_analysis.cli.shared import (
     MODEL_FILE,
     assignment,
     check_outputs,
+    file_option,
     finish,
     json_option,
     number,
@@ -24,10 +25,9 @@ from pupper_analysis.errors import ConfigurationError, OutputError
 
 @click.command("convert", context_settings=CONTEXT, short_help="Make an MJCF of a URDF, or back.")
 @click.argument("source", type=MODEL_FILE)
-@click.option(
+@file_option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
     required=True,
     help="The new file: .xml of a URDF, .urdf of an MJCF.",
 )

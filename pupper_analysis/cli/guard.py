@@ -16,6 +16,7 @@ from pupper_analysis.cli.shared import (
     CONTEXT,
     assignment,
     check_outputs,
+    file_option,
     finish,
     format_option,
     json_option,
@@ -25,9 +26,8 @@ from pupper_analysis.cli.shared import (
 @click.command(
     "check", context_settings=CONTEXT, short_help="Check all models of a repository, as its CI."
 )
-@click.option(
+@file_option(
     "--config",
-    type=click.Path(path_type=Path),
     help="The pupper-analysis.toml; else that of this folder, or of one above it.",
 )
 @click.option(

@@ -12,6 +12,7 @@ from pupper_analysis.cli.shared import (
     MODEL_FILE,
     assignment,
     check_outputs,
+    file_option,
     finish,
     format_option,
     json_option,
@@ -41,9 +42,8 @@ map_option = click.option(
     metavar="URDF=MJCF",
     help="A joint's or frame's name in the URDF, and in the MJCF. May be repeated.",
 )
-map_file_option = click.option(
+map_file_option = file_option(
     "--map-file",
-    type=click.Path(path_type=Path),
     help='TOML file of such names: a line "name in the URDF" = "name in the MJCF" each.',
 )
 

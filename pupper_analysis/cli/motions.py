@@ -10,6 +10,7 @@ from pupper_analysis.cli.shared import (
     CONTEXT,
     check_outputs,
     figure_option,
+    file_option,
     finish,
     json_option,
     report_option,
@@ -24,12 +25,11 @@ from pupper_analysis.errors import ConfigurationError
 @name_argument
 @click.option("--seconds", type=float, metavar="S", help="How long it takes (s).")
 @click.option("--fastest", is_flag=True, help="The least time that motors and contacts allow.")
-@click.option(
+@file_option(
     "--csv",
-    type=click.Path(path_type=Path),
     help="Write the path's commands here, or to -.",
 )
-@click.option("--npz", type=click.Path(path_type=Path), help="Write the path's arrays here.")
+@file_option("--npz", help="Write the path's arrays here.")
 @robot_and_task
 @json_option
 @report_option

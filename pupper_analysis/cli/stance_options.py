@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pupper_analysis.cli.shared import ANGLE, LENGTH, assignment, length, number, point, working
+from pupper_analysis.cli.shared import (
+    ANGLE,
+    LENGTH,
+    assignment,
+    file_option,
+    length,
+    number,
+    point,
+    working,
+)
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -30,8 +39,8 @@ VARIANT = (
     click.option("--torso-mass-scale", type=float, metavar="T", help="Its torso's mass, times T."),
 )
 OWN = (
-    click.option("--urdf", type=click.Path(path_type=Path), help="A robot of your own: its URDF,"),
-    click.option("--mjcf", type=click.Path(path_type=Path), help="and its MJCF."),
+    file_option("--urdf", help="A robot of your own: its URDF,"),
+    file_option("--mjcf", help="and its MJCF."),
     click.option(
         "--foot",
         "feet",

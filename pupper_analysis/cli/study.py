@@ -13,6 +13,7 @@ import click
 from pupper_analysis.cli.shared import (
     CONTEXT,
     check_outputs,
+    file_option,
     finish,
     json_option,
     report_option,
@@ -26,11 +27,10 @@ if TYPE_CHECKING:
 
 @click.command("study", context_settings=CONTEXT, short_help="Measure thousands of designs.")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option(
+@file_option(
     "-o",
     "--output",
     "folder",
-    type=click.Path(path_type=Path),
     required=True,
     help="Keeps the results; a run that was ended goes on there.",
 )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.cli.shared import CONTEXT, FAILED, check_outputs
+from pupper_analysis.cli.shared import CONTEXT, FAILED, check_outputs, file_option
 from pupper_analysis.cli.stance_options import VARIANT, derived_variant, name_argument, options
 from pupper_analysis.errors import ConfigurationError
 
@@ -48,9 +48,8 @@ def view(
 @click.option("--headless", is_flag=True, help="Open no window: simulate, and print the result.")
 @click.option("--seconds", type=float, help="Simulated time of the drop (s).  [default: 6]")
 @click.option("--demo", type=click.Choice(["squat", "sway", "lift"]), help="Let it move instead.")
-@click.option(
+@file_option(
     "--csv",
-    type=click.Path(path_type=Path),
     help="Write the path of a demo here, or to -.",
 )
 def drop(

@@ -55,13 +55,20 @@ def _task(state: State) -> str:
     if state.moves:
         moves = {foot: (metres(x), metres(y)) for foot, (x, y) in state.moves.items()}
         parts.append(f"foot_offsets={moves!r}")
-    if state.lift:
-        parts.append(f"swing={ {state.lift: metres(state.lift_height)}!r}")
-    if state.slope or state.uphill:
-        parts.append(
-            f"ground=pa.Ground(slope={_angle(state.slope)}, uphill={_angle(state.uphill)})"
-        )
+    if state.lifts:
+        parts.append(f"swing={_heights(state.lifts)!r}")
+    ground = [
+        f"{name}={_angle(value)}" for name in ("slope", "uphill") if (value := getattr(state, name))
+    ]
+    if state.steps:
+        ground.append(f"heights={_heights(state.steps)!r}")
+    if ground:
+        parts.append(f"ground=pa.Ground({', '.join(ground)})")
     return ", ".join(parts)
+
+
+def _heights(feet: Mapping[str, float]) -> dict[str, float]:
+    return {foot: metres(height) for foot, height in feet.items()}
 
 
 def _asked(state: State) -> Iterator[tuple[str, str, Any]]:
@@ -75,12 +82,15 @@ def _asked(state: State) -> Iterator[tuple[str, str, Any]]:
         yield "offset", "point", state.offset
     if state.place == "inside":
         yield "com", "word", "inside"
-    if state.com_margin:
-        yield "com_margin", "length", state.com_margin
+    if state.joint_margin:
+        yield "joint_margin", "angle", state.joint_margin
+    for name in ("com_margin", "ground_clearance", "self_clearance"):
+        if value := getattr(state, name):
+            yield name, "length", value
 
 
 def _angle(degrees: float) -> str:
-    return f"math.radians({plain(degrees)})" if degrees else "0.0"
+    return f"math.radians({plain(degrees)})"
 
 
 def command(source: Source, state: State) -> str:
@@ -88,9 +98,10 @@ def command(source: Source, state: State) -> str:
     return spoken([PROGRAM, "stand", *source.arguments(state.scales()), *_options(state)])
 
 
-def live_command(source: Source, state: State) -> str:
+def live_command(source: Source, state: State, language: str = "en") -> str:
     """Returns the command that opens a page with the same state."""
     words = [PROGRAM, "live", *source.arguments({})]
+    words += [] if language == "en" else ["--language", language]
     return spoken([*words, "--state", str(state)] if str(state) else words)
 
 
@@ -100,8 +111,8 @@ def _options(state: State) -> list[str]:
         f"--{name.replace('_', '-')}={_TYPED[kind](value)}" for name, kind, value in _asked(state)
     ]
     words += [f"--move={foot}={_point(move)}" for foot, move in state.moves.items()]
-    if state.lift:
-        words.append(f"--swing={state.lift}={metres(state.lift_height)!r}")
+    words += [f"--swing={foot}={height!r}" for foot, height in _heights(state.lifts).items()]
+    words += [f"--step={foot}={height!r}" for foot, height in _heights(state.steps).items()]
     for name in ("slope", "uphill"):
         if value := getattr(state, name):
             words.append(f"--{name}={_TYPED['angle'](value)}")
@@ -168,7 +179,7 @@ def table(answer: Answer) -> str:
     return text.getvalue()
 
 
-def link(address: str, state: State) -> str:
+def link(address: str, state: State, language: str = "en") -> str:
     """Returns the address of a page with the same state, of a server as a browser reaches it.
 
     What viser's page takes to be its server's address is, with a state behind it, what the server
@@ -177,8 +188,11 @@ def link(address: str, state: State) -> str:
     Args:
         address: Host and port.
         state: The state.
+        language: In which it opens.
     """
-    text = str(state)
-    if not text:
+    asked = f"state={quote(str(state), safe=':;,.%')}"
+    if language != "en":
+        asked += f"%26language={language}"  # of the server's address, not of the page's
+    elif not str(state):
         return f"http://{address}/"
-    return f"http://{address}/?websocket=ws://{address}/?state={quote(text, safe=':;,.%')}"
+    return f"http://{address}/?websocket=ws://{address}/?{asked}"
