@@ -119,15 +119,20 @@ def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
     }
 
 
-@pytest.mark.slow
-def test_the_keyframe_stands_by_itself_in_bare_mujoco(tmp_path: Path) -> None:
-    mjcf, _ = converted(standing_urdf(tmp_path), "quad.xml")
-    model = compiled(mjcf)
+def from_keyframe(model: mujoco.MjModel) -> tuple[mujoco.MjData, np.ndarray]:
+    """The state after 3 s from the keyframe on, in MuJoCo alone, and the start's qpos."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     start = data.qpos.copy()
     for _ in range(round(3 / model.opt.timestep)):
         mujoco.mj_step(model, data)
+    return data, start
+
+
+@pytest.mark.slow
+def test_the_keyframe_stands_by_itself_in_bare_mujoco(tmp_path: Path) -> None:
+    mjcf, _ = converted(standing_urdf(tmp_path), "quad.xml")
+    data, start = from_keyframe(compiled(mjcf))
     assert np.abs(data.qvel).max() < 1e-4
     np.testing.assert_allclose(data.qpos[7:], start[7:], atol=1e-3)  # rad
     assert data.qpos[2] == pytest.approx(start[2], abs=1e-3)

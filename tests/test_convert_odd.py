@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from test_convert import _shape, compiled, converted, same_dynamics, standing_urdf
+from test_convert import _shape, compiled, converted, from_keyframe, same_dynamics, standing_urdf
 
 import pupper_analysis as pa
 
@@ -27,11 +27,7 @@ def _changed(folder: Path, *changes: tuple[str, str]) -> Path:
 def _drift(mjcf: Path, but: str = "") -> float:
     """How far joints but one (rad) and base (m) go in 3 s from the keyframe, in MuJoCo alone."""
     model = compiled(mjcf)
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-    start = data.qpos.copy()
-    for _ in range(round(3 / model.opt.timestep)):
-        mujoco.mj_step(model, data)
+    data, start = from_keyframe(model)
     gone = np.abs(data.qpos - start)
     gone[:2] = 0
     if but:

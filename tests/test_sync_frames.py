@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from robots import (
     Files,
+    Parts,
     arm,
     changed,
     mjcf_text,
@@ -95,17 +97,18 @@ def test_an_arm_on_a_base_that_stands_somewhere(
         assert 1 <= len(result.edits) <= 2
 
 
+def another_zero(**more: Any) -> Parts:
+    """The robot with a knee's zero, and its limits with it, 0.4 rad elsewhere; and more changes."""
+    part = ROBOT["shank1"]
+    turned = turned_about(part, part.axis, 0.4)
+    limits = {"lower": part.lower - 0.4, "upper": part.upper - 0.4}
+    return changed(ROBOT, "shank1", quaternion=turned, **limits, **more)
+
+
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 def test_a_zero_that_is_elsewhere(tmp_path: Path, side: str) -> None:
     """The limits move along: it is one difference, and two or three attributes."""
-    part = ROBOT["shank1"]
-    moved = changed(
-        ROBOT,
-        "shank1",
-        quaternion=turned_about(part, part.axis, 0.4),
-        lower=part.lower - 0.4,
-        upper=part.upper - 0.4,
-    )
+    moved = another_zero()
     files = write(tmp_path, urdf_text(ROBOT), mjcf_text(moved))
     result = pa.sync_models(*files, take=side)
     assert [(d.kind, d.element) for d in result.differences] == [("zero", "knee1")]
@@ -117,15 +120,7 @@ def test_a_zero_that_is_elsewhere(tmp_path: Path, side: str) -> None:
 
 
 def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) -> None:
-    part = ROBOT["shank1"]
-    moved = changed(
-        ROBOT,
-        "shank1",
-        quaternion=turned_about(part, part.axis, 0.4),
-        lower=part.lower - 0.4,
-        upper=part.upper - 0.4,
-        position=(0.01, 0.08, -0.2),
-    )
+    part, moved = ROBOT["shank1"], another_zero(position=(0.01, 0.08, -0.2))
     for side in ("urdf", "mjcf"):
         files = write(tmp_path, urdf_text(ROBOT), mjcf_text(moved))
         result = pa.sync_models(*files, take=f"{side}:position")
