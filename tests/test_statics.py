@@ -156,6 +156,7 @@ def joint_torques(
     return torques[6:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.15, 0.8])
 @settings(max_examples=30)
 @given(config=near_stands, seed=st.integers(0, 1000))
