@@ -33,27 +33,13 @@ hypothesis.settings.register_profile(
 )
 hypothesis.settings.load_profile("suite")
 
-LONGEST = {
-    "test_action",
-    "test_best",
-    "test_mutations",
-    "test_payload",
-    "test_random_robots",
-    "test_recorded",
-    "test_study_results",
-    "test_study_run",
-    "test_sync_mutations",
-    "test_sync_real",
-}
-"""Modules whose slow tests take minutes together."""
-
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks the longest of the slow tests, before any are chosen by their marks."""
+    """Marks the longest as slow, before any are chosen by their marks."""
     for item in items:
-        if item.get_closest_marker("slow") and item.path.stem in LONGEST:
-            item.add_marker(pytest.mark.longest)
+        if item.get_closest_marker("longest"):
+            item.add_marker(pytest.mark.slow)
 
 
 ROOT = Path(__file__).resolve().parents[1]

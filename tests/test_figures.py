@@ -242,6 +242,7 @@ def test_height_figure_draws_task_and_runs_in_mm(monkeypatch: pytest.MonkeyPatch
     np.testing.assert_allclose(sagging, 1e3 * analysis.sagging.height)
 
 
+@pytest.mark.slow
 def test_gain_figure_marks_what_fell_and_what_is_best(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

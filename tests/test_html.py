@@ -148,6 +148,7 @@ def pushed() -> PushRecovery:
 # What the page is
 
 
+@pytest.mark.slow
 def test_it_is_well_formed_and_asks_for_nothing() -> None:
     page = page_of(analysis())
     assert page.text.startswith("<!doctype html>")
@@ -794,6 +795,7 @@ def test_a_report_goes_to_standard_output() -> None:
     assert "SOUND" in found.stderr
 
 
+@pytest.mark.slow
 def test_the_template_engine_is_loaded_when_a_report_is_written() -> None:
     code = (
         "import sys, pupper_analysis.cli, pupper_analysis.report.html.write, "
