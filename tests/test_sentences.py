@@ -85,6 +85,7 @@ def test_sentences_that_are_joined_are_taken_apart() -> None:
         "<script>",
         "x" * 100_000,
         "{a}",
+        "Newton steps, on all of the way from the stand.",
     ],
 )
 def test_what_is_not_known_stays_english(sentence: str) -> None:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import inspect
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 
 from pupper_analysis.analysis.path import PathThere
 from pupper_analysis.analysis.push import PushedStance
@@ -25,6 +29,7 @@ from pupper_analysis.report.html.document import (
     Said,
     Section,
     Table,
+    Text,
     Words,
     number,
 )
@@ -104,9 +109,13 @@ def title_of(results: Sequence[object]) -> Words:
 
 def _any(result: Result, name: str) -> Section:
     """Returns the fields of a result that has no page of its own, with what they mean."""
-    meanings = _meanings(type(result))
+    said = meanings(type(result))
     rows: list[tuple[Cell, ...]] = [
-        (Name(field.name), _value(getattr(result, field.name)), Said(meanings.get(field.name, "")))
+        (
+            Name(field.name),
+            _value(getattr(result, field.name)),
+            _said_meaning(said.get(field.name, "")),
+        )
         for field in fields(result)  # type: ignore[arg-type]  # all results are dataclasses
     ]
     table = Table(
@@ -141,8 +150,25 @@ def _value(value: object) -> Cell:
     return number(float(value), ".6g")
 
 
-def _meanings(kind: type) -> dict[str, str]:
-    """Returns {field: what its docstring says of it, unit included}."""
-    said = (inspect.getdoc(kind) or "").partition("Attributes:\n")[2]
-    entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", said, flags=re.MULTILINE)
-    return {name: re.sub(r"\s+", " ", meaning) for name, meaning in entries}
+def meanings(kind: type) -> dict[str, str]:
+    """Returns {field: what its docstring says of it, or its base's, unit included}."""
+    found: dict[str, str] = {}
+    for one in reversed(kind.__mro__):
+        said = inspect.cleandoc(one.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
+        entries = re.findall(r"^    ([\w, ]+): (.*(?:\n {8}.*)*)", said, flags=re.MULTILINE)
+        for names, meaning in entries:
+            found |= dict.fromkeys(names.split(", "), re.sub(r"\s+", " ", meaning))
+    return found
+
+
+def _said_meaning(meaning: str) -> Text | Said:
+    """Returns what a field means in both languages, or as it is."""
+    chinese = chinese_meanings().get(meaning)
+    return Said(meaning) if chinese is None else Text(meaning, chinese)
+
+
+@cache
+def chinese_meanings() -> Mapping[str, str]:
+    """Returns {what a docstring says of a field: the same in Simplified Chinese}."""
+    file = files("pupper_analysis.report.html").joinpath("templates", "meanings.toml")
+    return MappingProxyType(tomllib.loads(file.read_text(encoding="utf-8")))

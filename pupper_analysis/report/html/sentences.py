@@ -25,6 +25,10 @@ _REMEMBERED = 4096
 _LONGEST = 4000
 """Characters; a longer text is a listing, and patterns with many holes would try for long."""
 
+_FEW = 4
+"""Letters outside of holes with which a pattern would fit any sentence that has a word of it: its
+holes are single names, as of ``{foot} on {body}``."""
+
 
 @dataclass(frozen=True)
 class Pattern:
@@ -101,8 +105,10 @@ def _all_of(text: str, comma: str, chinese: str) -> str | None:
 
 def _pattern(english: str, chinese: str) -> Pattern:
     pieces = _HOLE.split(english)  # words and names of holes, by turns
-    expression = "".join(
-        f"(?P<{piece}>.+?)" if place % 2 else re.escape(piece) for place, piece in enumerate(pieces)
-    )
     literal = sum(len(words) for words in pieces[::2])
+    hole = ".+?" if literal > _FEW else r"\S+"
+    expression = "".join(
+        f"(?P<{piece}>{hole})" if place % 2 else re.escape(piece)
+        for place, piece in enumerate(pieces)
+    )
     return Pattern(re.compile(expression, re.DOTALL), chinese, literal, pieces[0])
