@@ -261,6 +261,21 @@ def test_no_text_in_the_catalogue_is_left_over() -> None:
         assert written in joined or english in results | kinds, english
 
 
+def test_the_fields_of_any_result_are_written_out() -> None:
+    stand = stand_of("v3")
+    statics = pa.stand_statics(load("v3"), stand)
+    tables = page_of(stand, statics).tables()
+    rows = {row["field"]: row for name in ("Stand", "GravityCompensation") for row in tables[name]}
+    assert rows["stance_feet"]["value"] == "(FR, FL, RR, RL)"
+    assert rows["task"]["value"] == str(stand.task)
+    place = ", ".join(f"{value:.6g}" for value in stand.foot_targets["FR"])
+    assert rows["foot_targets"]["value"].startswith(f"FR: ({place}); FL: (")
+    torques = ", ".join(f"{value:.6g}" for value in statics.joint_torques)
+    assert rows["joint_torques"]["value"] == f"({torques})"
+    assert rows["joint_torques"]["meaning and unit"] == "(nu,) what the motors hold (N m)."
+    assert rows["ground_clearance"]["value"].startswith("distance 0.0")
+
+
 def all_results(kind: type = Result) -> set[type]:
     """All kinds of results, which are there as their modules are."""
     for module in pkgutil.walk_packages(pa.__path__, "pupper_analysis."):
@@ -275,9 +290,7 @@ def test_each_field_of_a_result_has_a_meaning_in_both_languages() -> None:
     apart = (pa.Analysis, Stance, PushedStance, PathThere, pa.Comparison, pa.Audit, pa.StudyOutcome)
     for kind in sorted(all_results(), key=lambda kind: kind.__name__):
         own = kind.__module__.startswith("pupper_analysis.")
-        if (
-            own and is_dataclass(kind) and not issubclass(kind, apart)
-        ):  # these have pages of their own
+        if own and is_dataclass(kind) and not issubclass(kind, apart):  # others have pages
             said = meanings(kind)
             assert {field.name for field in fields(kind)} <= set(said), kind
             shown |= {said[field.name] for field in fields(kind)}

@@ -24,6 +24,7 @@ from pupper_analysis.report.html.document import (
     Section,
     Sides,
     Table,
+    Text,
     View,
     Words,
     number,
@@ -105,8 +106,23 @@ def _sides(comparison: Comparison, difference: Difference, title: Words, *notes:
     return Sides(
         title,
         tuple(columns),
-        (*notes, *map(said, difference.made_of), said(effects_in_words(difference))),
+        (*notes, *map(said, difference.made_of), _effects(difference)),
     )
+
+
+def _effects(difference: Difference) -> Words:
+    """Returns what a difference does, in both languages."""
+    english = effects_in_words(difference)
+    if not difference.effects:
+        return text("no effect on the dynamics")
+    begin = text("alone it makes, of the deviation in: ")
+    parts = english.removeprefix(begin.en).split(", ")
+    spoken = []
+    for part in parts:
+        name = next(name for name in difference.effects if part.startswith(f"{name} "))
+        quantity = word(name)
+        spoken.append((quantity.zh if isinstance(quantity, Text) else name) + part[len(name) :])
+    return Text(english, begin.zh + "、".join(spoken))
 
 
 def _differences(comparison: Comparison) -> Table:
@@ -174,7 +190,11 @@ def _explained(comparison: Comparison) -> Iterable[Block]:
 
 def _quantities(comparison: Comparison) -> Table:
     check = comparison.check
-    sides = [side for side in EDGES.values() if any(side in q.edges for q in check.quantities)]
+    sides = [
+        side
+        for side in dict.fromkeys(EDGES.values())
+        if any(side in q.edges for q in check.quantities)
+    ]
     rows: list[tuple[Cell, ...]] = [
         (
             word(quantity.name),

@@ -31,7 +31,6 @@ from pupper_analysis.report.html.document import (
     Table,
     Text,
     Words,
-    number,
 )
 from pupper_analysis.report.html.stance import (
     path_section,
@@ -41,8 +40,9 @@ from pupper_analysis.report.html.stance import (
     stance_section,
 )
 from pupper_analysis.report.html.study import study_section
+from pupper_analysis.report.html.values import value_cell
 from pupper_analysis.report.html.words import text
-from pupper_analysis.results import Result, Tabular, short
+from pupper_analysis.results import Result, Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.outcome import StudyOutcome
 
@@ -113,7 +113,7 @@ def _any(result: Result, name: str) -> Section:
     rows: list[tuple[Cell, ...]] = [
         (
             Name(field.name),
-            _value(getattr(result, field.name)),
+            value_cell(getattr(result, field.name)),
             _said_meaning(said.get(field.name, "")),
         )
         for field in fields(result)  # type: ignore[arg-type]  # all results are dataclasses
@@ -122,7 +122,7 @@ def _any(result: Result, name: str) -> Section:
         Name(type(result).__name__),
         (
             Column(text("field"), left=True),
-            Column(text("value")),
+            Column(text("value"), left=True),
             Column(text("meaning and unit"), left=True),
         ),
         tuple(rows),
@@ -135,19 +135,13 @@ def _any(result: Result, name: str) -> Section:
             Table(
                 text("As a table"),
                 tuple(Column(Name(key)) for key in columns),
-                tuple(tuple(map(_value, row)) for row in cells),
+                tuple(tuple(map(value_cell, row)) for row in cells),
                 (text("Units are those of the fields."),),
             )
         )
     passed = getattr(result, "passed", None)
     verdict = None if passed is None else text("PASSED") if passed else text("FAILED")
     return Section(Name(name), tuple(blocks), passed, verdict)
-
-
-def _value(value: object) -> Cell:
-    if isinstance(value, bool) or not isinstance(value, float | int):
-        return Name(value if isinstance(value, str) else short(value))
-    return number(float(value), ".6g")
 
 
 def meanings(kind: type) -> dict[str, str]:
@@ -164,7 +158,8 @@ def meanings(kind: type) -> dict[str, str]:
 def _said_meaning(meaning: str) -> Text | Said:
     """Returns what a field means in both languages, or as it is."""
     chinese = chinese_meanings().get(meaning)
-    return Said(meaning) if chinese is None else Text(meaning, chinese)
+    plain = meaning.replace("``", "")  # the marks of code in docstrings
+    return Said(plain) if chinese is None else Text(plain, chinese.replace("``", ""))
 
 
 @cache

@@ -106,9 +106,16 @@ def _all_of(text: str, comma: str, chinese: str) -> str | None:
 def _pattern(english: str, chinese: str) -> Pattern:
     pieces = _HOLE.split(english)  # words and names of holes, by turns
     literal = sum(len(words) for words in pieces[::2])
-    hole = ".+?" if literal > _FEW else r"\S+"
-    expression = "".join(
-        f"(?P<{piece}>{hole})" if place % 2 else re.escape(piece)
-        for place, piece in enumerate(pieces)
-    )
+    named = [_hole(name, pieces[1::2], literal) for name in pieces[1::2]]
+    words = [re.escape(piece) for piece in pieces[::2]]
+    expression = "".join(part for pair in zip(words, [*named, ""], strict=True) for part in pair)
     return Pattern(re.compile(expression, re.DOTALL), chinese, literal, pieces[0])
+
+
+def _hole(name: str, names: list[str], literal: int) -> str:
+    """Returns what may stand in a hole, of a pattern with so many letters of its own."""
+    if name.startswith("word"):
+        return f"(?P<{name}>[^ ;]+)"
+    if any(other.startswith("word") for other in names):
+        return f"(?P<{name}>[^;]+?)"
+    return f"(?P<{name}>.+?)" if literal > _FEW else rf"(?P<{name}>\S+)"
