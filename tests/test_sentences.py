@@ -59,7 +59,8 @@ def test_numbers_and_names_stand_as_they_were() -> None:
 def test_each_entry_of_an_inertia_is_said_by_itself() -> None:
     sentence = (
         "body of base: inertia about the com: ixx 0.018 kg m^2 in the URDF, "
-        "0.016 kg m^2 in the MJCF (-7.39 %); iyy 0.068 kg m^2 in the URDF, 0.063 kg m^2 in the MJCF (-7.34 %)"
+        "0.016 kg m^2 in the MJCF (-7.39 %); iyy 0.068 kg m^2 in the URDF, "
+        "0.063 kg m^2 in the MJCF (-7.34 %)"
     )
     assert said(sentence) == Text(
         sentence,
