@@ -98,10 +98,12 @@ def inverse_dynamics(
     if resistance:
         load += joint_resistance(robot, config.qvel, acceleration)
         levers = rolling_levers(config, acceleration, ground)
+    left = dict.fromkeys(levers, 1.0)
     origin, normal = _ground_under(config, ground)
     pressed = {foot: max(0.0, float(load[:3] @ normal)) / len(feet) for foot in feet}
     for _ in range(_ROUNDS if levers else 1):
-        moments = {foot: pressed[foot] * levers.get(foot, np.zeros(3)) for foot in feet}
+        moments = {foot: np.zeros(3) for foot in feet}
+        moments |= {foot: pressed[foot] * left[foot] * lever for foot, lever in levers.items()}
         rest = load.copy()
         for foot, moment in moments.items():
             rest -= config.frame_jacobian(robot.foot_frames[foot])[3:].T @ moment
@@ -117,6 +119,10 @@ def inverse_dynamics(
         )
         forces = found.contact_forces
         pressed = {foot: max(0.0, float(forces[foot] @ ground[foot])) for foot in feet}
+        left = {
+            foot: left_to_turn(robot, foot, forces[foot], pressed[foot] * lever, ground[foot])
+            for foot, lever in levers.items()
+        }
     return InverseDynamics(
         **{field.name: getattr(found, field.name) for field in fields(Equilibrium)},
         contact_moments=moments,
@@ -237,3 +243,27 @@ def rolling_levers(
         pressed = limits @ asked / (softness * slide**2) / share
         found[foot] = -limits @ pressed / max(1.0, float(np.linalg.norm(pressed)))
     return found
+
+
+def left_to_turn(robot: Robot, foot: str, force: Array, moment: Array, normal: Array) -> float:
+    """Returns what share of a moment against turning the tangential force of a foot leaves.
+
+    The two share one cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2.
+
+    Args:
+        robot: The robot.
+        foot: A foot that the ground resists (``rolling_levers``).
+        force: (3,) of the ground on it (N).
+        moment: (3,) that it would be without tangential force (N m).
+        normal: (3,) direction out of the ground.
+    """
+    slide, _, spin, roll, _ = robot.contacts[foot].friction
+    pressing, about = float(force @ normal), float(moment @ normal)
+    if pressing <= 0.0:
+        return 0.0
+    tangential = float(np.linalg.norm(force - pressing * normal)) / (slide * pressing)
+    over = float(np.linalg.norm(moment - about * normal))
+    parts = [abs(size) / limit for size, limit in ((about, spin), (over, roll)) if limit > 0]
+    taken = math.hypot(*parts) / pressing
+    room = math.sqrt(max(0.0, 1.0 - tangential**2))
+    return min(1.0, room / taken) if taken > 0 else 1.0

@@ -18,20 +18,10 @@ from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.checks.audit import Audit
 from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.report.html import document as doc
 from pupper_analysis.report.html.analysis import analysis_section
 from pupper_analysis.report.html.audit import audit_section
 from pupper_analysis.report.html.comparison import comparison_section
-from pupper_analysis.report.html.document import (
-    Block,
-    Cell,
-    Column,
-    Name,
-    Said,
-    Section,
-    Table,
-    Text,
-    Words,
-)
 from pupper_analysis.report.html.stance import (
     path_section,
     push_plot,
@@ -50,7 +40,7 @@ MOST_ROWS = 500
 """Of a table of which nothing is known: more than anyone reads."""
 
 
-def section_of(result: Result, name: str | None, robots: Mapping[str, Robot]) -> Section:
+def section_of(result: Result, name: str | None, robots: Mapping[str, Robot]) -> doc.Section:
     """Returns what is shown of a result.
 
     Args:
@@ -75,7 +65,7 @@ def section_of(result: Result, name: str | None, robots: Mapping[str, Robot]) ->
     return _any(result, name or type(result).__name__)
 
 
-def overview_of(results: Sequence[Result]) -> tuple[Block, ...]:
+def overview_of(results: Sequence[Result]) -> tuple[doc.Block, ...]:
     """Returns what compares several results."""
     pushes = [result for result in results if isinstance(result, PushedStance)]
     alike = {pushed.recovery.directions.tobytes() for pushed in pushes}
@@ -84,7 +74,7 @@ def overview_of(results: Sequence[Result]) -> tuple[Block, ...]:
     return ()
 
 
-def title_of(results: Sequence[object]) -> Words:
+def title_of(results: Sequence[object]) -> doc.Words:
     """Returns a page's title: what kind of result it shows."""
     titles = {
         Analysis: text("Analysis of robots"),
@@ -107,45 +97,45 @@ def title_of(results: Sequence[object]) -> Words:
     return text("Report of pupper_analysis")
 
 
-def _any(result: Result, name: str) -> Section:
+def _any(result: Result, name: str) -> doc.Section:
     """Returns the fields of a result that has no page of its own, with what they mean."""
     said = meanings(type(result))
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[doc.Cell, ...]] = [
         (
-            Name(field.name),
+            doc.Name(field.name),
             value_cell(getattr(result, field.name)),
             _said_meaning(said.get(field.name, "")),
         )
         for field in fields(result)  # type: ignore[arg-type]  # all results are dataclasses
     ]
-    table = Table(
-        Name(type(result).__name__),
+    table = doc.Table(
+        doc.Name(type(result).__name__),
         (
-            Column(text("field"), left=True),
-            Column(text("value"), left=True),
-            Column(text("meaning and unit"), left=True),
+            doc.Column(text("field"), left=True),
+            doc.Column(text("value"), left=True),
+            doc.Column(text("meaning and unit"), left=True),
         ),
         tuple(rows),
     )
-    blocks: list[Block] = [table]
+    blocks: list[doc.Block] = [table]
     if isinstance(result, Tabular):
         columns = {key: list(values) for key, values in result._columns().items()}  # type: ignore[arg-type]
         cells = list(zip(*columns.values(), strict=True))[:MOST_ROWS]
         blocks.append(
-            Table(
+            doc.Table(
                 text("As a table"),
-                tuple(Column(Name(key)) for key in columns),
+                tuple(doc.Column(doc.Name(key)) for key in columns),
                 tuple(tuple(map(value_cell, row)) for row in cells),
                 (text("Units are those of the fields."),),
             )
         )
     passed = getattr(result, "passed", None)
     verdict = None if passed is None else text("PASSED") if passed else text("FAILED")
-    return Section(Name(name), tuple(blocks), passed, verdict)
+    return doc.Section(doc.Name(name), tuple(blocks), passed, verdict)
 
 
 def meanings(kind: type) -> dict[str, str]:
-    """Returns {field: what its docstring says of it, or its base's, unit included}."""
+    """Returns {field: what the docstring of its class says of it, unit included}."""
     found: dict[str, str] = {}
     for one in reversed(kind.__mro__):
         said = inspect.cleandoc(one.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
@@ -155,11 +145,11 @@ def meanings(kind: type) -> dict[str, str]:
     return found
 
 
-def _said_meaning(meaning: str) -> Text | Said:
+def _said_meaning(meaning: str) -> doc.Text | doc.Said:
     """Returns what a field means in both languages, or as it is."""
     chinese = chinese_meanings().get(meaning)
     plain = meaning.replace("``", "")  # the marks of code in docstrings
-    return Said(plain) if chinese is None else Text(plain, chinese.replace("``", ""))
+    return doc.Said(plain) if chinese is None else doc.Text(plain, chinese.replace("``", ""))
 
 
 @cache
