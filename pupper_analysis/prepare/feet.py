@@ -15,10 +15,10 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest
-from pupper_analysis.robot.build import CONTACT_OF_GEOM
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.floor import CONTACT_OF_GEOM
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

@@ -29,9 +29,10 @@ from pupper_analysis.prepare.feet import (
     with_feet,
 )
 from pupper_analysis.prepare.soles import BALL
-from pupper_analysis.robot.build import add_floor, build_robot, floor_of, rebuilt
+from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.floor import NO_GROUND, level_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.com_reach import moves_com
@@ -132,7 +133,8 @@ def _as_it_is(
     places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
     hinges = {j.name for j in spec.joints if j.type != mujoco.mjtJoint.mjJNT_FREE}
     known = all(one in links and other in places for one, other in feet.values())
-    if moving != hinges or not known:
+    free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints)
+    if moving != hinges or not known or (free and not fixed_base and _ground_to_mend(spec)):
         return None
     description = Description(
         name=name or spec.modelname,
@@ -151,6 +153,13 @@ def _as_it_is(
             raise
         return None  # a body that is named for its sole, which is no sphere around its frame
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *robot.notes))
+
+
+def _ground_to_mend(spec: mujoco.MjSpec) -> bool:
+    """Tells whether there is a ground, but not a level one at z = 0 with nothing else on it."""
+    changed: list[str] = []
+    level_ground(spec.copy(), changed)
+    return bool(set(changed) - {NO_GROUND})
 
 
 def _prepared(
@@ -183,12 +192,16 @@ def _prepared(
         robot = build_robot(description, fixed_base=fixed_base)
         return replace(robot, notes=(*notes, *robot.notes))
     ready = description.mjcf.copy()
-    if not floor_of(ready):
-        add_floor(ready)
-        notes.append("the MJCF has no ground: a plane with MuJoCo's default contact was added")
+    level_ground(ready, notes)
     bare = build_robot(replace(description, mjcf=ready))
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
-    feet = _feet(bare, frames, poses)
+    try:
+        feet = _feet(bare, frames, poses)
+    except ModelError as error:
+        gone = next((note for note in mjcf.notes if "mesh file(s) missing" in note), None)
+        if gone is None:
+            raise
+        raise ModelError(mjcf.path, f"{error.problem}; {gone}: put them there") from error
     if not feet:
         return replace(bare, notes=(*notes, *bare.notes))
     notes.append(_named(bare, feet, given=frames is not None))
