@@ -44,6 +44,9 @@ _APEX = 1.0  # m above a sole's points: so that even coplanar ones have a hull i
 _END = 5e-3
 """A sphere that is no further above a foot's lowest point is the foot (m)."""
 
+_LYING = 0.1
+"""A cylinder whose axis has less of the vertical lies: it touches with a line of its side."""
+
 _FLAT = 1e-3  # m: facets of a mesh, and spheres, that are no further from a plane make up one sole
 
 
@@ -53,9 +56,9 @@ class ContactPoint:
 
     Attributes:
         geom: The id of the geom that touches there.
-        center: (3,) in the frame of the geom's body (m): of a sphere, or of a capsule's end; of
-            other shapes the point itself.
-        radius: Of that sphere, or of the capsule (m); otherwise 0.
+        center: (3,) in the frame of the geom's body (m): of a sphere, or of the end of a
+            capsule or of a cylinder that lies; of other shapes the point itself.
+        radius: Of that sphere, or of the capsule, or of a cylinder that lies (m); otherwise 0.
     """
 
     geom: int
@@ -337,10 +340,20 @@ def _pressed(
                 (point for point, _ in _outline(model, data, geom)),
                 key=lambda point: float(np.linalg.norm(point - place)),
             )
+        elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER and _lies(data, geom):  # a wheel, which rolls
+            radius = float(model.geom_size[geom, 0])
+            half = model.geom_size[geom, 1] * data.geom_xmat[geom].reshape(3, 3)[:, 2]
+            ends = (data.geom_xpos[geom] - half, data.geom_xpos[geom] + half)
+            place = min(ends, key=lambda end: float(np.linalg.norm((end - place)[:2])))
         own = int(model.geom_bodyid[geom])
         center = data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own])
         found.append(ContactPoint(geom, center, radius))
     return tuple(found)
+
+
+def _lies(data: mujoco.MjData, geom: int) -> bool:
+    """Tells whether a cylinder touches the ground with its side."""
+    return bool(abs(data.geom_xmat[geom][8]) < _LYING)
 
 
 def _turning(one: Array, two: Array) -> Array:
