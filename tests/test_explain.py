@@ -20,6 +20,7 @@ from robots import (
     all_changed,
     arm,
     changed,
+    compared,
     explained,
     found,
     matched,
@@ -443,6 +444,22 @@ def test_damping_of_the_free_joint(tmp_path: Path) -> None:
     assert (difference.kind, difference.element, difference.mjcf) == ("damping", "base", 0.5)
     assert "use <freejoint/>" in difference.message
     assert set(difference.effects) == {"forward dynamics"}
+
+
+def test_dry_friction_of_the_free_joint(tmp_path: Path) -> None:
+    """It said AGREE, though MuJoCo holds the base by 1.5 N."""
+    files = write(
+        tmp_path,
+        urdf_text(quadruped()),
+        mjcf_text(quadruped()).replace("<freejoint/>", '<joint type="free" frictionloss="1.5"/>'),
+    )
+    comparison = compared(files)
+    assert not comparison.agree
+    (difference,) = comparison.differences
+    assert (difference.kind, difference.element) == ("dry friction", "base")
+    assert difference.message.startswith(
+        "free joint of base: no dry friction in the URDF, of 1.5 N"
+    )
 
 
 def test_armature_of_the_free_joint_is_given_to_both(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def wheeled(folder: Path, *legs: str, aside: float = 0.0) -> Pair:
             ElementTree.fromstring(
                 f'<body name="{leg}_wheel" pos="0 0 -0.2"><inertial pos="0 0 0" mass="0.3" '
                 f'diaginertia="4e-4 6e-4 4e-4"/><joint name="{leg}_roll_on" axis="0 1 0"/>'
-                f'<geom type="cylinder" size="{RADIUS} 0.02" euler="1.5707963267948966 0 0"/></body>'
+                f'<geom type="cylinder" size="{RADIUS} 0.02" quat="1 1 0 0"/></body>'
             )
         )
         actuators = mjcf.find("actuator")

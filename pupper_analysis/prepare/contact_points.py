@@ -128,13 +128,26 @@ def _outline(
         ]
         local = np.array(unit) * size
     elif kind == kinds.mjGEOM_MESH:
-        mesh = int(model.geom_dataid[geom])
-        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-        local = np.array(model.mesh_vert[first : first + count], dtype=float)
+        local = _hull_of(model, int(model.geom_dataid[geom]))
     else:
         return
     for point in local:
         yield place + turn @ point, radius
+
+
+def _hull_of(model: mujoco.MjModel, mesh: int) -> Array:
+    """Returns the vertices (n, 3) of a mesh's convex hull, which are what touches (m).
+
+    Meshes of published robots have up to 200,000 vertices; their hulls some thousand.
+    """
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    vertices = np.array(model.mesh_vert[first : first + count], dtype=float)
+    graph = int(model.mesh_graphadr[mesh])
+    if graph < 0:  # none that collides
+        return vertices
+    on = int(model.mesh_graph[graph])
+    begin = graph + 2 + on  # after two counts, and an address for each vertex
+    return vertices[model.mesh_graph[begin : begin + on]]
 
 
 def _tip(
@@ -235,7 +248,8 @@ def _facets(surface: Array, down: Array) -> Iterator[Array]:
     """Yields the outward normals (3,) of a hull's nearly level facets, or of its edge."""
     middle = surface.mean(axis=0)
     spread = surface - middle
-    _, sizes, axes = np.linalg.svd(spread, full_matrices=True)
+    # All axes, also of one or two points; of many not their n x n matrix of the other side.
+    _, sizes, axes = np.linalg.svd(spread, full_matrices=len(spread) < 3)
     rank = int((sizes > 1e-6).sum())
     if rank == 1:  # points on a line: as level as the line can lie
         normal = down - (down @ axes[0]) * axes[0]
