@@ -18,7 +18,7 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare import drives, start, touching
-from pupper_analysis.prepare.base import free_base
+from pupper_analysis.prepare.base import free_base, free_of_friction
 from pupper_analysis.prepare.base_frame import lift_base_frame
 from pupper_analysis.prepare.feet import (
     Foot,
@@ -156,9 +156,14 @@ def _as_it_is(
 
 
 def _ground_to_mend(spec: mujoco.MjSpec) -> bool:
-    """Tells whether there is a ground, but not a level one at z = 0 with nothing else on it."""
+    """Tells whether there is a ground, but not a level one at z = 0 with nothing else on it.
+
+    Or a base that hangs by its free joint's friction.
+    """
     changed: list[str] = []
-    level_ground(spec.copy(), changed)
+    mine = spec.copy()
+    level_ground(mine, changed)
+    free_of_friction(mine, changed)
     return bool(set(changed) - {NO_GROUND})
 
 
@@ -193,6 +198,7 @@ def _prepared(
         return replace(robot, notes=(*notes, *robot.notes))
     ready = description.mjcf.copy()
     level_ground(ready, notes)
+    free_of_friction(ready, notes)
     bare = build_robot(replace(description, mjcf=ready))
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
     try:

@@ -24,6 +24,7 @@ from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.floor import NO_GROUND, add_floor, floor_of
+from pupper_analysis.robot.options import options_in_words
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ def build_robot(
     mj_convention = MujocoConvention.of(mj_model, joint_names)
     pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
-    notes += _at_rest(mj_model)
+    notes += [*options_in_words(mj_model), *_at_rest(mj_model)]
     notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention)
     foot_frames = {foot: frames[0] for foot, frames in description.feet.items()}
     for frame in foot_frames.values():

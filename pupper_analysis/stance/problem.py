@@ -218,6 +218,13 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
         raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
     if not robot.feet:
         raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
+    if not robot.gravity[2] < 0:
+        numbers = ", ".join(f"{value:g}" for value in robot.gravity)
+        raise ConfigurationError(
+            "robot",
+            f"gravity of the MJCF is ({numbers}) m/s^2, which presses no foot down; give it "
+            '<option gravity="0 0 -9.81"/>, and no <flag gravity="disable"/>',
+        )
     for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights):
         robot.points_of(foot)
     for foot in depths:
