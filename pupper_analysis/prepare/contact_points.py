@@ -147,7 +147,8 @@ def _hull_of(model: mujoco.MjModel, mesh: int) -> Array:
         return vertices
     on = int(model.mesh_graph[graph])
     begin = graph + 2 + on  # after two counts, and an address for each vertex
-    return vertices[model.mesh_graph[begin : begin + on]]
+    hull: Array = vertices[model.mesh_graph[begin : begin + on]]
+    return hull
 
 
 def _tip(
