@@ -28,6 +28,7 @@ from pupper_analysis.prepare.feet import (
     named_foot,
     with_feet,
 )
+from pupper_analysis.prepare.limits import within_both
 from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.configuration import Configuration
@@ -200,6 +201,8 @@ def _prepared(
     level_ground(ready, notes)
     free_of_friction(ready, notes)
     bare = build_robot(replace(description, mjcf=ready))
+    narrower = within_both(bare, notes)
+    bare = bare if narrower is None else build_robot(narrower)
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
     try:
         feet = _feet(bare, frames, poses)

@@ -16,8 +16,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.solver import TASK_TOLERANCE, Point
 
-_YIELD = 2e-5
-"""Soles give way by less (m): a few percent of what feet sink in, and no more."""
+_YIELD = 5e-5
+"""Soles give way by less (m): a tenth of what feet sink in, and no more."""
 
 _JOINTS = 6  # of a leg that lays its sole anywhere, in any orientation
 
