@@ -156,7 +156,15 @@ def draw_growth(marks: np.ndarray, workers: int) -> None:
     """Draws (designs, processor time (s), memory (MB), wall time (s)), one row each."""
     from matplotlib.figure import Figure
 
-    from pupper_analysis.report.figures.style import BLUE, DPI, FONT, GREY, ORANGE, put_style, save
+    from pupper_analysis.report.figures.style import (
+        BLUE,
+        DPI,
+        FONT,
+        GREY,
+        ORANGE,
+        save,
+        title_panel,
+    )
 
     figure = Figure(figsize=(7.2, 3.0), dpi=DPI, layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -168,7 +176,7 @@ def draw_growth(marks: np.ndarray, workers: int) -> None:
     right.set_ylim(0, 1.3 * marks[:, 2].max())
     right.set_ylabel("the parent's memory (MB)", size=FONT)
     for axes in (left, right):
-        put_style(axes, "")
+        title_panel(axes, "")
         axes.set_xlabel("designs", size=FONT)
     left.legend(fontsize=FONT, frameon=False)
     each = 1e3 * last[1] / last[0]

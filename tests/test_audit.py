@@ -19,7 +19,7 @@ import pupper_analysis as pa
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity, audit_model
 from pupper_analysis.checks.audit.from_urdf import urdf_view
 from pupper_analysis.checks.audit.pairs import mirror_name, mirror_pairs
-from pupper_analysis.checks.audit.registry import rules_table
+from pupper_analysis.checks.audit.registry import CHECKS, rules_table
 from pupper_analysis.checks.audit.rules.joints import expected_axis
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.report.html.document import Text
@@ -420,6 +420,10 @@ def test_six_equal_values_are_no_inertia(tmp_path: Path) -> None:
     assert found(result, "triangle-inequality", "link 'base_link'")
 
 
+def test_every_rule_of_the_catalogue_has_its_function() -> None:
+    assert set(CHECKS) == set(RULES)
+
+
 def test_every_rule_has_a_test() -> None:
     assert {case.rule for case in CASES} == set(RULES)
 
@@ -431,6 +435,7 @@ def test_our_own_models_are_sound(path: Path) -> None:
     assert result.counts["warning"] == 0, [str(finding) for finding in result.findings]
 
 
+@pytest.mark.slow
 def test_derived_variants_are_sound(variant: str, tmp_path: Path) -> None:
     for path in pa.write_variant(variant, tmp_path):
         result = audit_model(path)
@@ -471,6 +476,7 @@ def test_the_tutorials_long_leg_is_found(format: str, tmp_path: Path) -> None:
         assert "40.0 mm beyond" in finding.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "extra",
     [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -19,12 +18,12 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.errors import ConfigurationError, OutputError
+from pupper_analysis.report.figures import style
 from pupper_analysis.report.figures.gains import gain_figure
 from pupper_analysis.report.figures.ground import ground_corners, step_corners
 from pupper_analysis.report.figures.heights import height_figure
 from pupper_analysis.report.figures.pose import pose_figure
 from pupper_analysis.report.figures.skeleton import hull_corners, nearest_edge_point, skeleton
-from pupper_analysis.report.figures.style import DPI
 from pupper_analysis.report.figures.torques import torque_figure, utilisation
 
 NAMES = ("original", "v3")
@@ -55,7 +54,7 @@ def analysis_of(name: str) -> Any:
 def check_picture(path: Path) -> None:
     assert path.read_bytes().startswith(b"\x89PNG")
     pixels = imread(path)
-    assert pixels.shape[1] == pytest.approx(178 / 25.4 * DPI, abs=1)
+    assert pixels.shape[1] == pytest.approx(178 / 25.4 * style.DPI, abs=1)
     assert pixels.shape[0] > 300
     # Drawn on everywhere: white between, and something in each ninth of it.
     drawn_on = (pixels[..., :3] < 1.0).any(axis=-1)
@@ -74,9 +73,7 @@ def other(analysis: Any, **changes: Any) -> Any:
 def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments: Any) -> Figure:
     """The figure that a function draws, instead of its file."""
     kept: list[Figure] = []
-    monkeypatch.setattr(
-        sys.modules[draw.__module__], "save", lambda figure, path: kept.append(figure)
-    )
+    monkeypatch.setattr(style, "save", lambda figure, path: kept.append(figure))
     draw(*arguments, Path("unused.png"))
     return kept[0]
 
@@ -245,6 +242,7 @@ def test_height_figure_draws_task_and_runs_in_mm(monkeypatch: pytest.MonkeyPatch
     np.testing.assert_allclose(sagging, 1e3 * analysis.sagging.height)
 
 
+@pytest.mark.slow
 def test_gain_figure_marks_what_fell_and_what_is_best(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

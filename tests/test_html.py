@@ -148,6 +148,7 @@ def pushed() -> PushRecovery:
 # What the page is
 
 
+@pytest.mark.slow
 def test_it_is_well_formed_and_asks_for_nothing() -> None:
     page = page_of(analysis())
     assert page.text.startswith("<!doctype html>")
@@ -235,7 +236,8 @@ def test_the_catalogue_is_complete_and_fills_in_the_same() -> None:
 
 
 def test_no_text_in_the_catalogue_is_left_over() -> None:
-    code = "\n".join(path.read_text() for path in HTML.glob("*.py"))
+    live = ROOT / "pupper_analysis" / "live"
+    code = "\n".join(path.read_text() for path in (*HTML.glob("*.py"), *live.glob("*.py")))
     code += (ROOT / "pupper_analysis" / "pupper" / "comparison.py").read_text()
     joined = re.sub(r'"\s*\n\s*"', "", code)
     results = {q.name for q in analysis().check.quantities} | {"error", "warning", "info"}
@@ -793,6 +795,7 @@ def test_a_report_goes_to_standard_output() -> None:
     assert "SOUND" in found.stderr
 
 
+@pytest.mark.slow
 def test_the_template_engine_is_loaded_when_a_report_is_written() -> None:
     code = (
         "import sys, pupper_analysis.cli, pupper_analysis.report.html.write, "

@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 from pupper_analysis.live import export, text, viser_parts
 from pupper_analysis.live.colour import BEYOND, SCALE, UNLIMITED, colour_of
+from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Answer, Model, explained, held_stand, pushed, sag, simulated
 from pupper_analysis.live.shapes import parts_of, primitive
 from pupper_analysis.live.sliders import fine, ranges_of, round_up
@@ -38,8 +39,11 @@ RICH = State(
     place="inside",
     com_margin=5.0,
     moves={"FR": (10.0, -5.5)},
-    lift="RL",
-    lift_height=15.0,
+    joint_margin=2.0,
+    ground_clearance=20.0,
+    self_clearance=1.0,
+    lifts={"RL": 15.0},
+    steps={"FL": 6.0, "RR": -3.5},
     slope=4.0,
     uphill=-30.0,
     payload=0.3,
@@ -51,6 +55,9 @@ RICH = State(
 )
 
 
+ENGLISH = Language("en")
+
+
 def model_of(name: str = "v3") -> Model:
     return Model(Variants(pa.VARIANTS[name]))
 
@@ -59,7 +66,7 @@ def test_a_state_is_what_it_says() -> None:
     assert parse(str(RICH)) == RICH
     assert str(State()) == ""
     assert parse("") == State()
-    odd = State(lift="a,b;c:d&e=f%", moves={"ö <b>": (1.0, 2.0)})
+    odd = State(lifts={"a,b;c:d&e=f%": 2.0}, steps={"<i>": -1.0}, moves={"ö <b>": (1.0, 2.0)})
     assert parse(str(odd)) == odd
     assert set(str(odd)) <= set("abcdefghijklmnopqrstuvwxyz:;,%_0123456789ABCDEF.-")
 
@@ -67,6 +74,7 @@ def test_a_state_is_what_it_says() -> None:
 numbers = st.floats(-1e4, 1e4)
 
 
+@pytest.mark.slow
 @given(
     st.builds(
         State,
@@ -75,17 +83,14 @@ numbers = st.floats(-1e4, 1e4)
         place=st.sampled_from(["centre", "inside", "offset"]),
         offset=st.tuples(numbers, numbers),
         moves=st.dictionaries(st.text(min_size=1), st.tuples(numbers, numbers), max_size=3),
-        lift=st.text(),
-        lift_height=numbers,
+        lifts=st.dictionaries(st.text(min_size=1), numbers, max_size=3),
+        steps=st.dictionaries(st.text(min_size=1), numbers, max_size=3),
         payload_at=st.tuples(numbers, numbers, numbers),
         kp=st.none() | numbers,
     )
 )
 def test_any_state_is_what_it_says(state: State) -> None:
-    again = parse(str(state))
-    if not state.lift:  # how high nothing is lifted is not said
-        state = replace(state, lift_height=State().lift_height)
-    assert again == state
+    assert parse(str(state)) == state
 
 
 @pytest.mark.parametrize(
@@ -125,8 +130,13 @@ def test_an_answer_is_the_python_interfaces() -> None:
         com="inside",
         com_margin=0.005,
         foot_offsets={"FR": (0.01, -0.0055)},
+        joint_margin=np.radians(2.0),
+        ground_clearance=0.02,
+        self_clearance=0.001,
         swing={"RL": 0.015},
-        ground=pa.Ground(slope=np.radians(4.0), uphill=np.radians(-30.0)),
+        ground=pa.Ground(
+            slope=np.radians(4.0), uphill=np.radians(-30.0), heights={"FL": 0.006, "RR": -0.0035}
+        ),
     )
     assert found.refusal is None
     assert found.task == task
@@ -167,6 +177,7 @@ def test_simulations_are_the_python_interfaces() -> None:
     assert trial.motion == pytest.approx(same.motion, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
     model = model_of()
     found = model.answer(State(height=200.0, roll=30.0))
@@ -189,7 +200,7 @@ def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
     [
         (State(height=-5.0), pa.ConfigurationError),
         (State(roll=1e9), pa.ConfigurationError),
-        (State(lift="tail"), pa.UnknownNameError),
+        (State(lifts={"tail": 20.0}), pa.UnknownNameError),
         (State(payload=-1.0), pa.ConfigurationError),
         (State(leg_scale=0.0), pa.VariantError),
         (State(place="offset", offset=(90.0, 0.0), height=90.0), pa.PupperAnalysisError),
@@ -201,14 +212,14 @@ def test_what_is_wrong_is_in_the_answer(state: State, kind: type[Exception]) -> 
     found = model_of().answer(state)
     assert isinstance(found.refusal, kind)
     assert found.statics is None
-    assert text.numbers(found, None)
+    assert text.numbers(ENGLISH, found, None)
 
 
 def test_what_slides_is_shown_without_forces() -> None:
     slope = model_of("original").answer(State(slope=44.0))
     if slope.stand is not None:
         assert isinstance(slope.refusal, pa.StaticsInfeasibleError)
-        assert "friction" in text.numbers(slope, None)
+        assert "friction" in text.numbers(ENGLISH, slope, None)
 
 
 def test_robots_are_kept_and_not_all_of_them() -> None:
@@ -248,6 +259,7 @@ SOURCES: dict[str, Callable[[Path], Variants | Pair]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SOURCES)
 def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
     source = SOURCES[kind](tmp_path)
@@ -293,7 +305,7 @@ def test_links_and_commands_lead_back() -> None:
     words = shlex.split(export.live_command(Variants(pa.VARIANTS["v3"]), RICH))
     assert parse(words[words.index("--state") + 1]) == RICH
     assert "&" not in export.link("127.0.0.1:80", RICH)
-    assert "#" not in export.link("127.0.0.1:80", replace(RICH, lift="a#b"))
+    assert "#" not in export.link("127.0.0.1:80", replace(RICH, lifts={"a#b": 3.0}))
 
 
 def test_commands_take_a_payload(tmp_path: Path) -> None:
@@ -324,7 +336,10 @@ def test_nothing_in_a_name_acts() -> None:
         statics=replace(found.statics, joint_names=names),
         refusal=pa.ConfigurationError(evil, evil),
     )
-    for html in (text.numbers(worse, None), text.failure(worse.refusal or pa.ModelError("", ""))):
+    for html in (
+        text.numbers(ENGLISH, worse, None),
+        text.failure(ENGLISH, worse.refusal or pa.ModelError("", "")),
+    ):
         assert "<img" not in html
         assert "\u202e" not in html
         assert "&lt;img" in html
@@ -335,14 +350,14 @@ def test_the_words_tell_the_numbers() -> None:
     assert found.stand is not None
     assert found.statics is not None
     settled = sag(found)
-    html = text.numbers(found, settled)
+    html = text.numbers(ENGLISH, found, settled)
     assert "120.0 mm" in html
     assert f"{1e3 * found.stand.com_margin:.1f} mm" in html
     for torque in found.statics.joint_torques:
         assert f">{torque:+.4f}<" in html
     assert settled.settled is not None
     assert f"{1e3 * settled.settled.height_loss:.2f} mm" in html
-    assert "being worked out" in text.numbers(found, None)
+    assert "being worked out" in text.numbers(ENGLISH, found, None)
     assert "being worked out" not in html
 
 
@@ -448,14 +463,14 @@ def connected(path: str, headers: dict[str, str]) -> Any:
 
 def test_a_browser_says_where_it_comes_from_and_what_it_asks_for() -> None:
     own = connected("/?state=roll:3;pitch:-1", {"Host": "pi:81", "Origin": "http://pi:81"})
-    assert viser_parts.asked_for(own, 3) == ("pi:81", "roll:3;pitch:-1")
+    assert viser_parts.asked_for(own, 3) == ("pi:81", "roll:3;pitch:-1", "")
     assert viser_parts.foreign(own, 3) == ""
     other = connected("/", {"Host": "127.0.0.1:81", "Origin": "http://example.com"})
     assert viser_parts.foreign(other, 3) == "http://example.com"
-    assert viser_parts.asked_for(other, 3) == ("127.0.0.1:81", "")
+    assert viser_parts.asked_for(other, 3) == ("127.0.0.1:81", "", "")
     assert viser_parts.foreign(connected("/", {"Host": "a:1"}), 3) == ""  # no browser's page
     # A viser that keeps it elsewhere: a page without a state.
-    assert viser_parts.asked_for(own, 4) == ("127.0.0.1:80", "")
+    assert viser_parts.asked_for(own, 4) == ("127.0.0.1:80", "", "")
     assert viser_parts.foreign(own, 4) == ""
 
 

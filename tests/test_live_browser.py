@@ -31,6 +31,8 @@ from pupper_analysis.pupper.live import Variants
 pytest.importorskip("viser", reason="viser is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
+pytestmark = pytest.mark.slow
+
 PATIENCE = 60.0
 """s: a machine without graphics, shared with other tests, draws a picture in one or two."""
 
@@ -60,17 +62,24 @@ def served() -> Iterator[Page]:
 class Opened:
     """A live page in a browser, and what it complains of."""
 
-    def __init__(self, browser: Any, address: str) -> None:  # noqa: F811
+    def __init__(
+        self,
+        browser: Any,  # noqa: F811
+        address: str,
+        size: tuple[int, int] = (960, 560),
+    ) -> None:
         # Small and coarse: every pixel is drawn by the processor.
         address += ("&" if "?" in address else "?") + "fixedDpr=0.5"
-        self.context = browser.new_context(viewport={"width": 960, "height": 560})
+        self.context = browser.new_context(
+            viewport=dict(zip(("width", "height"), size, strict=True))
+        )
         self.page = self.context.new_page()
         self.page.set_default_timeout(1e3 * PATIENCE)
         self.complaints: list[str] = []
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("console", self._hear)
         self.page.goto(address)
-        self.page.locator(".pa").first.wait_for()
+        self.page.locator(".pa").first.wait_for(state="attached")
         # viser says that it is drawn by software, in a box before the scene.
         self.page.add_style_tag(content=".mantine-Notification-root {visibility: hidden}")
 
@@ -146,6 +155,7 @@ def differs(one: np.ndarray, other: np.ndarray) -> float:  # type: ignore[type-a
     return float((np.abs(one - other).max(axis=-1) > 25).mean())
 
 
+@pytest.mark.slow
 def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     before = opened.pixels()
     yellow = (before[..., 0] > 150) & (before[..., 2] < 110)  # the torso
@@ -165,6 +175,7 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     opened.takes(pa.solve_stand(load("v3")))
 
 
+@pytest.mark.slow
 def test_a_slider_can_be_dragged(opened: Opened, served: Page) -> None:
     track = opened.row("pitch (°)").locator(".mantine-Slider-track").first
     box = track.bounding_box()
@@ -188,6 +199,7 @@ def test_a_slider_can_be_dragged(opened: Opened, served: Page) -> None:
     opened.takes(pa.solve_stand(load("v3"), state.task()))
 
 
+@pytest.mark.slow
 def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     solid = opened.pixels()
     opened.set("roll (°)", 35)
@@ -212,6 +224,7 @@ def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     opened.takes(pa.solve_stand(load("v3"), refused.value.nearest.task))
 
 
+@pytest.mark.slow
 def test_what_cannot_be_held_is_told(opened: Opened) -> None:
     opened.press(opened.row("what counts").locator("input").first)
     opened.press(opened.page.get_by_role("option", name="base at an offset"))
@@ -276,8 +289,9 @@ def test_two_browsers_play_on_their_own(
     assert other.complaints == []
 
 
+@pytest.mark.slow
 def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) -> None:  # noqa: F811
-    state = State(height=122.0, lift="FL", place="inside", com_margin=5.0, payload=0.4)
+    state = State(height=122.0, lifts={"FL": 20.0}, place="inside", com_margin=5.0, payload=0.4)
     address = served.address.removeprefix("http://").removesuffix("/")
     one = Opened(browser, link(address, state))
     robot = pa.with_payload(load("v3"), 0.4)
@@ -285,7 +299,7 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     one.takes(stand, robot)
     one.tab("Share")
     wait_for(lambda: one.row("state").locator("input").first.input_value() == str(state), "state")
-    assert one.row("link").locator("input").first.input_value() == link(address, state)
+    assert one.row("link to it").locator("input").first.input_value() == link(address, state)
     with one.page.expect_download() as caught:
         one.button("Save the torques as CSV")
     rows = Path(caught.value.path()).read_text().splitlines()[1:]
@@ -299,6 +313,54 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     assert one.complaints == []
 
 
+@pytest.mark.slow
+def test_it_goes_on_in_chinese_and_back(browser: Any, served: Page) -> None:  # noqa: F811
+    address = served.address.removeprefix("http://").removesuffix("/")
+    one = Opened(browser, link(address, State(roll=4.0), "zh"))
+    stand = pa.solve_stand(load("v3"), pa.StandTask(roll=np.radians(4.0)))
+    one.takes(stand)
+    assert "能站立，受力平衡。" in one.words()
+    one.set("俯仰 (°)", 3)
+    both = pa.StandTask(roll=np.radians(4.0), pitch=np.radians(3.0))
+    one.takes(pa.solve_stand(load("v3"), both))
+    one.button("English")
+    one.page.get_by_text("pitch (°)").first.wait_for()
+    one.takes(pa.solve_stand(load("v3"), both))
+    assert "It stands, in balance." in one.words()
+    assert not re.search("[\u4e00-\u9fff]", one.words())
+    one.set("roll (°)", 0)
+    one.takes(pa.solve_stand(load("v3"), pa.StandTask(pitch=np.radians(3.0))))
+    one.close()
+    assert one.complaints == []
+
+
+@pytest.mark.slow
+def test_on_a_phone_the_robot_is_above_the_sliders(browser: Any, served: Page) -> None:  # noqa: F811
+    one = Opened(browser, served.address, (390, 844))
+    one.page.get_by_text("It stands, in balance. leg_").wait_for()
+    canvas, sheet = one.page.locator("canvas").first, one.page.locator(".mantine-Paper-root").first
+    wait_for(lambda: canvas.bounding_box()["height"] < 400, "the scene is beneath the sheet")
+    scene, sliders = canvas.bounding_box(), sheet.bounding_box()
+    assert sliders["width"] == 390
+    assert scene["y"] + scene["height"] <= sliders["y"] + 1
+    assert one.page.evaluate("document.documentElement.scrollWidth") <= 390
+
+    def whole() -> bool:
+        """Whether the torso's yellow is seen, and touches no side."""
+        shown = one.pixels()
+        yellow = (shown[..., 0] > 150) & (shown[..., 2] < 110)
+        columns = np.flatnonzero(yellow.any(axis=0))
+        inside = len(columns) and columns[0] > 3 and columns[-1] < shown.shape[1] - 4
+        return bool(yellow.mean() > 0.005 and inside)
+
+    wait_for(whole, "the robot is not there")
+    one.press(one.page.get_by_text("v3, live").first)  # folds the sheet
+    wait_for(lambda: canvas.bounding_box()["height"] > 700, "the scene stays small")
+    one.close()
+    assert one.complaints == []
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("state", ["nonsense", "lift:tail,20"])
 def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> None:  # noqa: F811
     address = served.address.removeprefix("http://")
@@ -312,6 +374,7 @@ def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> No
 README_PAGES = [command for command in commands(README) if command.split()[1] == "live"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", README_PAGES)
 def test_a_command_serves_until_it_is_interrupted(command: str, tmp_path: Path) -> None:
     arguments = [sys.executable, "-m", "pupper_analysis", *command.split()[1:], "--no-browser"]
@@ -322,6 +385,8 @@ def test_a_command_serves_until_it_is_interrupted(command: str, tmp_path: Path) 
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # A parent in the background of a shell ignores SIGINT, and its children would, too.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert process.stdout is not None
     said = process.stdout.readline()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,8 +15,10 @@ from conftest import load
 
 import pupper_analysis as pa
 from pupper_analysis.live import viser_parts
+from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Model
-from pupper_analysis.live.session import Session, between
+from pupper_analysis.live.motion import between
+from pupper_analysis.live.session import Session
 from pupper_analysis.live.state import State
 from pupper_analysis.pupper.live import Variants
 
@@ -165,6 +169,148 @@ def test_a_simulation_is_told(page: Open) -> None:
     wait_for(lambda: "verified: as predicted" in page.result, "it is not verified")
     page.session.push()  # while it is played
     wait_for(lambda: "it recovers" in page.result, "it does not recover")
+
+
+def test_a_simulation_is_beside_the_prediction_for_what_it_commands(page: Open) -> None:
+    """Both are of the stand whose legs are longer by what feet sink: they are half a mm apart."""
+    page.ask(State(roll=5.0))
+    wait_for(lambda: page.shows(State(roll=5.0)), "not shown")
+    page.session.simulate()
+    wait_for(lambda: "base at, simulated" in page.result, "it is not simulated")
+    robot, task = load("v3"), State(roll=5.0).task()
+    held = pa.sunk_stand(robot, task)
+    heights = [float(text) for text in re.findall(r">(-?[\d.]+) mm<", page.result)]
+    assert heights[0] == pytest.approx(1e3 * pa.steady_state(robot, held).base_height, abs=0.006)
+    report = pa.verify_stand(robot, held, feedforward=False)
+    assert heights[1] == pytest.approx(1e3 * report.base_height, abs=0.006)
+    assert abs(heights[0] - heights[1]) < 0.5
+
+
+def test_a_slider_goes_through_what_was_simulated(page: Open, monkeypatch: Any) -> None:
+    drawn: list[Any] = []
+    page.session.push()
+    panels = page.session._panels
+    wait_for(lambda: panels._time.visible, "there is no slider")
+    assert panels._again.visible
+    monkeypatch.setattr(page.session._scene, "twin", lambda _r, qpos, *_, **__: drawn.append(qpos))
+    page.session.go_to_time(0.5)
+    motion = page.session._motion
+    assert motion is not None
+    np.testing.assert_allclose(drawn[-1], motion.at(0.5))
+    robot = load("v3")
+    trial = pa.push_trial(
+        robot, pa.sunk_stand(robot), *panels.push_asked, duration=4.0, feedforward=False
+    )
+    nearest = int(np.argmin(np.abs(trial.motion_time - trial.motion_time[0] - 0.5)))
+    assert np.abs(drawn[-1] - trial.motion[nearest]).max() < 0.02
+    assert panels._time.value == 0.5
+    time.sleep(0.2)
+    count = len(drawn)  # it is no longer played
+    time.sleep(0.3)
+    assert len(drawn) == count
+    page.session.play()
+    wait_for(lambda: len(drawn) > count + 3, "it is not played again")
+    page.ask(State(roll=1.0))
+    wait_for(lambda: not panels._time.visible, "a motion of another stance is left")
+
+
+def test_between_two_moves_of_a_hand_it_is_solved_once_more(
+    page: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each picture is a stance that is solved: none is only drawn between two."""
+    monkeypatch.setattr("pupper_analysis.live.session.MOVING", PATIENCE)
+    shown: list[Any] = []
+    real = page.session._scene.show
+
+    def record(answer: Any) -> None:
+        shown.append(answer)
+        real(answer)
+
+    monkeypatch.setattr(page.session._scene, "show", record)
+    page.ask(State(roll=0.5))
+    wait_for(lambda: page.shows(State(roll=0.5)), "not shown")
+    asked = [1.5, 2.5, 3.5, 4.5]
+    for roll in asked:
+        page.ask(State(roll=roll))
+        wait_for(partial(page.shows, State(roll=roll)), "not shown")
+    rolls = [answer.state.roll for answer in shown]
+    assert rolls[0] == 0.25  # from 0 to 0.5
+    assert rolls[1:] == [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5]
+    for answer in shown[1:3]:
+        stand = pa.solve_stand(load("v3"), answer.state.task())
+        expected = pa.stand_statics(load("v3"), stand).joint_torques
+        assert answer.statics.joint_torques == pytest.approx(expected, abs=1e-9)
+    # What is out of reach is not shown in passing: the last one is.
+    page.ask(State(roll=60.0))
+    wait_for(lambda: page.shows(State(roll=60.0)), "not shown")
+    assert [answer.state.roll for answer in shown[10:]] == [60.0]
+    assert page.session._panels._state.value == "roll:60"
+
+
+HAN = re.compile("[\u4e00-\u9fff]")
+
+
+def test_a_page_goes_on_in_another_language(page: Open) -> None:
+    state = State(roll=35.0, lifts={"FL": 10.0}, steps={"RR": 4.0})
+    page.ask(state)
+    wait_for(lambda: "In the way" in page.numbers, "it is not explained")
+    page.session._panels._feedforward.value = True
+    page.session.speak(Language("zh"))
+    page.controls = page.session._panels.controls
+    assert page.controls.state == state
+    assert "妨碍因素：" in page.numbers
+    assert "In the way" not in page.numbers
+    assert "language=zh" in page.session._panels._link.value
+    assert "--language zh" in page.session._panels._live.value
+    assert page.session._panels.feedforward
+    page.ask(State())
+    wait_for(lambda: "能站立" in page.numbers, "it does not stand")
+    wait_for(page.settled, "no sag")
+    page.session.simulate()
+    wait_for(lambda: "已验证" in page.result, "it is not verified")
+    for html in (page.numbers, page.result):
+        texts = re.sub(r"<style>.*?</style>|<[^>]*>", "|", html, flags=re.DOTALL)
+        for text in filter(None, (part.strip() for part in texts.split("|"))):
+            known = re.fullmatch(
+                r"(leg_\w+|FR|FL|RR|RL|v3, .* kg|[-+\d.e%/ ]*( ?(N|mm|rad|mm/s|s))*|0)", text
+            )
+            assert known or HAN.search(text), text
+    for name, slider in page.controls.sliders.items():
+        assert HAN.search(slider.label), name
+    page.session.speak(Language("en"))
+    assert "It stands" in page.numbers
+    assert not HAN.search(page.numbers)
+    assert "verified: as predicted" in page.result
+
+
+def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
+    controls = page.controls
+
+    class Event:
+        client = object()
+
+    def by_hand(handle: Any, value: object) -> None:
+        handle.value = value
+        for callback in handle._impl.update_cb:
+            callback(Event())
+
+    for foot, height in (("FL", 12.0), ("RR", 30.0)):
+        by_hand(controls.foot, foot)
+        assert not controls.lifted.value
+        by_hand(controls.sliders["lift_height"], height)
+        assert controls.lifted.value
+    by_hand(controls.foot, "FR")
+    by_hand(controls.sliders["step"], 15.0)
+    assert controls.state == State(lifts={"FL": 12.0, "RR": 30.0}, steps={"FR": 15.0})
+    by_hand(controls.foot, "FL")
+    assert controls.sliders["lift_height"].value == 12.0
+    assert controls.sliders["step"].value == 0.0
+    by_hand(controls.lifted, False)
+    assert controls.state == State(lifts={"RR": 30.0}, steps={"FR": 15.0})
+    wait_for(lambda: "It stands" in page.numbers and page.settled(), "not shown")
+    stand = pa.solve_stand(load("v3"), controls.state.task())
+    for torque in pa.stand_statics(load("v3"), stand).joint_torques:
+        assert f">{torque:+.4f}<" in page.numbers
 
 
 def test_what_does_not_stand_is_not_simulated_nor_saved(page: Open) -> None:

@@ -91,6 +91,7 @@ def test_a_stance_is_what_was_asked(name: str, kind: str) -> None:
         assert statics.friction_utilisation[foot] <= 1 + 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_three_legs_hold_for_six_seconds(name: str) -> None:
     """Each foot in turn, 20 mm high, with the com 10 mm inside the triangle of the others."""
@@ -119,7 +120,12 @@ def test_over_the_centre_the_skeletons_hind_legs_reach_their_limit(name: str) ->
 @pytest.mark.parametrize("name", ["long-leg", "v3"])
 def test_a_step_and_a_slope_hold_in_simulation(name: str) -> None:
     robot = load(name)
-    for ground in (pa.Ground(heights={"FL": 0.02}), pa.Ground(slope=0.08, uphill=0.7)):
+    for ground in (
+        pa.Ground(heights={"FL": 0.02}),
+        pa.Ground(slope=0.08, uphill=0.7),
+        pa.Ground(heights={"RR": -0.004}),  # a step down, into the floor
+        pa.Ground(slope=0.06, uphill=-2.0, heights={"FL": -0.003, "RR": 0.005}),
+    ):
         stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
         report = pa.verify_stand(robot, stand)
         assert report.passed, report.failures
@@ -184,6 +190,7 @@ def test_another_branch_of_a_leg_reaches_it(task: pa.StandTask) -> None:
     assert pa.solve_stand(robot, replace(task, ik_seed=ik_seed)).solved
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "task", "demand", "degrees"),
     [
@@ -311,6 +318,7 @@ def test_a_stance_at_the_end_of_reach_is_found(name: str) -> None:
     assert com_margin(com, stand.contact_points) > task.com_margin - 1e-9
 
 
+@pytest.mark.slow
 def test_the_nearest_stance_keeps_what_is_left_of_the_com_margin() -> None:
     """On three legs with a foot lifted high, reach pulls the com to the edge: the margin binds."""
     robot = load("original")

@@ -10,18 +10,20 @@ from conftest import load
 from matplotlib.figure import Figure
 
 import pupper_analysis as pa
+from pupper_analysis.report.figures import style
 from pupper_analysis.report.figures import workspace as workspace_figure
 
 
+@pytest.mark.slow
 def test_every_direction_has_its_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
-    save = workspace_figure.save
+    save = style.save
 
     def keep(figure: Figure, path: Path) -> None:
         drawn.append(figure)
         save(figure, path)
 
-    monkeypatch.setattr(workspace_figure, "save", keep)
+    monkeypatch.setattr(style, "save", keep)
     robot = load("v3")
     workspace = pa.base_workspace(robot, pa.StandTask(ground=pa.Ground(0.1), pitch=-0.1))
     workspace_figure.workspace_figure(robot, workspace, tmp_path / "workspace.png")

@@ -64,32 +64,14 @@ def changes_between(
                 f"gravity: {vector(one.gravity)} m/s^2, which Pinocchio gives a URDF, "
                 f"{vector(two.gravity)} m/s^2 {sides.two}"
             )
-        yield Change(
-            "gravity",
-            "option",
-            one.gravity,
-            two.gravity,
-            "m/s^2",
-            message,
-            lambda first, second: replace(first, gravity=second.gravity),
-            felt=True,
-        )
+        yield _whole("gravity", "option", "gravity", one, two, "m/s^2", message)
     greater = max(one.base_damping, two.base_damping)
     if abs(two.base_damping - one.base_damping) > tolerances.damping * greater:
         message = (
             f"free joint of {one.base}: damping {one.base_damping:g} {sides.one}, "
             f"{two.base_damping:g} N s/m {sides.two} (a default class reaches it; use <freejoint/>)"
         )
-        yield Change(
-            "damping",
-            one.base,
-            one.base_damping,
-            two.base_damping,
-            "N s/m",
-            message,
-            lambda first, second: replace(first, base_damping=second.base_damping),
-            felt=True,
-        )
+        yield _whole("damping", one.base, "base_damping", one, two, "N s/m", message)
     for name, (owner, position) in one.frames.items():
         other_owner, other = two.frames[name]
         apart = float(np.linalg.norm(other - position))
@@ -318,6 +300,18 @@ def _take_parent(name: str) -> Callable[[Parameters, Parameters], Parameters]:
         return replace(one, joints=joints)
 
     return apply
+
+
+def _whole(
+    kind: str, element: str, field: str, one: Parameters, two: Parameters, unit: str, message: str
+) -> Change:
+    """Returns the change of a number that belongs to the robot as a whole."""
+
+    def apply(first: Parameters, second: Parameters) -> Parameters:
+        return replace(first, **{field: getattr(second, field)})
+
+    values = getattr(one, field), getattr(two, field)
+    return Change(kind, element, *values, unit, message, apply, felt=True)
 
 
 def _take_frame(name: str) -> Callable[[Parameters, Parameters], Parameters]:

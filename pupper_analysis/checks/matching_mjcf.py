@@ -15,6 +15,7 @@ from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.robot.robot import Robot
 
 
@@ -164,11 +165,7 @@ def mjcf_tree(
     Raises:
         ModelError: If MuJoCo cannot compile it.
     """
-    try:
-        compiled = spec.copy().compile()
-    except (ValueError, RuntimeError) as error:
-        message = " ".join(str(error).split())
-        raise ModelError(source, f"MuJoCo cannot compile it: {message}") from error
+    compiled = compile_spec(spec.copy(), source)
     model = pinocchio_from_mujoco(compiled)
     names = [joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
     tree = parameters.from_pinocchio(model, base, names, {name: name for name in frames})

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.cli.shared import CONTEXT, working
+from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_options import (
     OWN,
     VARIANT,
@@ -24,10 +24,17 @@ if TYPE_CHECKING:
     from pupper_analysis.live.source import Source
 
 
-@click.command("live", context_settings=CONTEXT, short_help="A page to play with stances.")
+@click.command("live", context_settings=shared.CONTEXT, short_help="A page to play with stances.")
 @name_argument
 @options(OWN, VARIANT)
 @click.option("--state", default="", metavar="STATE", help="How it begins; a page shows its own.")
+@click.option(
+    "--language",
+    type=click.Choice(["en", "zh"]),
+    default="en",
+    show_default=True,
+    help="In which it opens: English or Chinese.",
+)
 @click.option("--host", default="127.0.0.1", show_default=True, help="Where it can be reached.")
 @click.option("--port", type=int, help="On which port.  [default: any that is free]")
 @click.option("--no-browser", is_flag=True, help="Open no browser; print the address.")
@@ -42,6 +49,7 @@ def live_command(
     leg_scale: float | None,
     torso_mass_scale: float | None,
     state: str,
+    language: str,
     host: str,
     port: int | None,
     no_browser: bool,
@@ -56,6 +64,7 @@ def live_command(
     Examples:
       pupper-analysis live
       pupper-analysis live long-leg --port 8080 --no-browser
+      pupper-analysis live v3 --language zh
       pupper-analysis live v3 --state 'height:120;roll:5;lift:FL,20'
       pupper-analysis live --urdf go1.urdf --mjcf go1.xml
 
@@ -77,7 +86,7 @@ def live_command(
             )
         from pupper_analysis.live.source import Pair
 
-        with working("preparing the robot: feet, start pose, servos"):
+        with shared.working("preparing the robot: feet, start pose, servos"):
             source = Pair.of(files_given(urdf, mjcf, feet, pairs, keyframe))
         print_notes(source.robot({}))
     else:
@@ -87,7 +96,7 @@ def live_command(
         if name is not None and derived is not None:
             raise ConfigurationError("NAME", "give a variant's name, or --base and its scales")
         source = Variants(derived if derived is not None else variant_spec(name or "v3"))
-    with working("making the page"):
-        page = Page(source, begin, host=host, port=port)
+    with shared.working("making the page"):
+        page = Page(source, begin, language=language, host=host, port=port)
     click.echo(f"{page.address}  (Ctrl-C ends it)")
     serve(page, browser=not no_browser, wait=threading.Event().wait)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -17,24 +17,29 @@ if TYPE_CHECKING:
     from pupper_analysis.report.html.write import Reported
     from pupper_analysis.robot.robot import Robot
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 VERIFIED, FAILED, BAD_INPUT, INTERNAL = 0, 1, 2, 3
 """Exit statuses."""
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
-json_option = click.option(
-    "--json",
-    "json_path",
-    type=click.Path(path_type=Path),
-    help="Write all results here, or to -: standard output.",
+
+def file_option(*names: str, help: str, required: bool = False) -> Callable[[F], F]:
+    """Returns an option whose value is the path of a file or folder."""
+    path = click.Path(path_type=Path)
+    return click.option(*names, type=path, required=required, help=help)
+
+
+json_option = file_option(
+    "--json", "json_path", help="Write all results here, or to -: standard output."
 )
-report_option = click.option(
+report_option = file_option(
     "--report",
     "report_path",
-    type=click.Path(path_type=Path),
     help="Write a page with tables, plots and a 3-D view here: one HTML file.",
 )
-figure_option = click.option("--figure", type=click.Path(path_type=Path), help="Draw it: a PNG.")
+figure_option = file_option("--figure", help="Draw it: a PNG.")
 format_option = click.option(
     "--format",
     "style",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.cli.shared import CONTEXT, FAILED, check_outputs
+from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_options import VARIANT, derived_variant, name_argument, options
 from pupper_analysis.errors import ConfigurationError
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
 
 
-@click.command(context_settings=CONTEXT, short_help="Show a variant in MuJoCo's viewer.")
+@click.command(context_settings=shared.CONTEXT, short_help="Show a variant in MuJoCo's viewer.")
 @name_argument
 @options(VARIANT)
 @click.option("--fixed", is_flag=True, help="Fix the base in the air; else it falls and lands.")
@@ -42,15 +42,16 @@ def view(
     viewer.view(variant, fixed=fixed, headless=headless)
 
 
-@click.command(context_settings=CONTEXT, short_help="Drop a variant, and see that it stands.")
+@click.command(
+    context_settings=shared.CONTEXT, short_help="Drop a variant, and see that it stands."
+)
 @name_argument
 @options(VARIANT)
 @click.option("--headless", is_flag=True, help="Open no window: simulate, and print the result.")
 @click.option("--seconds", type=float, help="Simulated time of the drop (s).  [default: 6]")
 @click.option("--demo", type=click.Choice(["squat", "sway", "lift"]), help="Let it move instead.")
-@click.option(
+@shared.file_option(
     "--csv",
-    type=click.Path(path_type=Path),
     help="Write the path of a demo here, or to -.",
 )
 def drop(
@@ -85,10 +86,10 @@ def drop(
             raise ConfigurationError("--seconds", "a demo has its own duration")
         from pupper_analysis.pupper import demo as demos
 
-        check_outputs(csv)
+        shared.check_outputs(csv)
         good = demos.demo(demo, variant, headless=headless, csv=csv)
     if not good:
-        click.get_current_context().exit(FAILED)
+        click.get_current_context().exit(shared.FAILED)
 
 
 def _variant(

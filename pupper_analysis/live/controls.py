@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from pupper_analysis.live.language import Language
 from pupper_analysis.live.sliders import Range, ranges_of
 from pupper_analysis.live.state import State
 from pupper_analysis.live.viser_parts import mark
@@ -16,11 +17,11 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.task import StandTask
 
 PLACES = {
-    "com over the centre of the feet": "centre",
-    "com anywhere in the support polygon": "inside",
-    "base at an offset": "offset",
+    "centre": "com over the centre of the feet",
+    "inside": "com anywhere in the support polygon",
+    "offset": "base at an offset",
 }
-NO_FOOT = "none"
+"""{what decides where the base is: what it is called}."""
 
 LABELS = {
     "height": ("height (mm)", "Of the base, above the mean of the contact points."),
@@ -30,9 +31,13 @@ LABELS = {
     "offset_x": ("offset x (mm)", "Of the base from the centre of the feet, forward."),
     "offset_y": ("offset y (mm)", "Of the base from the centre of the feet, to the left."),
     "com_margin": ("com margin (mm)", "How far inside the support polygon the com must be."),
+    "joint_margin": ("off joint limits (°)", "How far all joints must be off their limits."),
+    "ground_clearance": ("off the ground (mm)", "How high all but the feet must be."),
+    "self_clearance": ("links apart (mm)", "How far apart links must be; 0: not looked at."),
     "move_x": ("move x (mm)", "Of the chosen foot, off its nominal place, forward."),
     "move_y": ("move y (mm)", "Of the chosen foot, off its nominal place, to the left."),
-    "lift_height": ("how high (mm)", "Of the lifted foot above the ground."),
+    "step": ("on a step (mm)", "How high the ground is under the chosen foot."),
+    "lift_height": ("how high (mm)", "Of the chosen foot, lifted above the ground."),
     "slope": ("slope (°)", "Of the ground."),
     "uphill": ("uphill (°)", "Where it rises, about z from x."),
     "payload": ("payload (kg)", "A mass welded to the base."),
@@ -44,6 +49,9 @@ LABELS = {
     "kp": ("kp (N m/rad)", "Stiffness of all servos."),
     "kd": ("kd (N m s/rad)", "Damping of all servos."),
 }
+"""{slider: (what it is called, what it is about)}."""
+
+_OF_A_FOOT = ("move_x", "move_y", "step", "lift_height")
 
 _PAIRS = {"offset_x": ("offset", 0), "offset_y": ("offset", 1)} | {
     f"payload_{axis}": ("payload_at", number) for number, axis in enumerate("xyz")
@@ -58,6 +66,7 @@ class Controls:
         gui: viser's interface of one page.
         robot: The robot as it is on a page just opened.
         scales: {name of a scale that it can be made with: its own}.
+        say: The page's language.
         changed: What is told that the state has changed.
     """
 
@@ -66,9 +75,10 @@ class Controls:
         gui: Any,
         robot: Robot,
         scales: Mapping[str, float],
+        say: Language,
         changed: Callable[[], None],
     ) -> None:
-        self._gui, self._changed = gui, changed
+        self._gui, self._say, self._changed = gui, say, changed
         self._lock = threading.RLock()
         self._state = State()
         self._ranges = ranges_of(robot, dict(scales))
@@ -78,32 +88,39 @@ class Controls:
 
     def stance(self) -> None:
         """Adds what says how it stands, where viser adds next."""
-        with self._gui.add_folder("Base"):
+        gui, say = self._gui, self._say
+        self._places = {say(label): name for name, label in PLACES.items()}
+        with gui.add_folder(say("Base")):
             self._add("height", "roll", "pitch", "yaw")
-        with self._gui.add_folder("Where"):
-            self.place = self._gui.add_dropdown("what counts", list(PLACES))
-            self._add("offset_x", "offset_y", "com_margin")
-        with self._gui.add_folder("Feet"):
-            self.foot = self._gui.add_dropdown("foot", list(self._feet))
-            self._add("move_x", "move_y")
-            self.lift = self._gui.add_dropdown("lift", [NO_FOOT, *self._feet])
+        with gui.add_folder(say("Where")):
+            self.place = gui.add_dropdown(say("what counts"), list(self._places))
+            self._add("offset_x", "offset_y")
+        with gui.add_folder(say("Feet")):
+            self.foot = gui.add_dropdown(
+                say("foot"), list(self._feet), hint=say("What is below is about this foot.")
+            )
+            self._add("move_x", "move_y", "step")
+            self.lifted = gui.add_checkbox(say("lifted"), False, hint=say("It does not carry."))
             self._add("lift_height")
-        with self._gui.add_folder("Ground"):
+        with gui.add_folder(say("Ground")):
             self._add("slope", "uphill")
-        self.place.on_update(self._when(lambda s: replace(s, place=PLACES[self.place.value])))
-        self.lift.on_update(self._when(lambda s: replace(s, lift=self._lifted())))
+        with gui.add_folder(say("Margins")):
+            self._add("com_margin", "joint_margin", "ground_clearance", "self_clearance")
+        self.place.on_update(self._when(lambda s: replace(s, place=self._places[self.place.value])))
+        self.lifted.on_update(self._when(self._with_lift))
         self.foot.on_update(self._foot_chosen)
 
     def body(self) -> None:
         """Adds what says what it carries, and which robot it is."""
-        with self._gui.add_folder("Payload"):
+        gui, say = self._gui, self._say
+        with gui.add_folder(say("Payload")):
             self._add("payload", "payload_x", "payload_y", "payload_z")
         if self._scales:
-            with self._gui.add_folder("Legs and torso"):
+            with gui.add_folder(say("Legs and torso")):
                 self._add(*self._scales)
-        with self._gui.add_folder("Servos"):
+        with gui.add_folder(say("Servos")):
             self._add("kp", "kd")
-            own = self._gui.add_button("The model's own servos")
+            own = gui.add_button(say("The model's own servos"))
         own.on_click(lambda _: self.put(replace(self.state, kp=None, kd=None), told=True))
 
     def _add(self, *names: str) -> None:
@@ -111,7 +128,12 @@ class Controls:
             label, hint = LABELS[name]
             span = self._ranges[name]
             handle = self._gui.add_slider(
-                label, span.low, span.high, span.step, _within(span, span.value), hint=hint
+                self._say(label),
+                span.low,
+                span.high,
+                span.step,
+                _within(span, span.value),
+                hint=self._say(hint),
             )
             handle.on_update(self._when(partial(self._with, name)))
             self.sliders[name] = handle
@@ -141,19 +163,34 @@ class Controls:
             changed: dict[str, Any] = {field: tuple(numbers)}
             state = replace(state, **changed)
             return replace(state, place="offset") if field == "offset" else state
+        foot = self._chosen
         if name in ("move_x", "move_y"):
             move = float(self.sliders["move_x"].value), float(self.sliders["move_y"].value)
-            return replace(state, moves={**state.moves, self._feet[self.foot.value]: move})
+            return replace(state, moves={**state.moves, foot: move})
+        if name == "step":
+            return replace(state, steps={**state.steps, foot: value})
+        if name == "lift_height":  # who says how high lifts it
+            self.lifted.value = True
+            return replace(state, lifts={**state.lifts, foot: value})
         plain: dict[str, Any] = {name: value}
         return replace(state, **plain)
 
-    def _lifted(self) -> str:
-        return self._feet.get(self.lift.value, "")
+    def _with_lift(self, state: State) -> State:
+        """Returns a state with the chosen foot lifted, or not."""
+        others = {foot: height for foot, height in state.lifts.items() if foot != self._chosen}
+        if self.lifted.value:
+            others[self._chosen] = float(self.sliders["lift_height"].value)
+        return replace(state, lifts=others)
+
+    @property
+    def _chosen(self) -> str:
+        """The foot that its sliders are about."""
+        return self._feet[self.foot.value]
 
     def _foot_chosen(self, _event: Any) -> None:
-        """Lets the sliders of moves be those of another foot."""
+        """Lets the sliders of a foot be those of another one."""
         with self._lock:
-            self._show_move()
+            self._show_foot()
 
     @property
     def state(self) -> State:
@@ -171,14 +208,14 @@ class Controls:
         with self._lock:
             self._state = state
             for name in self.sliders:
-                if name not in ("move_x", "move_y"):
+                if name not in _OF_A_FOOT:
                     self._slide(name, self._value(state, name))
-            self.lift.value = next((n for n, f in self._feet.items() if f == state.lift), NO_FOOT)
-            moved = next((n for n, f in self._feet.items() if f in state.moves), None)
-            if moved is not None and self._feet[self.foot.value] not in state.moves:
-                self.foot.value = moved
+            special = {*state.moves, *state.lifts, *state.steps}
+            first = next((name for name, foot in self._feet.items() if foot in special), None)
+            if first is not None and self._chosen not in special:
+                self.foot.value = first
             self._show_place()
-            self._show_move()
+            self._show_foot()
         if told:
             self._changed()
 
@@ -199,12 +236,16 @@ class Controls:
         handle.value = value
 
     def _show_place(self) -> None:
-        self.place.value = next(n for n, place in PLACES.items() if place == self._state.place)
+        self.place.value = self._say(PLACES[self._state.place])
 
-    def _show_move(self) -> None:
-        x, y = self._state.moves.get(self._feet[self.foot.value], (0.0, 0.0))
+    def _show_foot(self) -> None:
+        foot, state = self._chosen, self._state
+        x, y = state.moves.get(foot, (0.0, 0.0))
         self._slide("move_x", x)
         self._slide("move_y", y)
+        self._slide("step", state.steps.get(foot, 0.0))
+        self.lifted.value = foot in state.lifts
+        self._slide("lift_height", state.lifts.get(foot, self._ranges["lift_height"].value))
 
     def follow(self, robot: Robot) -> None:
         """Lets what nobody has set be what is usual for a robot: its height."""
@@ -220,16 +261,17 @@ class Controls:
         """
         places: dict[str, tuple[float, ...]] = {}
         with self._lock:
-            foot = self._feet[self.foot.value]
+            foot = self._chosen
             for fields in ends.values():
                 task = replace(self._state.task(), **fields)
                 for name, value in slider_values(self._state, task, fields, foot).items():
                     places[name] = (*places.get(name, ()), value)
         for name, handle in self.sliders.items():
             marked = name in places
-            label, _ = LABELS[name]
-            found = " or ".join(f"{value:g}" for value in dict.fromkeys(places.get(name, ())))
-            handle.label = f"{label} ◆ {found} possible" if marked else label
+            label = self._say(LABELS[name][0])
+            found = self._say.either(f"{value:g}" for value in dict.fromkeys(places.get(name, ())))
+            far = self._say("{label} ◆ {values} possible", label=label, values=found)
+            handle.label = far if marked else label
             mark(handle, places.get(name, ()))
 
 
@@ -242,11 +284,12 @@ def slider_values(
         state: What was asked.
         task: With these fields.
         fields: Those of the task that count.
-        foot: The foot that the sliders of moves are about.
+        foot: The foot that the sliders of a foot are about.
     """
     there = state.with_task(task)
     found: dict[str, float] = {}
-    for name in ("height", "roll", "pitch", "yaw", "com_margin"):
+    plain = ("joint_margin", "ground_clearance", "self_clearance")
+    for name in ("height", "roll", "pitch", "yaw", "com_margin", *plain):
         if name in fields:
             value = 1e3 * (task.height or 0.0) if name == "height" else getattr(there, name)
             found[name] = round(float(value), 6)
@@ -254,10 +297,13 @@ def slider_values(
         found["offset_x"], found["offset_y"] = there.offset
     if "foot_offsets" in fields and foot in there.moves:
         found["move_x"], found["move_y"] = there.moves[foot]
-    if "swing" in fields:
-        found["lift_height"] = there.lift_height
+    if "swing" in fields and foot in there.lifts:
+        found["lift_height"] = there.lifts[foot]
     if "ground" in fields:
-        found["slope"] = there.slope
+        if there.slope != state.slope or not state.steps:
+            found["slope"] = there.slope
+        if foot in there.steps:
+            found["step"] = there.steps[foot]
     return found
 
 

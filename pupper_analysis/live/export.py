@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 from urllib.parse import quote
 
@@ -50,30 +51,46 @@ def python(source: Source, state: State) -> str:
 
 def _task(state: State) -> str:
     """Returns the arguments of a ``StandTask``: those that are not the usual ones."""
-    parts = [] if state.height is None else [f"height={metres(state.height)!r}"]
-    for name in ("roll", "pitch", "yaw"):
-        if value := getattr(state, name):
-            parts.append(f"{name}={_angle(value)}")
-    if state.place == "offset":
-        parts.append(f"offset=({metres(state.offset[0])!r}, {metres(state.offset[1])!r})")
-    if state.place == "inside":
-        parts.append("com='inside'")
-    if state.com_margin:
-        parts.append(f"com_margin={metres(state.com_margin)!r}")
+    parts = [f"{name}={_PYTHON[kind](value)}" for name, kind, value in _asked(state)]
     if state.moves:
         moves = {foot: (metres(x), metres(y)) for foot, (x, y) in state.moves.items()}
         parts.append(f"foot_offsets={moves!r}")
-    if state.lift:
-        parts.append(f"swing={ {state.lift: metres(state.lift_height)}!r}")
-    if state.slope or state.uphill:
-        parts.append(
-            f"ground=pa.Ground(slope={_angle(state.slope)}, uphill={_angle(state.uphill)})"
-        )
+    if state.lifts:
+        parts.append(f"swing={_heights(state.lifts)!r}")
+    ground = [
+        f"{name}={_angle(value)}" for name in ("slope", "uphill") if (value := getattr(state, name))
+    ]
+    if state.steps:
+        ground.append(f"heights={_heights(state.steps)!r}")
+    if ground:
+        parts.append(f"ground=pa.Ground({', '.join(ground)})")
     return ", ".join(parts)
 
 
+def _heights(feet: Mapping[str, float]) -> dict[str, float]:
+    return {foot: metres(height) for foot, height in feet.items()}
+
+
+def _asked(state: State) -> Iterator[tuple[str, str, Any]]:
+    """Yields what is asked of base and com: its name, kind and value; nothing that is usual."""
+    if state.height is not None:
+        yield "height", "length", state.height
+    for name in ("roll", "pitch", "yaw"):
+        if value := getattr(state, name):
+            yield name, "angle", value
+    if state.place == "offset":
+        yield "offset", "point", state.offset
+    if state.place == "inside":
+        yield "com", "word", "inside"
+    if state.joint_margin:
+        yield "joint_margin", "angle", state.joint_margin
+    for name in ("com_margin", "ground_clearance", "self_clearance"):
+        if value := getattr(state, name):
+            yield name, "length", value
+
+
 def _angle(degrees: float) -> str:
-    return f"math.radians({plain(degrees)})" if degrees else "0.0"
+    return f"math.radians({plain(degrees)})"
 
 
 def command(source: Source, state: State) -> str:
@@ -81,30 +98,24 @@ def command(source: Source, state: State) -> str:
     return spoken([PROGRAM, "stand", *source.arguments(state.scales()), *_options(state)])
 
 
-def live_command(source: Source, state: State) -> str:
+def live_command(source: Source, state: State, language: str = "en") -> str:
     """Returns the command that opens a page with the same state."""
     words = [PROGRAM, "live", *source.arguments({})]
+    words += [] if language == "en" else ["--language", language]
     return spoken([*words, "--state", str(state)] if str(state) else words)
 
 
 def _options(state: State) -> list[str]:
     """Returns what the command line's options of stance, payload and servos say."""
-    words = [] if state.height is None else [f"--height={metres(state.height)!r}"]
-    for name in ("roll", "pitch", "yaw"):
-        if value := getattr(state, name):
-            words.append(f"--{name}={plain(value)}deg")
-    if state.place == "offset":
-        words.append(f"--offset={_point(state.offset)}")
-    if state.place == "inside":
-        words.append("--com=inside")
-    if state.com_margin:
-        words.append(f"--com-margin={metres(state.com_margin)!r}")
+    words = [
+        f"--{name.replace('_', '-')}={_TYPED[kind](value)}" for name, kind, value in _asked(state)
+    ]
     words += [f"--move={foot}={_point(move)}" for foot, move in state.moves.items()]
-    if state.lift:
-        words.append(f"--swing={state.lift}={metres(state.lift_height)!r}")
+    words += [f"--swing={foot}={height!r}" for foot, height in _heights(state.lifts).items()]
+    words += [f"--step={foot}={height!r}" for foot, height in _heights(state.steps).items()]
     for name in ("slope", "uphill"):
         if value := getattr(state, name):
-            words.append(f"--{name}={plain(value)}deg")
+            words.append(f"--{name}={_TYPED['angle'](value)}")
     if state.payload:
         words += [f"--payload={state.payload!r}", f"--payload-at={_point(state.payload_at)}"]
     for name in ("kp", "kd"):
@@ -115,6 +126,23 @@ def _options(state: State) -> list[str]:
 
 def _point(point: tuple[float, ...]) -> str:
     return ",".join(repr(metres(number)) for number in point)
+
+
+_PYTHON: Mapping[str, Callable[[Any], str]] = {
+    "length": lambda value: repr(metres(value)),
+    "angle": _angle,
+    "point": lambda point: repr(tuple(map(metres, point))),
+    "word": repr,
+}
+"""How Python says a value of each kind."""
+
+_TYPED: Mapping[str, Callable[[Any], str]] = {
+    "length": lambda value: repr(metres(value)),
+    "angle": lambda degrees: f"{plain(degrees)}deg",
+    "point": _point,
+    "word": str,
+}
+"""How one types it."""
 
 
 def json(source: Source, answer: Answer, sag: Sag | None) -> str:
@@ -151,7 +179,7 @@ def table(answer: Answer) -> str:
     return text.getvalue()
 
 
-def link(address: str, state: State) -> str:
+def link(address: str, state: State, language: str = "en") -> str:
     """Returns the address of a page with the same state, of a server as a browser reaches it.
 
     What viser's page takes to be its server's address is, with a state behind it, what the server
@@ -160,8 +188,11 @@ def link(address: str, state: State) -> str:
     Args:
         address: Host and port.
         state: The state.
+        language: In which it opens.
     """
-    text = str(state)
-    if not text:
+    asked = f"state={quote(str(state), safe=':;,.%')}"
+    if language != "en":
+        asked += f"%26language={language}"  # of the server's address, not of the page's
+    elif not str(state):
         return f"http://{address}/"
-    return f"http://{address}/?websocket=ws://{address}/?state={quote(text, safe=':;,.%')}"
+    return f"http://{address}/?websocket=ws://{address}/?{asked}"

@@ -145,12 +145,18 @@ def explained(answer: Answer) -> StanceUnreachableError | None:
     return None
 
 
-def sag(answer: Answer) -> Sag:
-    """Predicts where the stand settles without feed-forward."""
+def sag(answer: Answer, held: Stand | None = None) -> Sag:
+    """Predicts where the stand settles without feed-forward.
+
+    Args:
+        answer: How it stands.
+        held: Another stand, which is commanded instead.
+    """
     assert answer.robot is not None
     assert answer.stand is not None
+    stand = answer.stand if held is None else held
     try:
-        return Sag(steady_state(answer.robot, answer.stand, kp=answer.state.kp), "")
+        return Sag(steady_state(answer.robot, stand, kp=answer.state.kp), "")
     except NoEquilibriumError as error:
         return Sag(None, str(error))
     except StaticsInfeasibleError:

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 from pupper_analysis.live import export, text
 from pupper_analysis.live.controls import Controls
+from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Answer, Model, Sag
 from pupper_analysis.live.state import State
 from pupper_analysis.report.formats import visible
@@ -36,6 +37,15 @@ class Acts(Protocol):
     def push(self) -> None:
         """Pushes the stance."""
 
+    def play(self) -> None:
+        """Plays what was simulated once more."""
+
+    def go_to_time(self, seconds: float) -> None:
+        """Shows what was simulated at a time."""
+
+    def speak(self, language: Language) -> None:
+        """Goes on in another language."""
+
     def export(self) -> tuple[Answer | None, Sag | None]:
         """Returns what is shown, whole."""
 
@@ -48,66 +58,82 @@ class Panels:
         model: Answers for the robot.
         address: Host and port, as the browser reaches the server.
         acts: What buttons do.
+        say: The language.
     """
 
-    def __init__(self, client: Any, model: Model, address: str, acts: Acts) -> None:
+    def __init__(
+        self, client: Any, model: Model, address: str, acts: Acts, say: Language | None = None
+    ) -> None:
         self._client, self._model, self._address, self._acts = client, model, address, acts
+        self.say = say = say or Language()
         gui = client.gui
         robot = model.robot(State())
-        self._feedforward: Any = None
         left = gui.add_panel()
-        with left.add_tab("What it takes"):
-            self._numbers = gui.add_html(text.waiting("solving …"))
+        with left.add_tab(say("What it takes")):
+            self._numbers = gui.add_html(text.waiting(say("solving …")))
         left.dock_left()
         left.set_width(330)
-        self.controls = Controls(gui, robot, model.source.scales, acts.changed)
+        self.controls = Controls(gui, robot, model.source.scales, say, acts.changed)
+        gui.add_html(text.PHONE)
+        self._brief = gui.add_html("")
+        other = gui.add_button(say.other.name, color="gray")
         tabs = gui.add_tab_group()
-        with tabs.add_tab("Stance"):
+        with tabs.add_tab(say("Stance")):
             self.controls.stance()
-            self._nearest = gui.add_button("Go to the nearest stance", visible=False)
-            reset = gui.add_button("Reset all", color="gray")
-        with tabs.add_tab("Body"):
+            self._nearest = gui.add_button(say("Go to the nearest stance"), visible=False)
+            reset = gui.add_button(say("Reset all"), color="gray")
+        with tabs.add_tab(say("Body")):
             self.controls.body()
         with tabs.add_tab("MuJoCo"):
             self._simulation(gui, robot.total_mass)
-        with tabs.add_tab("Share"):
+        with tabs.add_tab(say("Share")):
             self._share(gui)
+        other.on_click(lambda _: acts.speak(say.other))
         self._nearest.on_click(lambda _: acts.go_to_nearest())
         reset.on_click(lambda _: acts.reset())
         gui.main_panel.dock_right()
         gui.main_panel.set_width(360)
 
     def _simulation(self, gui: Any, mass: float) -> None:
-        acts = self._acts
+        acts, say = self._acts, self.say
         self._feedforward = gui.add_checkbox(
-            "feed-forward", False, hint="Command q* + torque / kp, not q* alone."
+            say("feed-forward"), False, hint=say("Command q* + torque / kp, not q* alone.")
         )
-        simulate = gui.add_button("Simulate", hint="5 s of MuJoCo.")
+        simulate = gui.add_button(say("Simulate"), hint=say("5 s of MuJoCo."))
         most = max(1.0, round(2.0 * mass, 1))  # N s: 2 m/s tip over what is about as high as v3
-        with gui.add_folder("Push"):
-            self._impulse = gui.add_slider("impulse (N s)", 0.0, most, most / 100, most / 10)
+        with gui.add_folder(say("Push")):
+            self._impulse = gui.add_slider(say("impulse (N s)"), 0.0, most, most / 100, most / 10)
             self._direction = gui.add_slider(
-                "towards (°)", -180.0, 180.0, 5.0, 90.0, hint="0 is forward, 90 is left."
+                say("towards (°)"), -180.0, 180.0, 5.0, 90.0, hint=say("0 is forward, 90 is left.")
             )
-            push = gui.add_button("Push")
-        self._beside = gui.add_checkbox("beside the prediction", True)
-        labels = gui.add_checkbox("torques at all joints", False)
-        self._result = gui.add_html(text.nothing("Not simulated yet."))
+            push = gui.add_button(say("Push it"))
+        self._beside = gui.add_checkbox(say("beside the prediction"), True)
+        labels = gui.add_checkbox(say("torques at all joints"), False)
+        self._time = gui.add_slider(say("time (s)"), 0.0, 1.0, 0.01, 0.0, visible=False)
+        self._again = gui.add_button(say("Play again"), visible=False, color="gray")
+        self._result = gui.add_html(text.nothing(say("Not simulated yet.")))
         simulate.on_click(lambda _: acts.simulate())
         push.on_click(lambda _: acts.push())
         labels.on_update(lambda event: acts.draw_again(bool(event.target.value)))
+        self._again.on_click(lambda _: acts.play())
+        self._time.on_update(self._time_chosen)
+
+    def _time_chosen(self, event: Any) -> None:
+        if event.client is not None:
+            self._acts.go_to_time(float(self._time.value))
 
     def _share(self, gui: Any) -> None:
-        self._state = gui.add_text("state", "", hint="Change it, or paste another one.")
-        self._link = gui.add_text("link", "", hint="Opens a page with this state.")
-        self._live = gui.add_text("this page", "", multiline=True)
-        self._command = gui.add_text("as a command", "", multiline=True)
-        self._python = gui.add_text("as Python", "", multiline=True)
+        say = self.say
+        self._state = gui.add_text(say("state"), "", hint=say("Change it, or paste another one."))
+        self._link = gui.add_text(say("link to it"), "", hint=say("Opens a page with this state."))
+        self._live = gui.add_text(say("this page"), "", multiline=True)
+        self._command = gui.add_text(say("as a command"), "", multiline=True)
+        self._python = gui.add_text(say("as Python"), "", multiline=True)
         self._state.on_update(self._state_typed)
         for label, name in (
-            ("Save the Python", "stance.py"),
-            ("Save all as JSON", "stance.json"),
-            ("Save the torques as CSV", "torques.csv"),
+            (say("Save the Python"), "stance.py"),
+            (say("Save all as JSON"), "stance.json"),
+            (say("Save the torques as CSV"), "torques.csv"),
         ):
             button = gui.add_button(label)
             button.on_click(lambda _, n=name: self._save(n))
@@ -121,7 +147,7 @@ class Panels:
         answer, sag = self._acts.export()
         source = self._model.source
         if answer is None or (answer.statics is None and name != "stance.py"):
-            self.notify("Nothing to save", "There is no stance in balance.")
+            self.notify("Nothing to save", self.say("There is no stance in balance."))
             return
         content = {
             "stance.py": lambda: export.python(source, answer.state),
@@ -129,6 +155,11 @@ class Panels:
             "torques.csv": lambda: export.table(answer),
         }[name]()
         self._client.send_file_download(name, content.encode(), save_immediately=True)
+
+    def like(self, other: Panels) -> None:
+        """Takes over what the panels before were told, but for the state."""
+        for name in ("_feedforward", "_impulse", "_direction", "_beside"):
+            getattr(self, name).value = getattr(other, name).value
 
     @property
     def feedforward(self) -> bool:
@@ -145,13 +176,30 @@ class Panels:
         """How hard (N s), and where to (rad)."""
         return float(self._impulse.value), math.radians(float(self._direction.value))
 
-    def status(self, html: str) -> None:
-        """Shows what it takes."""
+    def status(self, html: str, brief: str = "") -> None:
+        """Shows what it takes.
+
+        Args:
+            html: All of it.
+            brief: The same in a line, for a screen that has no room for it beside the sliders.
+        """
         self._numbers.content = html
+        self._brief.content = brief
 
     def result(self, html: str) -> None:
         """Shows what came of a simulation."""
         self._result.content = html
+
+    def simulated(self, duration: float) -> None:
+        """Offers to look at what was simulated, for so long (s); at nothing for 0."""
+        for control in (self._time, self._again):
+            control.visible = duration > 0
+        if duration > 0:
+            self._time.max = round(duration, 2)
+
+    def at_time(self, seconds: float) -> None:
+        """Shows which time is drawn."""
+        self._time.value = min(round(seconds, 2), self._time.max)
 
     def answered(self, answer: Answer) -> None:
         """Shows all that follows from a state at once; limits are of the state before."""
@@ -159,10 +207,11 @@ class Panels:
         self.limits(None)
         if answer.robot is not None:
             self.controls.follow(answer.robot)
-        self._result.content = text.nothing("Not simulated yet.")
+        self._result.content = text.nothing(self.say("Not simulated yet."))
+        self.simulated(0.0)
         self._state.value = str(state)
-        self._link.value = export.link(self._address, state)
-        self._live.value = visible(export.live_command(source, state))
+        self._link.value = export.link(self._address, state, self.say.code)
+        self._live.value = visible(export.live_command(source, state, self.say.code))
         self._command.value = visible(export.command(source, state))
         self._python.value = export.python(source, state)
 
@@ -172,5 +221,10 @@ class Panels:
         self._nearest.visible = error is not None and error.nearest is not None
 
     def notify(self, title: str, words: str) -> None:
-        """Says something at once."""
-        self._client.add_notification(title, visible(words), color="red")
+        """Says something at once.
+
+        Args:
+            title: A text of the catalogue.
+            words: What there is to say.
+        """
+        self._client.add_notification(self.say(title), visible(words), color="red")

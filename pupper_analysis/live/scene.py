@@ -29,6 +29,11 @@ FORCE: Colour = (0, 128, 96)
 INSIDE: Colour = (30, 140, 70)
 OUTSIDE: Colour = (200, 30, 40)
 LOAD: Colour = (90, 60, 140)
+STONE: Colour = (190, 194, 200)
+PIT: Colour = (120, 126, 134)
+
+_STEP = 0.45
+"""Side of a step under a foot, in parts of the stand's height."""
 
 _CORNERS = 24
 """Corners of a support polygon as it is drawn, the last one repeated: so that its size stays."""
@@ -139,6 +144,7 @@ class Scene:
         self.hide("ghost")
         self._figure("stand").pose(stand.qpos)
         self._figure("stand").show(True)
+        self._steps(stand)
         self._support(answer, stand)
         self._com(answer, stand)
         self._load(answer, stand)
@@ -233,14 +239,35 @@ class Scene:
         grid.wxyz = quaternion(turn)
         grid.position = -1e-3 * turn[:, 2]  # beneath what lies on it
 
+    def _steps(self, stand: Stand) -> None:
+        """Draws the steps under the feet that stand on some: as high as each, or as deep."""
+        ground = stand.task.ground
+        assert self._robot is not None
+        turn, side, thin = ground.rotation(), _STEP * self._size, 4e-3 * self._size
+        for name in [name for name in self._nodes if name.startswith("steps/")]:
+            self._nodes[name].visible = False
+        for number, (foot, height) in enumerate(ground.heights.items()):
+            points = [stand.contact_points[p] for p in self._robot.points_of(foot)
+                      if p in stand.contact_points]  # fmt: skip
+            if not height or not points:
+                continue
+            # A pit is a dark square on the ground, which nobody can look through.
+            thick = max(height, thin)
+            top = np.mean(points, axis=0) - (min(height, 0.0) - thin) * turn[:, 2] * (height < 0)
+            size = side, side, thick
+            box = self._node(f"steps/{number}", "add_box", dimensions=size)
+            box.dimensions, box.color = size, STONE if height > 0 else PIT
+            box.wxyz, box.position = quaternion(turn), top - 0.5 * thick * turn[:, 2]
+
     def _support(self, answer: Answer, stand: Stand) -> None:
         ground = stand.task.ground
-        corners = support_polygon(np.array(list(stand.contact_points.values())))
+        contacts = np.array(list(stand.contact_points.values()))
+        corners = support_polygon(contacts)
         rise = 0.005 * self._size
         points = np.array([[x, y, ground.height((x, y)) + rise] for x, y in corners])
-        heights = ground.heights
-        if any(heights.values()):  # feet on steps: the polygon is that of their places
-            points[:, 2] += max(heights.values())
+        if any(ground.heights.values()):  # feet on steps: each corner is as high as its foot's
+            away = np.linalg.norm(contacts[:, None, :2] - corners, axis=-1)
+            points[:, 2] = contacts[np.argmin(away, axis=0), 2] + rise
         padded = np.concatenate([points, np.tile(points[-1], (_CORNERS, 1))])[:_CORNERS]
         held = answer.statics is not None and stand.com_margin >= 0
         fan = [(0, n, n + 1) for n in range(1, _CORNERS - 1)]

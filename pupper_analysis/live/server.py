@@ -9,6 +9,7 @@ from typing import Any
 
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.live import viser_parts
+from pupper_analysis.live.language import NAMES, Language
 from pupper_analysis.live.model import Model
 from pupper_analysis.live.session import Session
 from pupper_analysis.live.source import Source
@@ -29,6 +30,7 @@ class Page:
     Args:
         source: Which robot it is about.
         state: What it begins with.
+        language: In which it opens, ``"en"`` or ``"zh"``.
         host: Where it can be reached: by default from this machine alone.
         port: Where; any free one by default.
 
@@ -38,7 +40,8 @@ class Page:
 
     Raises:
         PupperAnalysisError: If there is no such robot.
-        ConfigurationError: If it cannot be served there, or the robot has no such state.
+        ConfigurationError: If it cannot be served there, the robot has no such state, or the
+            language is neither.
         MissingPackageError: If viser is not installed.
     """
 
@@ -47,10 +50,12 @@ class Page:
         source: Source,
         state: State | None = None,
         *,
+        language: str = "en",
         host: str = LOOPBACK,
         port: int | None = None,
     ) -> None:
         viser_parts.viser()  # before the work
+        self._language = Language(language)
         self._model, self._state = Model(source), state or State()
         robot = self._model.robot(self._state)
         self._model.robot(State())
@@ -65,17 +70,19 @@ class Page:
         self._size = size = robot.stand_height
         camera = self._server.initial_camera
         camera.position = tuple(size * number for number in _FROM)
-        camera.look_at = (0.0, 0.0, 0.4 * size)
+        camera.look_at = self._target = (0.0, 0.0, 0.4 * size)
         camera.near = 0.05 * size
         self._server.on_client_connect(self._opened)
         self._server.on_client_disconnect(self._left)
 
     def _opened(self, client: Any) -> None:
         if other := viser_parts.foreign(self._server, client.client_id):
-            told = f"{other} is another page; open {self.address}"
-            client.add_notification("Not from here", visible(told), color="red")
+            say = self._language
+            told = say("{other} is another page; open {address}", other=other, address=self.address)
+            client.add_notification(say("Not from here"), visible(told), color="red")
             return
-        address, words = viser_parts.asked_for(self._server, client.client_id)
+        address, words, language = viser_parts.asked_for(self._server, client.client_id)
+        say = Language(language) if language in NAMES else self._language
         state, problem = self._state, ""
         if words:
             try:
@@ -84,10 +91,11 @@ class Page:
             except PupperAnalysisError as error:
                 state, problem = self._state, str(error)
         camera = client.camera
-        if camera.image_width < camera.image_height:  # a phone, upright: from further away
-            away = 1.3 * camera.image_height / camera.image_width
+        if camera.image_width < camera.image_height:  # a phone, upright: its sheet leaves 45 %
+            away = max(1.0, 1.3 * 0.45 * camera.image_height / camera.image_width)
             camera.position = tuple(away * self._size * number for number in _FROM)
-        session = Session(client, self._model, state, address, problem)
+            camera.look_at = self._target
+        session = Session(client, self._model, state, address, problem, say)
         with self._lock:
             self.sessions[client.client_id] = session
         if client.client_id not in self._server.get_clients():  # it left meanwhile
@@ -120,7 +128,7 @@ def check(model: Model, state: State) -> None:
     """
     robot = model.robot(state)
     state.task()
-    for foot in (*state.moves, *([state.lift] if state.lift else [])):
+    for foot in (*state.moves, *state.lifts, *state.steps):
         robot.points_of(foot)
 
 

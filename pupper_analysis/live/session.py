@@ -8,26 +8,35 @@ is out of reach, and simulations. What it finds is shown only with the stance th
 from __future__ import annotations
 
 import itertools
+import math
 import threading
 import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.live import model as answers
 from pupper_analysis.live import text
+from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Answer, Model, Sag
+from pupper_analysis.live.motion import Motion
 from pupper_analysis.live.panels import Panels
 from pupper_analysis.live.scene import Scene
-from pupper_analysis.live.state import State, parse
+from pupper_analysis.live.state import State, halfway, parse
 
 QUIET = 0.15
 """s without a change after which it is worth to look closer: a hand on a slider moves on sooner."""
 
 _FRAME = 1 / 30  # s between the pictures of a motion
+
+MOVING = 0.3
+"""s from one state to the next by which a hand moves a slider: viser's page tells of it each
+0.05 s, and a busy machine later."""
+
+BETWEEN = 0.025
+"""s after which what is halfway makes room: half of viser's 0.05 s, so that 40 stances a second are
+solved and shown where the page tells of 20."""
 
 _numbers = itertools.count(1)
 
@@ -41,25 +50,36 @@ class Session:
         state: What it begins with.
         address: Host and port, as the browser reaches the server.
         problem: What was wrong with the state that it asked for; empty if nothing.
+        say: The language that it begins with.
     """
 
     def __init__(
-        self, client: Any, model: Model, state: State, address: str, problem: str = ""
+        self,
+        client: Any,
+        model: Model,
+        state: State,
+        address: str,
+        problem: str = "",
+        say: Language | None = None,
     ) -> None:
-        self._client, self._model = client, model
+        self._client, self._model, self._address = client, model, address
         self._asked, self._think = threading.Event(), threading.Event()
-        self._closed = threading.Event()
+        self._closed, self._held = threading.Event(), threading.Event()
         self._lock = threading.RLock()
         self._answer: Answer | None = None
         self._sag: Sag | None = None
         self._refusal: Any = None
+        self._pending = True
         self._job: Callable[[Answer], None] | None = None
-        self._since = 0.0
+        self._motion: Motion | None = None
+        self._result: Callable[[Language], str] | None = None
+        self._since, self._told = 0.0, -math.inf
         self._scene = Scene(client.scene)
-        self._panels = Panels(client, model, address, self)
+        self._panels = Panels(client, model, address, self, say)
         self._panels.controls.put(state, told=False)
         if problem:
-            self._panels.notify("This state cannot be shown", problem)
+            say = self._panels.say
+            self._panels.notify("This state cannot be shown", say.sentence(problem))
         number = next(_numbers)
         self.threads = [
             threading.Thread(target=work, name=f"live-{number}-{name}", daemon=True)
@@ -83,12 +103,32 @@ class Session:
         """Goes back to where a page begins."""
         self._panels.controls.put(State(), told=True)
 
+    def speak(self, language: Language) -> None:
+        """Goes on in another language: with other panels, of the same state."""
+        with self._lock, self._client.atomic():
+            before = self._panels
+            state = before.controls.state
+            self._client.gui.reset()
+            self._panels = Panels(self._client, self._model, self._address, self, language)
+            self._panels.like(before)
+            self._panels.controls.put(state, told=False)
+            if self._answer is None:
+                return
+            self._panels.answered(self._answer)
+            self._tell()
+            if self._refusal is not None:
+                self._panels.limits(self._refusal)
+            if self._result is not None:
+                self._panels.result(self._result(language))
+            if self._motion is not None:
+                self._panels.simulated(self._motion.duration)
+
     def go_to(self, words: str) -> None:
         """Goes to a state that is given as a text."""
         try:
             self._panels.controls.put(parse(words), told=True)
         except PupperAnalysisError as error:
-            self._panels.notify("This is no state", str(error))
+            self._panels.notify("This is no state", self._panels.say.sentence(str(error)))
 
     def go_to_nearest(self) -> None:
         """Goes to the ghost."""
@@ -115,11 +155,30 @@ class Session:
     def _do(self, words: str, job: Callable[[Answer], None]) -> None:
         with self._lock:
             if self._answer is None or self._answer.statics is None:
-                self._panels.result(text.nothing("There is no stance that could be simulated."))
+                said = "There is no stance that could be simulated."
+                self._panels.result(text.nothing(self._panels.say(said)))
                 return
-            self._panels.result(text.waiting(words))
+            self._panels.result(text.waiting(self._panels.say(words)))
+            self._result, self._motion = None, None
+            self._panels.simulated(0.0)
             self._job = job
         self._think.set()
+
+    def play(self) -> None:
+        """Plays what was simulated once more."""
+        with self._lock:
+            if self._motion is None:
+                return
+            self._held.clear()
+            self._job = self._play
+        self._think.set()
+
+    def go_to_time(self, seconds: float) -> None:
+        """Shows what was simulated at a time; if it is being played, that ends."""
+        self._held.set()
+        with self._lock:
+            if self._answer is not None and self._motion is not None:
+                self._draw_motion(self._answer, self._motion, seconds)
 
     def export(self) -> tuple[Answer | None, Sag | None]:
         """Returns what is shown, whole."""
@@ -137,15 +196,19 @@ class Session:
             self._think.set()
 
     def _solve(self) -> None:
-        """Answers the state that the controls say."""
-        state = self._panels.controls.state
+        """Answers the state that the controls say; of a hand that moves on, one between, too."""
+        state, now = self._panels.controls.state, time.monotonic()
+        moving, self._told = now - self._told < MOVING, now
+        if moving and self._answer is not None:
+            between = halfway(self._answer.state, state)
+            if between is not None:
+                self._show(self._model.answer(between), passing=True)
+                if self._asked.wait(max(0.0, now + BETWEEN - time.monotonic())):
+                    return  # it has moved on, or the page is closed
         if not self._model.made(state):
-            self._panels.status(text.waiting("making the robot …"))
-        answer = self._model.answer(state)
-        with self._lock, self._client.atomic():
-            self._answer, self._sag, self._refusal = answer, None, None
-            self._job, self._since = None, time.monotonic()
-            self._show(answer)
+            with self._lock:
+                self._panels.status(text.waiting(self._panels.say("making the robot …")))
+        self._show(self._model.answer(state))
 
     def _safely(self, work: Callable[[], None]) -> None:
         """Does some work; an error that nobody foresaw is shown, and the page lives on."""
@@ -153,16 +216,37 @@ class Session:
             work()
         except Exception as error:
             if not self._closed.is_set():
-                self._panels.status(text.unforeseen(error))
+                with self._lock:
+                    self._panels.status(text.unforeseen(self._panels.say, error))
 
-    def _show(self, answer: Answer) -> None:
-        """Shows an answer, and that what follows from it is not known yet."""
-        self._scene.show(answer)
+    def _show(self, answer: Answer, *, passing: bool = False) -> None:
+        """Shows an answer, and that what follows from it is not known yet.
+
+        Args:
+            answer: The answer.
+            passing: Whether the controls say another state already; a stance that is out of reach
+                is not shown then, as it is left before one could read why.
+        """
+        if passing and answer.stand is None:
+            return
+        with self._lock, self._client.atomic():
+            self._answer, self._sag, self._refusal, self._pending = answer, None, None, True
+            self._job, self._motion, self._result = None, None, None
+            self._since = time.monotonic()
+            self._scene.show(answer)
+            self._tell()
+            if not passing:
+                self._panels.answered(answer)
+
+    def _tell(self) -> None:
+        """Says what is known of the answer."""
+        answer, say = self._answer, self._panels.say
+        assert answer is not None
         if answer.unreachable:
-            self._panels.status(text.refusal(answer, None, pending=True))
+            said = text.refusal(say, answer, self._refusal, pending=self._pending)
         else:
-            self._panels.status(text.numbers(answer, None))
-        self._panels.answered(answer)
+            said = text.numbers(say, answer, self._sag)
+        self._panels.status(said, text.brief(say, answer))
 
     def _looking(self) -> None:
         """Looks closer at what stays, and simulates."""
@@ -190,7 +274,12 @@ class Session:
         try:
             job(answer)
         except PupperAnalysisError as error:
-            self._if_shown(answer, partial(self._panels.result, text.failure(error)))
+            self._if_shown(answer, partial(self._say_result, partial(text.failure, error=error)))
+
+    def _say_result(self, said: Callable[[Language], str]) -> None:
+        """Says what came of a simulation, in any language."""
+        self._result = said
+        self._panels.result(said(self._panels.say))
 
     def _if_shown(self, answer: Answer, show: Callable[[], None]) -> bool:
         """Shows something of an answer, if that is still the one that is shown."""
@@ -209,8 +298,8 @@ class Session:
             robot = answer.robot
 
             def show_refusal() -> None:
-                self._refusal = error
-                self._panels.status(text.refusal(answer, error, pending=False))
+                self._refusal, self._pending = error, False
+                self._tell()
                 self._panels.limits(error)
                 self._scene.ghost(robot, None if error is None else error.nearest)
 
@@ -220,51 +309,64 @@ class Session:
 
             def show_sag() -> None:
                 self._sag = sag
-                self._panels.status(text.numbers(answer, sag))
+                self._tell()
 
             self._if_shown(answer, show_sag)
 
     def _simulate(self, answer: Answer) -> None:
         held = answers.held_stand(answer)
         report = answers.simulated(answer, held, feedforward=self._panels.feedforward)
-        said = text.simulation(report, held, self._sag)
-        if self._if_shown(answer, lambda: self._panels.result(said)):
-            self._play(answer, report.motion_time, report.motion)
+        sag = answers.sag(answer, held)  # of what is simulated: with longer legs
+
+        def said(say: Language) -> str:
+            return text.simulation(say, report, held, sag)
+
+        self._show_motion(answer, said, Motion(report.motion_time, report.motion))
 
     def _push(self, answer: Answer) -> None:
         impulse, direction = self._panels.push_asked
         trial = answers.pushed(answer, impulse, direction, feedforward=self._panels.feedforward)
-        if self._if_shown(answer, lambda: self._panels.result(text.push(trial))):
-            self._play(answer, trial.motion_time, trial.motion)
 
-    def _play(self, answer: Answer, times: Any, motion: Any) -> None:
+        def said(say: Language) -> str:
+            return text.push(say, trial)
+
+        self._show_motion(answer, said, Motion(trial.motion_time, trial.motion))
+
+    def _show_motion(self, answer: Answer, said: Callable[[Language], str], motion: Motion) -> None:
+        """Tells what came of a simulation, and plays it."""
+
+        def show() -> None:
+            self._motion = motion
+            self._held.clear()
+            self._say_result(said)
+            self._panels.simulated(motion.duration)
+
+        if self._if_shown(answer, show):
+            self._play(answer)
+
+    def _play(self, answer: Answer) -> None:
         """Plays a motion once; it stays at its end. Ends when there is something else to do."""
-        assert answer.robot is not None
-        assert answer.task is not None
-        robot, ground = answer.robot, answer.task.ground
+        with self._lock:
+            motion = self._motion
+        if motion is None:
+            return
         begin = time.monotonic()
         last = False
-        while not last and not self._think.is_set():
+        while not (last or self._think.is_set() or self._held.is_set()):
             at = time.monotonic() - begin
-            last = at >= times[-1] - times[0]
-            qpos = between(times - times[0], motion, min(at, times[-1] - times[0]))
-            beside = self._panels.beside
+            last = at >= motion.duration
 
-            def show(qpos: Any = qpos, beside: bool = beside) -> None:
-                self._scene.twin(robot, qpos, ground, beside=beside)
+            def show(at: float = at) -> None:
+                if not self._held.is_set():  # a hand may have taken the slider by now
+                    self._draw_motion(answer, motion, min(at, motion.duration))
 
             if not self._if_shown(answer, show) or self._closed.wait(_FRAME):
                 return
 
-
-def between(times: Any, motion: Any, at: float) -> Any:
-    """Returns a configuration (nq,) of a motion (n, nq) at a time, between its samples."""
-    after = int(np.clip(np.searchsorted(times, at), 1, len(times) - 1))
-    before = after - 1
-    share = (at - times[before]) / (times[after] - times[before])
-    one, other = motion[before].copy(), motion[after].copy()
-    if one[3:7] @ other[3:7] < 0:  # the same rotation, on the nearer side
-        other[3:7] *= -1
-    qpos = one + np.clip(share, 0.0, 1.0) * (other - one)
-    qpos[3:7] /= np.linalg.norm(qpos[3:7])
-    return qpos
+    def _draw_motion(self, answer: Answer, motion: Motion, at: float) -> None:
+        """Shows what was simulated at a time (s)."""
+        assert answer.robot is not None
+        assert answer.task is not None
+        beside = self._panels.beside
+        self._scene.twin(answer.robot, motion.at(at), answer.task.ground, beside=beside)
+        self._panels.at_time(at)

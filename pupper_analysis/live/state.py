@@ -18,10 +18,14 @@ PLACES = ("centre", "inside", "offset")
 
 _NUMBERS = {
     **{"height": 1, "roll": 1, "pitch": 1, "yaw": 1, "offset": 2, "com_margin": 1},
+    **{"joint_margin": 1, "ground_clearance": 1, "self_clearance": 1},
     **{"slope": 1, "uphill": 1, "payload": 1, "payload_at": 3},
     **{"leg_scale": 1, "torso_mass_scale": 1, "kp": 1, "kd": 1},
 }
 """How many numbers a field has, where it has nothing else."""
+
+_FEET = {"move": ("moves", 2), "lift": ("lifts", 1), "step": ("steps", 1)}
+"""{how a text says it: (the field that has it for some feet, how many numbers each has)}."""
 
 _LONGEST = 4000
 """Letters of a state: 50 feet's worth; a longer one is none of ours."""
@@ -39,9 +43,12 @@ class State:
         place: What decides where the base is: ``centre``, ``inside`` or ``offset``.
         offset: (x, y) of the base from the centre of the feet (mm), for ``offset``.
         com_margin: Of the com, inside the support polygon (mm).
+        joint_margin: Of all joints, off their limits (deg).
+        ground_clearance: Of all but the feet, above the ground (mm).
+        self_clearance: Between links that are not neighbours (mm); 0: they are not looked at.
         moves: {foot: (x, y) off its nominal place (mm)}.
-        lift: A foot that does not carry; empty: all do.
-        lift_height: How high it is (mm).
+        lifts: {foot that does not carry: how high it is (mm)}.
+        steps: {foot: height of the step under it (mm)}.
         slope: Of the ground (deg).
         uphill: Where it rises (deg).
         payload: Mass of a payload (kg).
@@ -59,9 +66,12 @@ class State:
     place: str = "centre"
     offset: tuple[float, float] = (0.0, 0.0)
     com_margin: float = 0.0
+    joint_margin: float = 0.0
+    ground_clearance: float = 0.0
+    self_clearance: float = 0.0
     moves: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    lift: str = ""
-    lift_height: float = 20.0
+    lifts: Mapping[str, float] = field(default_factory=dict)
+    steps: Mapping[str, float] = field(default_factory=dict)
     slope: float = 0.0
     uphill: float = 0.0
     payload: float = 0.0
@@ -84,10 +94,14 @@ class State:
         for foot, move in self.moves.items():
             for number in move:
                 finite(f"move {foot}", number)
-        # A foot that is where it is anyway is not moved.
+        for name in ("lifts", "steps"):
+            heights = getattr(self, name)
+            known = {foot: finite(f"{name} {foot}", height) for foot, height in heights.items()}
+            object.__setattr__(self, name, known)
+        # A foot that is where it is anyway is not moved, and stands on no step.
         moves = {foot: move for foot, move in self.moves.items() if any(move)}
         object.__setattr__(self, "moves", moves)
-        finite("lift", self.lift_height)
+        object.__setattr__(self, "steps", {foot: h for foot, h in self.steps.items() if h})
 
     def task(self) -> StandTask:
         """Returns the stand task.
@@ -106,9 +120,16 @@ class State:
             offset=offset,
             com="inside" if self.place == "inside" else None,  # where the robot's usually is
             com_margin=metres(self.com_margin),
+            joint_margin=radians(self.joint_margin),
+            ground_clearance=metres(self.ground_clearance),
+            self_clearance=metres(self.self_clearance) if self.self_clearance else None,
             foot_offsets={foot: (metres(x), metres(y)) for foot, (x, y) in self.moves.items()},
-            swing={self.lift: metres(self.lift_height)} if self.lift else {},
-            ground=Ground(slope=radians(self.slope), uphill=radians(self.uphill)),
+            swing={foot: metres(height) for foot, height in self.lifts.items()},
+            ground=Ground(
+                slope=radians(self.slope),
+                uphill=radians(self.uphill),
+                heights={foot: metres(height) for foot, height in self.steps.items()},
+            ),
         )
 
     def scales(self) -> dict[str, float]:
@@ -128,7 +149,6 @@ class State:
             task: As ``task`` makes them: with the same feet, and the same thing deciding where the
                 base is.
         """
-        (lift,) = task.swing.values() if task.swing else (self.lift_height * 1e-3,)
         height = self.height if self.height is None or task.height is None else task.height * 1e3
         return replace(
             self,
@@ -138,8 +158,12 @@ class State:
             yaw=_short(math.degrees(task.yaw)),
             offset=self.offset if task.offset is None else _both(task.offset),
             com_margin=_short(task.com_margin * 1e3),
+            joint_margin=_short(math.degrees(task.joint_margin)),
+            ground_clearance=_short(task.ground_clearance * 1e3),
+            self_clearance=_short((task.self_clearance or 0.0) * 1e3),
             moves={foot: _both(move) for foot, move in task.foot_offsets.items()},
-            lift_height=_short(lift * 1e3),
+            lifts={foot: _short(height * 1e3) for foot, height in task.swing.items()},
+            steps={foot: _short(height * 1e3) for foot, height in task.ground.heights.items()},
             slope=_short(math.degrees(task.ground.slope)),
         )
 
@@ -154,14 +178,48 @@ class State:
                 parts.append(f"{name}:{','.join(map(plain, numbers))}")
         if self.place != usual.place:
             parts.append(f"place:{self.place}")
-        parts += [f"move:{quote(f, safe='')},{plain(x)},{plain(y)}" for f, (x, y) in _items(self)]
-        if self.lift:
-            parts.append(f"lift:{quote(self.lift, safe='')},{plain(self.lift_height)}")
+        for name, (attribute, count) in _FEET.items():
+            for foot, value in sorted(getattr(self, attribute).items()):
+                numbers = value if count > 1 else (value,)
+                parts.append(f"{name}:{','.join([quote(foot, safe=''), *map(plain, numbers)])}")
         return ";".join(parts)
 
 
-def _items(state: State) -> list[tuple[str, tuple[float, float]]]:
-    return sorted(state.moves.items())
+_ROBOTS = ("payload", "payload_at", "leg_scale", "torso_mass_scale", "kp", "kd")
+"""Fields that make another robot, which takes longer than a stance, or no other stance."""
+
+
+def halfway(one: State, other: State) -> State | None:
+    """Returns the state in the middle of two, as a hand passes it that moves a slider.
+
+    None where there is no middle: of two robots, or where something else than a number differs.
+    """
+    alike = ("place", *_ROBOTS)
+    if any(getattr(one, name) != getattr(other, name) for name in alike) or one == other:
+        return None
+    changed: dict[str, Any] = {}
+    for name in _NUMBERS:
+        first, second = getattr(one, name), getattr(other, name)
+        if first != second:
+            if first is None or second is None:
+                return None
+            changed[name] = _middle(first, second)
+    for name, count in _FEET.values():
+        first, second = getattr(one, name), getattr(other, name)
+        if name == "lifts" and first.keys() != second.keys():
+            return None
+        none = (0.0, 0.0) if count > 1 else 0.0
+        changed[name] = {
+            foot: _middle(first.get(foot, none), second.get(foot, none))
+            for foot in {**first, **second}
+        }
+    return replace(other, **changed)
+
+
+def _middle(one: Any, other: Any) -> Any:
+    if isinstance(one, tuple):
+        return tuple(_middle(first, second) for first, second in zip(one, other, strict=True))
+    return 0.5 * (one + other)
 
 
 def metres(millimetres: float) -> float:
@@ -192,7 +250,7 @@ def parse(text: str) -> State:
     """Returns the state that a text says, as ``str(state)`` writes it.
 
     ``height:120;roll:5;place:offset;offset:10,0;move:FR,10,0;lift:FL,20``: names and numbers, in mm
-    and degrees.
+    and degrees; ``move``, ``lift`` and ``step`` once per foot.
 
     Raises:
         ConfigurationError: If it says none.
@@ -200,28 +258,27 @@ def parse(text: str) -> State:
     if len(text) > _LONGEST:
         raise ConfigurationError("state", f"{len(text)} letters are more than {_LONGEST}")
     given: dict[str, Any] = {}
-    moves: dict[str, tuple[float, float]] = {}
+    feet: dict[str, Any] = {attribute: {} for attribute, _ in _FEET.values()}
     for part in filter(None, (part.strip() for part in text.split(";"))):
         name, _, value = part.partition(":")
-        if name == "move":
-            foot, x, y = _split(name, value, 3)
-            moves[unquote(foot)] = _number(name, x), _number(name, y)
+        if name in _FEET:
+            attribute, count = _FEET[name]
+            foot, *said = _split(name, value, 1 + count)
+            numbers = tuple(_number(name, one) for one in said)
+            feet[attribute][unquote(foot)] = numbers if count > 1 else numbers[0]
         elif name in given:
             raise ConfigurationError("state", f"{name} is said twice")
-        elif name == "lift":
-            foot, height = _split(name, value, 2)
-            given["lift"], given["lift_height"] = unquote(foot), _number(name, height)
         elif name == "place":
             given[name] = value
         elif name in _NUMBERS:
             numbers = tuple(_number(name, one) for one in _split(name, value, _NUMBERS[name]))
             given[name] = numbers if len(numbers) > 1 else numbers[0]
         else:
-            known = [f.name for f in fields(State) if f.name not in ("moves", "lift_height")]
+            known = [f.name for f in fields(State) if f.name not in feet]
             raise ConfigurationError(
-                "state", f"{name!r} is unknown; there are: {', '.join([*known, 'move'])}"
+                "state", f"{name!r} is unknown; there are: {', '.join([*known, *_FEET])}"
             )
-    return State(**given, moves=moves)
+    return State(**given, **feet)
 
 
 def _split(name: str, value: str, count: int) -> list[str]:

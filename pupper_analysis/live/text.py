@@ -10,6 +10,7 @@ import numpy as np
 
 from pupper_analysis.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.live.colour import BEYOND, SCALE, colour_of, css
+from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Answer, Sag
 from pupper_analysis.report.formats import visible
 from pupper_analysis.simulation.push_trial import PushTrial
@@ -30,10 +31,32 @@ STYLE = """<style>
 .pa .scale{display:flex;height:.6em;border-radius:2px;margin:.2em 0 0}
 </style>"""
 
+PHONE = """<style>
+.pa-page{display:none}
+@media (max-width:36em){
+.mantine-Paper-root:has(.pa-page){width:100% !important;max-height:55% !important}
+.mantine-Paper-root:has(.pa-page) [style*="width: 20em"]{width:100% !important}
+div:has(>.mantine-Paper-root .pa-page):not(:has([style*="display: none"] .pa-page))>div:has(canvas)
+{height:45% !important}
+.pa-page{display:block}
+}
+</style><div class="pa-page"></div>"""
+"""Where viser has a sheet over the scene, as wide as a hand, the scene ends where it begins."""
+
 
 def page(*parts: str) -> str:
     """Returns parts as one piece of a page."""
     return f'{STYLE}<div class="pa">{"".join(parts)}</div>'
+
+
+def headed(text: str) -> str:
+    """Returns a text as a heading."""
+    return f"<h4>{said(text)}</h4>"
+
+
+def line(text: str) -> str:
+    """Returns a text as a line of its own."""
+    return f"<div>{said(text)}</div>"
 
 
 def said(text: str) -> str:
@@ -57,69 +80,89 @@ def rows(values: Iterable[tuple[str, str]]) -> str:
 def title(answer: Answer) -> str:
     """Returns which robot it is, and its mass."""
     robot = answer.robot
-    return "" if robot is None else f"<h4>{said(robot.name)}, {robot.total_mass:.3f} kg</h4>"
+    return "" if robot is None else headed(f"{robot.name}, {robot.total_mass:.3f} kg")
 
 
-def verdict(answer: Answer) -> str:
+def verdict(say: Language, answer: Answer) -> str:
     """Returns whether it stands, in one remark."""
     if answer.refusal is None:
-        return box("good", "It stands, in balance.")
+        return box("good", say("It stands, in balance."))
     if answer.unreachable:
-        return box("bad", "Out of reach.")
-    return box("bad", str(answer.refusal))
+        return box("bad", say("Out of reach."))
+    return box("bad", say.sentence(str(answer.refusal)))
 
 
-def numbers(answer: Answer, sag: Sag | None) -> str:
+def numbers(say: Language, answer: Answer, sag: Sag | None) -> str:
     """Returns what a stance takes.
 
     Args:
+        say: The language.
         answer: The stance.
         sag: Where it settles; None while that is worked out.
     """
     robot, stand = answer.robot, answer.stand
     if robot is None:
-        return page(verdict(answer))
-    parts = [title(answer), verdict(answer)]
+        return page(verdict(say, answer))
+    parts = [title(answer), verdict(say, answer)]
     if stand is not None:
-        parts.append(_stance(stand, answer.statics))
+        parts.append(_stance(say, stand, answer.statics))
     if stand is not None and answer.statics is not None:
         parts += [
-            _sag(sag),
-            _torques(answer, answer.statics),
-            _forces(answer.statics),
+            _sag(say, sag),
+            _torques(say, answer, answer.statics),
+            _forces(say, answer.statics),
         ]
     return page(*parts)
 
 
-def _stance(stand: Stand, statics: GravityCompensation | None) -> str:
+def brief(say: Language, answer: Answer) -> str:
+    """Returns the verdict and which motor works hardest, in a line."""
+    parts = [verdict(say, answer)]
+    if answer.statics is not None:
+        statics = answer.statics
+        shares = np.nan_to_num(statics.motor_utilisation, nan=0.0, posinf=0.0)
+        if shares.any():
+            hardest = int(np.argmax(shares))
+            name, share = statics.joint_names[hardest], 100 * float(shares[hardest])
+            stands = say("It stands, in balance.")
+            parts = [box("good", f"{stands} {name}: {share:.0f} %")]
+    return f'<div class="pa-page">{page(*parts)}</div>'
+
+
+def _stance(say: Language, stand: Stand, statics: GravityCompensation | None) -> str:
     known = [
-        ("height of the base", f"{1e3 * (stand.task.height or 0.0):.1f} mm"),
-        ("com margin", f"{1e3 * stand.com_margin:.1f} mm"),
+        (say("height of the base"), f"{1e3 * (stand.task.height or 0.0):.1f} mm"),
+        (say("com margin"), f"{1e3 * stand.com_margin:.1f} mm"),
     ]
     if stand.ground_clearance is not None:
-        known.append(("ground clearance", f"{1e3 * stand.ground_clearance.distance:.1f} mm"))
+        clearance = f"{1e3 * stand.ground_clearance.distance:.1f} mm"
+        known.append((say("ground clearance"), clearance))
+    if stand.self_clearance is not None:
+        clearance = f"{1e3 * stand.self_clearance.distance:.1f} mm"
+        known.append((say("distance between links"), clearance))
     if statics is not None and statics.friction_utilisation:
         share = max(statics.friction_utilisation.values())
-        known.append(("friction used", f"{100 * share:.1f} %"))
+        known.append((say("friction used"), f"{100 * share:.1f} %"))
     return rows(known)
 
 
-def _sag(sag: Sag | None) -> str:
-    title = "<h4>Predicted sag, without feed-forward</h4>"
+def _sag(say: Language, sag: Sag | None) -> str:
+    title = headed(say("Predicted sag, without feed-forward"))
     if sag is None:
-        return title + box("wait", "being worked out …")
+        return title + box("wait", say("being worked out …"))
     if sag.settled is None:
-        return title + box("bad", sag.unsettled)
+        return title + box("bad", say.sentence(sag.unsettled))
     settled = sag.settled
     parts = [
-        ("loss of height", f"{1e3 * settled.height_loss:.2f} mm"),
-        ("in the servos", f"{1e3 * settled.servo_sag:.2f} mm"),
-        ("in the contacts", f"{1e3 * settled.contact_sag:.2f} mm"),
+        (say("loss of height"), f"{1e3 * settled.height_loss:.2f} mm"),
+        (say("in the servos"), f"{1e3 * settled.servo_sag:.2f} mm"),
+        (say("in the contacts"), f"{1e3 * settled.contact_sag:.2f} mm"),
     ]
-    return title + rows(parts) + "".join(box("bad", failure) for failure in settled.failures)
+    failures = "".join(box("bad", say.sentence(failure)) for failure in settled.failures)
+    return title + rows(parts) + failures
 
 
-def _torques(answer: Answer, statics: GravityCompensation) -> str:
+def _torques(say: Language, answer: Answer, statics: GravityCompensation) -> str:
     assert answer.robot is not None
     body = []
     for name, torque, share, limit in zip(
@@ -138,109 +181,128 @@ def _torques(answer: Answer, statics: GravityCompensation) -> str:
             f'<tr><td>{said(name)}</td><td class="n">{torque:+.4f}</td>'
             f'<td class="n">{used}</td><td style="width:4.6em">{bar}</td></tr>'
         )
-    head = "<h4>Motor torques (N m), and parts of their limits</h4>"
-    return f'{head}<table class="torques">{"".join(body)}</table>{_legend()}'
+    head = headed(say("Motor torques (N m), and parts of their limits"))
+    return f'{head}<table class="torques">{"".join(body)}</table>{_legend(say)}'
 
 
-def _legend() -> str:
+def _legend(say: Language) -> str:
+    beyond = said(say("above"))
     stops = ",".join(f"{css(colour)} {100 * share:.0f}%" for share, colour in SCALE)
     return (
         f'<div class="scale" style="background:linear-gradient(90deg,{stops})"></div>'
         '<div style="display:flex;justify-content:space-between"><span>0</span>'
-        f'<span>50 %</span><span>100 % <b style="color:{css(BEYOND)}">■ above</b></span></div>'
+        f'<span>50 %</span><span>100 % <b style="color:{css(BEYOND)}">'
+        f"■ {beyond}</b></span></div>"
     )
 
 
-def _forces(statics: GravityCompensation) -> str:
+def _forces(say: Language, statics: GravityCompensation) -> str:
     body = [
         (foot, f"{np.linalg.norm(load.force):.2f} N") for foot, load in statics.foot_loads.items()
     ]
-    return "<h4>Contact forces</h4>" + rows(body)
+    return headed(say("Contact forces")) + rows(body)
 
 
-def refusal(answer: Answer, error: StanceUnreachableError | None, *, pending: bool) -> str:
+def refusal(
+    say: Language, answer: Answer, error: StanceUnreachableError | None, *, pending: bool
+) -> str:
     """Returns why a stance is out of reach, and how far it could go.
 
     Args:
+        say: The language.
         answer: What is out of reach.
         error: The explained refusal.
         pending: Whether it is not explained yet; ``error`` is None then.
     """
     head = title(answer)
     if pending:
-        wait = "finding out what is in the way, and how far it can go …"
-        return page(head, box("bad", "Out of reach."), box("wait", wait))
+        wait = say("finding out what is in the way, and how far it can go …")
+        return page(head, box("bad", say("Out of reach.")), box("wait", wait))
     if error is None:
-        return page(head, box("good", "It is in reach after all."))
+        return page(head, box("good", say("It is in reach after all.")))
     missing = [(foot, f"{1e3 * gap:.1f} mm") for foot, gap in error.shortfall.items() if gap > 0]
-    parts = [head, box("bad", "Out of reach.")]
+    parts = [head, box("bad", say("Out of reach."))]
     if error.possible:
-        demands = " or ".join(error.possible)
-        parts.append(f"<h4>In the way: {said(demands)}</h4>")
-        parts.append("<div>Possible with all else as asked:</div>")
-        parts += [f"<div>• {said(text)}</div>" for text in error.possible.values()]
+        demands = say.either(say.demands(demand) for demand in error.possible)
+        parts.append(headed(say("In the way: {demands}", demands=demands)))
+        parts.append(line(say("Possible with all else as asked:")))
+        parts += [line(f"• {say.demands(text)}") for text in error.possible.values()]
     if missing:
-        parts += ["<h4>Feet miss their places by</h4>", rows(missing)]
+        parts += [headed(say("Feet miss their places by")), rows(missing)]
     if error.at_limit:
         names = ", ".join(f"{name} ({limit:+.2f} rad)" for name, limit in error.at_limit.items())
-        parts += ["<h4>Joints at a limit</h4>", f"<div>{said(names)}</div>"]
-    parts += [f"<div>{said(text)}</div>" for text in error.blocked]
+        parts += [headed(say("Joints at a limit")), line(names)]
+    parts += [line(say.sentence(text)) for text in error.blocked]
     if error.nearest is not None:
-        parts += ["<h4>The ghost: the nearest stance in reach</h4>",
-                  f"<div>{said(str(error.nearest.task))}</div>"]  # fmt: skip
+        parts += [headed(say("The ghost: the nearest stance in reach")),
+                  line(say.task(error.nearest.task))]  # fmt: skip
     return page(*parts)
 
 
-def simulation(report: StandVerification, held: Stand, sag: Sag | None) -> str:
+def simulation(say: Language, report: StandVerification, held: Stand, sag: Sag) -> str:
     """Returns what MuJoCo made of a stance, beside the prediction.
 
     Args:
+        say: The language.
         report: The simulation.
         held: The stand that was simulated.
-        sag: Where it settles without feed-forward, by prediction.
+        sag: Where that settles without feed-forward, by prediction.
     """
-    kind = "with" if report.feedforward else "without"
-    good = "verified: as predicted" if report.feedforward else "it stands"
+    if report.feedforward:
+        title, good = "MuJoCo, {time} s with feed-forward", say("verified: as predicted")
+    else:
+        title, good = "MuJoCo, {time} s without feed-forward", say("it stands")
+    failures = [say.sentence(failure) for failure in report.failures]
     parts = [
-        f"<h4>MuJoCo, {report.duration:.0f} s {kind} feed-forward</h4>",
-        box("good", good) if report.passed else box("bad", "; ".join(report.failures)),
+        headed(say(title, time=f"{report.duration:.0f}")),
+        box("good", good) if report.passed else box("bad", "; ".join(failures)),
     ]
     expected = held.qpos[2] if report.feedforward else None
-    if not report.feedforward and sag is not None and sag.settled is not None:
+    if not report.feedforward and sag.settled is not None:
         expected = sag.settled.base_height
     table = [
-        ("base at, predicted", "-" if expected is None else f"{1e3 * float(expected):.2f} mm"),
-        ("base at, simulated", f"{1e3 * report.base_height:.2f} mm"),
-        ("its change at the end", f"{1e3 * report.height_drift:+.3f} mm/s"),
-        ("largest joint error", f"{report.joint_error:.1e} rad"),
+        (
+            say("base at, predicted"),
+            "-" if expected is None else f"{1e3 * float(expected):.2f} mm",
+        ),
+        (say("base at, simulated"), f"{1e3 * report.base_height:.2f} mm"),
+        (say("its change at the end"), f"{1e3 * report.height_drift:+.3f} mm/s"),
+        (say("largest joint error"), f"{report.joint_error:.1e} rad"),
     ]
     if report.feedforward:
-        table.append(("torque error", f"{100 * report.torque_error:.2f} % of the largest"))
-        table.append(("foot force error", f"{100 * report.force_error:.2f} %"))
-    return page(*parts, rows(table), "<div>Orange: as simulated.</div>")
+        of = say("{share} % of the largest", share=f"{100 * report.torque_error:.2f}")
+        table.append((say("torque error"), of))
+        table.append((say("foot force error"), f"{100 * report.force_error:.2f} %"))
+    return page(*parts, rows(table), line(say("Orange: as simulated.")))
 
 
-def push(trial: PushTrial) -> str:
+def push(say: Language, trial: PushTrial) -> str:
     """Returns what came of a push."""
-    direction = math.degrees(trial.direction)
+    title = say(
+        "Pushed with {impulse} N s towards {direction}°",
+        impulse=f"{trial.impulse:.2f}",
+        direction=f"{math.degrees(trial.direction):.0f}",
+    )
     parts = [
-        f"<h4>Pushed with {trial.impulse:.2f} N s towards {direction:.0f}°</h4>",
-        box("good", "it recovers") if trial.recovered else box("bad", trial.failure),
-        rows([("change of velocity", f"{trial.velocity_step:.2f} m/s")]),
-        "<div>Orange: as simulated.</div>",
+        headed(title),
+        box("good", say("it recovers"))
+        if trial.recovered
+        else box("bad", say.sentence(trial.failure)),
+        rows([(say("change of velocity"), f"{trial.velocity_step:.2f} m/s")]),
+        line(say("Orange: as simulated.")),
     ]
     return page(*parts)
 
 
-def failure(error: PupperAnalysisError) -> str:
+def failure(say: Language, error: PupperAnalysisError) -> str:
     """Returns why something could not be done."""
-    return page(box("bad", str(error)))
+    return page(box("bad", say.sentence(str(error))))
 
 
-def unforeseen(error: Exception) -> str:
+def unforeseen(say: Language, error: Exception) -> str:
     """Returns that something went wrong that should not."""
     what = f"{type(error).__name__}: {error}".rstrip(": ")
-    return page(box("bad", f"unforeseen: {what}. This is a bug: please report it."))
+    return page(box("bad", say("unforeseen: {what}. This is a bug: please report it.", what=what)))
 
 
 def waiting(text: str) -> str:
@@ -250,4 +312,4 @@ def waiting(text: str) -> str:
 
 def nothing(text: str) -> str:
     """Returns a hint where there is no result."""
-    return page(f"<div>{said(text)}</div>")
+    return page(line(text))

@@ -79,18 +79,18 @@ def stopped(server: Any) -> None:
         server.stop()
 
 
-def asked_for(server: Any, client_id: int) -> tuple[str, str]:
-    """Returns host and port as a browser reaches the server, and the state that it asks for.
+def asked_for(server: Any, client_id: int) -> tuple[str, str, str]:
+    """Returns how a browser reaches the server, and which state and language it asks for.
 
-    viser keeps the request to itself; where that is not found, there is no state.
+    viser keeps the request to itself; where that is not found, both are empty.
     """
     try:
         request = server._websock_server._live_connections[client_id].request
         address = str(request.headers["Host"])
-        given = parse_qs(urlsplit(request.path).query, separator="&").get("state", [""])
+        given = parse_qs(urlsplit(request.path).query, separator="&")
     except (AttributeError, KeyError, TypeError, ValueError):
-        return f"{server.get_host()}:{server.get_port()}", ""
-    return address, given[0]
+        return f"{server.get_host()}:{server.get_port()}", "", ""
+    return address, given.get("state", [""])[0], given.get("language", [""])[0]
 
 
 def foreign(server: Any, client_id: int) -> str:

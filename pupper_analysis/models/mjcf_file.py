@@ -17,7 +17,7 @@ from pupper_analysis.errors import ModelError
 from pupper_analysis.models.missing import leave_out_missing
 from pupper_analysis.models.mjcf import no_number, quiet, spec_of
 from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating, walk
-from pupper_analysis.models.places import Place, one_line, refusal_at, source_name
+from pupper_analysis.models.places import Place, innermost, one_line, refusal_at, source_name
 from pupper_analysis.models.xml import parse
 
 
@@ -58,15 +58,7 @@ class MjcfFile:
             Its file and line; the file alone where there is no such element.
         """
         node = self._index.get((kind, name))
-        if node is None:
-            return Place(self.path)
-        for tag in child.split("/") if child else ():
-            tags = ("joint", "freejoint") if tag == "joint" else (tag,)
-            below = next((c for c in node.children if c.tag in tags), None)
-            if below is None:
-                break
-            node = below
-        return node.place
+        return Place(self.path) if node is None else innermost(node, child, _child).place
 
     def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
         """Finds where an element's attributes are stated: in itself, or in a default class.
@@ -232,3 +224,9 @@ def _mujoco_refusal(
     elif line is not None and len({n.place.file for n in nodes if n.place.line == line}) == 1:
         place = next(node.place for node in nodes if node.place.line == line)
     return f"{what}: {message}", place
+
+
+def _child(node: Node, tag: str) -> Node | None:
+    """Returns a node's first child of a tag; a free joint is a joint."""
+    tags = ("joint", "freejoint") if tag == "joint" else (tag,)
+    return next((child for child in node.children if child.tag in tags), None)

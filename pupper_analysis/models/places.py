@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from lxml import etree
 
 from pupper_analysis.errors import ModelError
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -24,6 +28,22 @@ class Place:
 
     def __str__(self) -> str:
         return self.file.name if self.line is None else f"{self.file.name}:{self.line}"
+
+
+def innermost(element: T, path: str | None, child: Callable[[T, str], T | None]) -> T:
+    """Returns the innermost element that exists on a path below one.
+
+    Args:
+        element: Where the path begins.
+        path: Tags, such as ``"inertial/mass"``; None for the element itself.
+        child: Returns an element's first child of a tag; None where it has none.
+    """
+    for tag in path.split("/") if path else ():
+        below = child(element, tag)
+        if below is None:
+            break
+        element = below
+    return element
 
 
 def short(value: str) -> str:

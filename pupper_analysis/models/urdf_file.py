@@ -15,7 +15,7 @@ from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.packages import existing, folders_of_package
-from pupper_analysis.models.places import Place, line_of, refusal_at, source_name
+from pupper_analysis.models.places import Place, innermost, line_of, refusal_at, source_name
 from pupper_analysis.models.urdf_checks import (
     MAX_LINKS,
     UNTIDY_NUMBER,
@@ -61,12 +61,8 @@ class UrdfFile:
         element = self._named.get((kind, name))
         if element is None:
             return Place(self.path)
-        for tag in child.split("/") if child else ():
-            below = element.find(tag)
-            if below is None:
-                break
-            element = below
-        return Place(self.path, line_of(element))
+        found = innermost(element, child, lambda parent, tag: parent.find(tag))
+        return Place(self.path, line_of(found))
 
     @cached_property
     def _named(self) -> dict[tuple[str, str | None], etree._Element]:

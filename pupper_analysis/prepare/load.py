@@ -15,6 +15,7 @@ from pupper_analysis.checks.matching import Match, match
 from pupper_analysis.checks.matching_mjcf import name_all
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare import drives, start, touching
@@ -47,6 +48,7 @@ Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
 
 
 @checked
+@quiet()
 def load_robot(
     *,
     urdf: str | Path,

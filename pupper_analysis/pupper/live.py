@@ -3,27 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.pupper.scaled import Scaled
 from pupper_analysis.pupper.variants import VARIANTS, VariantSpec
 from pupper_analysis.robot.robot import Robot
 
 
-@dataclass(frozen=True)
-class Variants:
-    """The robots that scales make of a variant.
-
-    Attributes:
-        spec: The variant where nothing is scaled otherwise.
-    """
-
-    spec: VariantSpec
-
-    @property
-    def scales(self) -> Mapping[str, float]:
-        """Those of a ``VariantSpec``."""
-        return {name: getattr(self.spec, name) for name in ("leg_scale", "torso_mass_scale")}
+class Variants(Scaled):
+    """The robots that scales make of a variant."""
 
     def robot(self, scales: Mapping[str, float]) -> Robot:
         """Makes the variant of some scales.
@@ -57,7 +45,6 @@ class Variants:
         return words
 
     def _spec(self, scales: Mapping[str, float]) -> VariantSpec:
-        wanted = {**self.scales, **scales}
-        made = VariantSpec(self.spec.base, wanted["leg_scale"], wanted["torso_mass_scale"])
-        known = {(v.base, v.leg_scale, v.torso_mass_scale): v for v in VARIANTS.values()}
-        return known.get((made.base, made.leg_scale, made.torso_mass_scale), made)
+        """Returns the variant of some scales, by the name that it has, if any."""
+        made = self.scaled(scales)
+        return {spec: spec for spec in VARIANTS.values()}.get(made, made)

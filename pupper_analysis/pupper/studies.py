@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.pupper.scaled import Scaled
 from pupper_analysis.pupper.variant_files import describe
 from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot
@@ -16,20 +17,8 @@ from pupper_analysis.study.numbers import plain
 from pupper_analysis.study.source import Source
 
 
-@dataclass(frozen=True)
-class Variants:
-    """The robots that scales make of a variant.
-
-    Attributes:
-        spec: The variant where nothing is scaled otherwise.
-    """
-
-    spec: VariantSpec
-
-    @property
-    def scales(self) -> Mapping[str, float]:
-        """Those of a ``VariantSpec``."""
-        return {name: getattr(self.spec, name) for name in ("leg_scale", "torso_mass_scale")}
+class Variants(Scaled):
+    """The robots that scales make of a variant."""
 
     def robot(self, scales: Mapping[str, float]) -> Robot:
         """Makes the variant of some scales, without what is only looked at.
@@ -37,8 +26,7 @@ class Variants:
         Raises:
             VariantError: If a scale is not a finite positive number, or nothing can be made so.
         """
-        wanted = {**self.scales, **scales}
-        spec = VariantSpec(self.spec.base, wanted["leg_scale"], wanted["torso_mass_scale"])
+        spec = self.scaled(scales)
         depth = BASES[spec.base].foot_depth(spec.leg_scale)
         return build_robot(plain(describe(spec)), foot_depth=depth)
 

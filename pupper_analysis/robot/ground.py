@@ -75,12 +75,16 @@ class Ground:
             place: (x, y, ...) of the foot's centre (m); its height does not matter.
             half_width: Half of the box's edge (m).
         """
-        half = np.array([half_width, half_width, self.heights[foot] / 2 * math.cos(self.slope)])
+        half = np.array(
+            [half_width, half_width, abs(self.heights[foot]) / 2 * math.cos(self.slope)]
+        )
         top = np.array([place[0], place[1], self.height(place, foot)])
         return top - half[2] * self.normal(), half
 
     def steps(self, places: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
         """Returns each step's box, {foot: centre (3,) and half size (3,)} (m).
+
+        That of a step down is as thick as the step is deep, and its top is the bottom of the pit.
 
         It is under the foot's contact points, and reaches ``STEP_HALF_WIDTH`` beyond them.
 
@@ -91,7 +95,7 @@ class Ground:
         found = {}
         for foot, height in self.heights.items():
             own = [p for name, p in places.items() if name == foot or name.startswith(f"{foot}/")]
-            if height > 0 and own:
+            if height and own:
                 middle = np.mean(own, axis=0)
                 reach = float(np.linalg.norm(np.array(own) - middle, axis=1).max())
                 found[foot] = self.step(foot, middle, reach + STEP_HALF_WIDTH)

@@ -30,9 +30,9 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
     Returns:
         The same robot, whose MuJoCo model has the floor turned and a box for each step. The steps
         have the floor's contact parameters. A foot on a step does not touch the floor, into which
-        it would sink through a low one. A flat foot touches a plane on top of its box, which only
-        it does: MuJoCo's contacts of a sole with a plane are other than those with a box, and its
-        contact points are those with a plane.
+        it would sink through a low one, and which covers a step down. A flat foot touches a plane
+        on top of its box, which only it does: MuJoCo's contacts of a sole with a plane are other
+        than those with a box, and its contact points are those with a plane.
 
     Raises:
         ModelError: If the MJCF leaves no bits of ``contype`` for that.

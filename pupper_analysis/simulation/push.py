@@ -16,7 +16,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.push_bench import Bench, bench_of
+from pupper_analysis.simulation.push_bench import Bench, Pushed, bench_of
 from pupper_analysis.simulation.rollout import check_stand
 from pupper_analysis.stance.stand import Stand
 
@@ -27,8 +27,8 @@ LEVELS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class PushRecovery(Tabular):
-    """How hard a stand can be pushed, in each of n directions.
+class PushRecovery(Pushed, Tabular):
+    """How hard a stand can be pushed, in each of n directions, and how it was ``Pushed``.
 
     Attributes:
         directions: (n,) where to, about the vertical (rad): 0 is the base's forward, pi/2 its left.
@@ -43,15 +43,7 @@ class PushRecovery(Tabular):
         weakest_impulse: This impulse (N s).
         weakest_failure: How it fails there.
         mass: kg.
-        point: (3,) where the push acts: the com of the base's body, in the stand (m).
-        pulse: How long the push lasts (s).
         resolution: N s.
-        feedforward: Whether ctrl = q* + tau / kp (otherwise ctrl = q*).
-        integrator: MuJoCo's integrator.
-        timestep: s.
-        duration: s.
-        kp: (nu,) N m/rad.
-        kd: (nu,) N m s/rad.
         rollouts: How many pushes were simulated.
     """
 
@@ -65,15 +57,7 @@ class PushRecovery(Tabular):
     weakest_impulse: float
     weakest_failure: str
     mass: float
-    point: Array
-    pulse: float
     resolution: float
-    feedforward: bool
-    integrator: str
-    timestep: float
-    duration: float
-    kp: Array
-    kd: Array
     rollouts: int
 
     def _columns(self) -> dict[str, ArrayLike]:
@@ -162,8 +146,8 @@ def push_recovery(
         feedforward=feedforward,
         integrator=integrator,
     )
-    config, point, drive = Configuration(robot, stand.qpos), bench.point(), bench.drive
-    estimate = tipping_impulses(config, point, bench.axes, stand.stance_feet)
+    config = Configuration(robot, stand.qpos)
+    estimate = tipping_impulses(config, bench.point(), bench.axes, stand.stance_feet)
     impulses, bisected, failures = _limits(bench, estimate, resolution)
     weakest = int(np.argmin(impulses))
     return PushRecovery(
@@ -177,16 +161,9 @@ def push_recovery(
         weakest_impulse=float(impulses[weakest]),
         weakest_failure=failures[weakest],
         mass=robot.total_mass,
-        point=point,
-        pulse=bench.pulse_steps * bench.timestep,
         resolution=float(resolution),
-        feedforward=feedforward,
-        integrator=drive.integrator,
-        timestep=bench.timestep,
-        duration=bench.steps * bench.timestep,
-        kp=drive.kp,
-        kd=drive.kd,
         rollouts=bench.rollouts,
+        **bench.told(),
     )
 
 

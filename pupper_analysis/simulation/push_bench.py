@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import mujoco.rollout
@@ -17,6 +18,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
@@ -34,6 +36,19 @@ _SAMPLE = 0.004  # s between the states whose contacts are looked at
 _BATCH = 2**25  # numbers (of 8 bytes) that a rollout may take
 
 
+@dataclass(frozen=True, eq=False)
+class Pushed(Held):
+    """What a stand was pushed with, and simulated with.
+
+    Attributes:
+        point: (3,) where the push acts: the com of the base's body, in the stand (m).
+        pulse: How long the push lasts (s).
+    """
+
+    point: Array
+    pulse: float
+
+
 @dataclass(eq=False)
 class Bench:
     """Where a robot is pushed; counts how often.
@@ -46,6 +61,7 @@ class Bench:
         ctrl: (model.nu,) the servos' command.
         axes: (n, 2) the directions, unit vectors in the world.
         duration: Of a simulation (s).
+        feedforward: Whether the command feeds the stand's torques forward.
     """
 
     robot: Robot
@@ -55,6 +71,7 @@ class Bench:
     ctrl: Array
     axes: Array
     duration: float
+    feedforward: bool
     rollouts: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
@@ -118,6 +135,19 @@ class Bench:
         mujoco.mj_kinematics(self.robot.mj_model, data)
         return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
 
+    def told(self) -> dict[str, Any]:
+        """Returns the fields of ``Pushed``."""
+        return {
+            "feedforward": self.feedforward,
+            "integrator": self.drive.integrator,
+            "timestep": self.timestep,
+            "duration": self.steps * self.timestep,
+            "kp": self.drive.kp,
+            "kd": self.drive.kd,
+            "point": self.point(),
+            "pulse": self.pulse_steps * self.timestep,
+        }
+
 
 def bench_of(
     robot: Robot,
@@ -163,4 +193,5 @@ def bench_of(
         ctrl=drive.command(robot, positions, torques if feedforward else None),
         axes=np.column_stack([np.cos(in_world), np.sin(in_world)]),
         duration=duration,
+        feedforward=feedforward,
     )

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked, finite
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.push_bench import bench_of
+from pupper_analysis.simulation.push_bench import Pushed, bench_of
 from pupper_analysis.simulation.rollout import check_stand
 from pupper_analysis.stance.stand import Stand
 
@@ -25,8 +24,8 @@ _HARDEST = 1e6  # N s: of much more, numbers overflow
 
 
 @dataclass(frozen=True, eq=False)
-class PushTrial(Result):
-    """What one push makes of a stand.
+class PushTrial(Pushed):
+    """What one push makes of a stand, and how it was ``Pushed``.
 
     Attributes:
         recovered: Whether it recovers, as ``push_recovery`` judges it.
@@ -34,14 +33,6 @@ class PushTrial(Result):
         impulse: N s.
         direction: Where to, about the vertical (rad): 0 is the base's forward, pi/2 its left.
         velocity_step: impulse / mass (m/s).
-        point: (3,) where the push acts: the com of the base's body, in the stand (m).
-        pulse: How long the push lasts (s).
-        feedforward: Whether ctrl = q* + tau / kp (otherwise ctrl = q*).
-        integrator: MuJoCo's integrator.
-        timestep: s.
-        duration: s.
-        kp: (nu,) N m/rad.
-        kd: (nu,) N m s/rad.
         motion_time: (m,) samples from the push on (s).
         motion: (m, nq) the configurations at these, to six digits: to be looked at.
     """
@@ -51,14 +42,6 @@ class PushTrial(Result):
     impulse: float
     direction: float
     velocity_step: float
-    point: Array
-    pulse: float
-    feedforward: bool
-    integrator: str
-    timestep: float
-    duration: float
-    kp: Array
-    kd: Array
     motion_time: Array
     motion: Array
 
@@ -127,14 +110,7 @@ def push_trial(
         impulse=impulse,
         direction=direction,
         velocity_step=impulse / robot.total_mass,
-        point=bench.point(),
-        pulse=bench.pulse_steps * bench.timestep,
-        feedforward=feedforward,
-        integrator=bench.drive.integrator,
-        timestep=bench.timestep,
-        duration=bench.steps * bench.timestep,
-        kp=bench.drive.kp,
-        kd=bench.drive.kd,
         motion_time=shown[:, 0].copy(),
         motion=np.round(shown[:, 1 + robot.mj_convention.qpos_index], 6),
+        **bench.told(),
     )

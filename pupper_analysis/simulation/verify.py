@@ -16,6 +16,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.loops import closed_loops
 from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
 from pupper_analysis.simulation.stability import creeping, too_stiff
@@ -51,20 +52,14 @@ _FRAME = 0.1  # s between those that are kept: an eye sees what it does, and res
 
 
 @dataclass(frozen=True, eq=False)
-class StandVerification(Tabular):
-    """What a simulation made of a stand, against the prediction.
+class StandVerification(Held, Tabular):
+    """What a simulation made of a stand, against the prediction, and how it was ``Held``.
 
     Settled values are means over the last second. Predictions are Pinocchio's, from the URDF.
 
     Attributes:
         passed: Whether the stand is verified.
         failures: If not, why.
-        feedforward: Whether ctrl = q* + tau / kp (otherwise ctrl = q*).
-        integrator: MuJoCo's integrator.
-        timestep: s.
-        duration: s.
-        kp: (nu,) N m/rad.
-        kd: (nu,) N m s/rad.
         base_height: Settled (m).
         height_deviation: Standard deviation of the base's height in the last second (m).
         height_drift: Rate of the base's height in the last second (m/s): still sinking if negative.
@@ -93,12 +88,6 @@ class StandVerification(Tabular):
 
     passed: bool
     failures: tuple[str, ...]
-    feedforward: bool
-    integrator: str
-    timestep: float
-    duration: float
-    kp: Array
-    kd: Array
     base_height: float
     height_deviation: float
     height_drift: float

@@ -227,7 +227,9 @@ class Shapes:
             out, joint = -near.normal, int(self._objects[index].parentJoint)
             jacobian = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
             jacobian = jacobian[:, robot.pin_convention.v_index]
-            turning = np.cross(near.getNearestPoint1() - data.oMi[joint].translation, out)
+            x, y, z = (near.getNearestPoint1() - data.oMi[joint].translation).tolist()
+            a, b, c = out.tolist()
+            turning = np.array([y * c - z * b, z * a - x * c, x * b - y * a])  # (x, y, z) x out
             rates[index] = [*out[:2], *(out @ jacobian[:3] + turning @ jacobian[3:])]
         return rates
 

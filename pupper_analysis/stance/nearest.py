@@ -49,17 +49,16 @@ def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) ->
     if clear:
         ground = goal.task.ground, goal.targets, goal.depths
 
+        looked_at = np.isfinite(shapes.heights(start, *ground))  # feet are not
+
         def room(values: Array) -> Array:
-            heights = shapes.heights(at(values).qpos, *ground)
-            finite: Array = heights[np.isfinite(heights)]
-            return finite - (goal.task.ground_clearance + TOUCHING)
+            heights = shapes.heights(at(values).qpos, *ground)[looked_at]
+            above: Array = heights - (goal.task.ground_clearance + TOUCHING)
+            return above
 
         def room_rates(values: Array) -> Array:
-            qpos = at(values).qpos
-            finite: Array = shapes.height_rates(qpos, *ground)[
-                np.isfinite(shapes.heights(qpos, *ground))
-            ]
-            return finite
+            rates: Array = shapes.height_rates(at(values).qpos, *ground)[looked_at]
+            return rates
 
         constraints.append({"type": "ineq", "fun": room, "jac": room_rates})
     outcome = optimize.minimize(

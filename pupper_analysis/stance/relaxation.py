@@ -155,12 +155,11 @@ class _Way:
         """
         robot, demands = self.shapes.robot, self.demands
         task = rounded(robot, self._task(share), demands)
+        angles = [demand for demand in demands if in_radians(task, [demand]) != task]
         readings = [
-            reading
-            for count in range(len(demands), -1, -1)  # degrees alone last: that is what is kept
-            for some in combinations(demands, count)
-            if count == 0 or all(in_radians(task, [demand]) != task for demand in some)
-            for reading in [in_radians(task, some)]
+            in_radians(task, some)
+            for count in range(len(angles), -1, -1)  # degrees alone last: that is what is kept
+            for some in combinations(angles, count)
         ]
         for reading in readings:
             goal = self._goal(reading)

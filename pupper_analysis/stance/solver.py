@@ -35,36 +35,26 @@ class Point:
 TASK_TOLERANCE = 1e-9
 """Error up to which a task counts as satisfied (m, rad)."""
 
-
 TOUCHING = 1e-6
 """How much nearer than allowed parts may come (m): rounding."""
-
 
 _STEP_TOLERANCE = 1e-13
 """Largest step (rad, m) that is not taken any more. The last one is not taken to find that out: a
 step is followed by one that is smaller by the same factor at least, where steps converge at all."""
 
-
 _MAX_ITERATIONS = 200
-
 
 _TRIGGER = 0.02  # m: links that are further than this from their least distance are left alone
 
-
 _APART_WEIGHT = 1e3  # of links staying apart, against feet
-
 
 _INSIDE_WEIGHT = 1e3  # of the com staying inside the support polygon, likewise
 
-
 _TRUST_RADIUS = 0.5  # rad per joint and iteration
-
 
 _SIZE = 10.0  # of the robot, in heights of its stand: no foot moves by more for a radian per joint
 
-
 _SETTLED = 1e-11  # m: feet that are off by less twice are in place, though the com may drift
-
 
 _SLOW = 2  # iterations in a row at a pace that leads nowhere
 
@@ -184,6 +174,7 @@ class Tasks:
         shapes: The robot with its shapes.
         goal: The goal.
         inside: As in ``Solver``.
+        firmly: Likewise.
         apart: Likewise.
 
     Attributes:
@@ -191,7 +182,9 @@ class Tasks:
         feet: (contact point, its task).
     """
 
-    def __init__(self, shapes: Shapes, goal: Goal, *, inside: bool, apart: bool) -> None:
+    def __init__(
+        self, shapes: Shapes, goal: Goal, *, inside: bool, firmly: bool = False, apart: bool
+    ) -> None:
         robot, wrapper = shapes.robot, shapes.wrapper
         self._shapes, self._goal = shapes, goal
         solver = self.solver = placo.KinematicsSolver(wrapper)
@@ -217,8 +210,9 @@ class Tasks:
         self._place = None
         if inside:
             corners = list(support_polygon(goal.contacts)[::-1])  # clockwise
-            polygon = solver.add_com_polygon_constraint(corners, goal.task.com_margin)
-            polygon.configure("inside", "soft", _INSIDE_WEIGHT)
+            margin = goal.task.com_margin + (TASK_TOLERANCE if firmly else 0.0)  # by rounding
+            polygon = solver.add_com_polygon_constraint(corners, margin)
+            polygon.configure("inside", "hard" if firmly else "soft", _INSIDE_WEIGHT)
         else:
             where = np.array([*goal.place, 0.0])
             if goal.by_base:
@@ -276,6 +270,8 @@ class Solver:
         goal: The goal.
         inside: The com may be anywhere in the support polygon with the task's margin, instead of
             at ``goal.place``.
+        firmly: The com may not leave it on the way either, which it does where feet pull it out.
+            It must begin inside.
         apart: Heed the task's least distance between links.
 
     Attributes:
@@ -283,7 +279,13 @@ class Solver:
     """
 
     def __init__(
-        self, shapes: Shapes, goal: Goal, *, inside: bool = False, apart: bool = True
+        self,
+        shapes: Shapes,
+        goal: Goal,
+        *,
+        inside: bool = False,
+        firmly: bool = False,
+        apart: bool = True,
     ) -> None:
         self.shapes, self.goal, self.inside = shapes, goal, inside
         self._size = _SIZE * shapes.robot.stand_height
@@ -291,7 +293,7 @@ class Solver:
         if apart:
             shapes.pair()  # before the state is set: it moves the robot
         if inside or apart or len(shapes.robot.soles) < len(shapes.robot.feet):
-            self.tasks = Tasks(shapes, goal, inside=inside, apart=apart)
+            self.tasks = Tasks(shapes, goal, inside=inside, firmly=firmly, apart=apart)
         else:  # tasks that differ in numbers alone
             kept = shapes.tasks
             if goal.by_base not in kept:

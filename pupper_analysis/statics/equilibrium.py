@@ -56,8 +56,8 @@ class ForceDistribution(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class GravityCompensation(Tabular):
-    """The static equilibrium of a robot.
+class Equilibrium(Tabular):
+    """What motors and ground hold together.
 
     Attributes:
         joint_names: Names of the joints, in actuator order.
@@ -66,12 +66,6 @@ class GravityCompensation(Tabular):
         contact_forces: {foot: (3,)} force of the ground on the foot, in world axes (N).
         contact_points: {foot: (3,)} where it acts, in the world (m).
         friction_utilisation: {foot: tangential force / (friction coefficient x normal force)}.
-        foot_loads: {foot: its load}; of a flat foot, the sum over its contact points.
-        base_wrench: (6,) what holds the base from outside: force in world axes (N), torque in base
-            axes (N m). Zero for a standing robot.
-        center_of_mass: (3,) in the world (m).
-        com_margin: Distance from the com's vertical projection to the edge of the support polygon
-            (m), positive inside; None without contacts.
         residual_force: Norm of what is left of the balance of forces (N).
         residual_torque: Norm of what is left of the balance of moments and joint torques (N m).
     """
@@ -82,10 +76,6 @@ class GravityCompensation(Tabular):
     contact_forces: dict[str, Array]
     contact_points: dict[str, Array]
     friction_utilisation: dict[str, float]
-    foot_loads: dict[str, FootLoad]
-    base_wrench: Array
-    center_of_mass: Array
-    com_margin: float | None
     residual_force: float
     residual_torque: float
 
@@ -95,6 +85,25 @@ class GravityCompensation(Tabular):
             "torque": self.joint_torques,
             "utilisation": self.motor_utilisation,
         }
+
+
+@dataclass(frozen=True, eq=False)
+class GravityCompensation(Equilibrium):
+    """The static equilibrium of a robot: an ``Equilibrium``, and how it stands in it.
+
+    Attributes:
+        foot_loads: {foot: its load}; of a flat foot, the sum over its contact points.
+        base_wrench: (6,) what holds the base from outside: force in world axes (N), torque in base
+            axes (N m). Zero for a standing robot.
+        center_of_mass: (3,) in the world (m).
+        com_margin: Distance from the com's vertical projection to the edge of the support polygon
+            (m), positive inside; None without contacts.
+    """
+
+    foot_loads: dict[str, FootLoad]
+    base_wrench: Array
+    center_of_mass: Array
+    com_margin: float | None
 
 
 @checked
@@ -136,15 +145,9 @@ def gravity_compensation(
             thing, or a robot with a fixed base is given contacts.
         StaticsInfeasibleError: If no forces do; it says why.
     """
+    carrying = contacts_of(config.robot, contacts, friction, normals, depths)
     return equilibrium(
-        config,
-        config.load(),
-        config.center_of_mass(),
-        contacts,
-        friction=friction,
-        normals=normals,
-        depths=depths,
-        distribution=distribution,
+        config, config.load(), config.center_of_mass(), carrying, distribution=distribution
     )
 
 
@@ -152,11 +155,8 @@ def equilibrium(
     config: Configuration,
     load: Array,
     point: Array,
-    contacts: Iterable[str] | None = None,
+    carrying: Contacts,
     *,
-    friction: float | Mapping[str, float] | None = None,
-    normals: Mapping[str, ArrayLike] | None = None,
-    depths: Mapping[str, float] | None = None,
     distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
     tipping: Infeasibility = Infeasibility.COM_OUTSIDE,
     held: bool = False,
@@ -170,11 +170,8 @@ def equilibrium(
         load: (nv,) what motors and contacts must add up to (N, N m).
         point: (3,) whose vertical projection must be inside the support polygon: the com at rest,
             the zero-moment point in motion (m). ``com_margin`` is this point's.
-        contacts: As in ``gravity_compensation``, like the next three and ``distribution``.
-        friction: Likewise.
-        normals: Likewise.
-        depths: Likewise.
-        distribution: Likewise.
+        carrying: The contacts that carry.
+        distribution: As in ``gravity_compensation``.
         tipping: What it is called if ``point`` is outside the polygon.
         held: Let feet pull and slip, as if they were held to the ground: what the motion would
             need, feasible or not.
@@ -185,31 +182,23 @@ def equilibrium(
         StaticsInfeasibleError: Likewise.
     """
     robot, wanted = config.robot, distribution_of(distribution)
-    carrying = contacts_of(robot, contacts, friction, normals, depths)
-    base_rows, feet = robot.nv - robot.nu, carrying.feet
-    if not feet:
-        return _result(config, load, load, point, {}, {}, {}, {}, load[:base_rows])
+    if not carrying.feet:
+        return _result(config, load, load, point, carrying, np.zeros((0, 3)))
     transposed = carrying.jacobian(config)
     problem = carrying.balance(transposed, load)
-    points = dict(zip(feet, carrying.points(config), strict=True))
-    coefficients = dict(zip(feet, carrying.friction.tolist(), strict=True))
     limits = None if held else carrying.friction
     if wanted is ForceDistribution.MIN_PEAK:
         forces = problem.minimum_peak(limits, robot.effort_limits)
     elif wanted is ForceDistribution.MIN_TORQUE:
         forces = problem.solve(limits, problem.joints, problem.torques)
     else:
-        forces = problem.minimum_tangential(limits, np.ones(len(feet)))
+        forces = problem.minimum_tangential(limits, np.ones(len(carrying.feet)))
         if forces is not None and robot.contacts and limits is not None:
             forces = _creeping(problem, forces, carrying)
     if forces is None:
-        raise _explain(point, problem, points, coefficients, tipping)
-    per_foot = dict(zip(feet, forces.reshape(-1, 3), strict=True))
-    directions = dict(zip(feet, carrying.normals, strict=True))
-    left = load - transposed @ forces
-    return _result(
-        config, left, load, point, per_foot, points, directions, coefficients, np.zeros(base_rows)
-    )
+        points = dict(zip(carrying.feet, carrying.points(config), strict=True))
+        raise _explain(point, problem, points, float(carrying.friction.min()), tipping)
+    return _result(config, load - transposed @ forces, load, point, carrying, forces.reshape(-1, 3))
 
 
 def distribution_of(value: str) -> ForceDistribution:
@@ -250,10 +239,10 @@ def _explain(
     point: Array,
     problem: Balance,
     points: Mapping[str, Array],
-    friction: Mapping[str, float],
+    friction: float,
     tipping: Infeasibility,
 ) -> StaticsInfeasibleError:
-    """Finds out why no forces do."""
+    """Finds out why no forces do, with the least ``friction`` that a foot has."""
     feet = tuple(points)
     margin = com_margin(point, points)
     even = np.ones(len(feet))
@@ -267,10 +256,9 @@ def _explain(
                 high = middle
             if high < 1e-6:
                 break
-        least = min(friction.values())
         return StaticsInfeasibleError(
             Infeasibility.FRICTION,
-            f"the coefficient is {least:.3f}, and {high:.3f} is needed",
+            f"the coefficient is {friction:.3f}, and {high:.3f} is needed",
             margin=margin,
             friction_needed=high,
             feet=feet,
@@ -294,37 +282,42 @@ def _explain(
 
 def _result(
     config: Configuration,
-    remainder: Array,
+    left: Array,
     load: Array,
     point: Array,
-    forces: dict[str, Array],
-    points: dict[str, Array],
-    normals: Mapping[str, Array],
-    friction: Mapping[str, float],
-    base_wrench: Array,
+    carrying: Contacts,
+    forces: Array,
 ) -> GravityCompensation:
+    """Puts together what the contacts' forces (n, 3) leave of a load to the motors.
+
+    Without contacts, what is left on the base is what holds it from outside.
+    """
     robot = config.robot
     base_rows = robot.nv - robot.nu
-    torques = remainder[base_rows:].copy()
-    unbalanced = remainder[:base_rows] - base_wrench
+    torques = left[base_rows:].copy()
+    base_wrench = np.zeros(base_rows) if carrying.feet else load[:base_rows]
+    unbalanced = (left[:base_rows] - base_wrench).tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
         utilisation = np.abs(torques) / robot.effort_limits
-    tiny = BALANCE_TOLERANCE * math.hypot(*load[:3])
+    tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
+    per_foot = dict(zip(carrying.feet, forces, strict=True))
+    points = dict(zip(carrying.feet, carrying.points(config), strict=True))
+    normals, friction = carrying.directions, carrying.coefficients
     sliding = {
         foot: sliding_share(force, normals[foot], friction[foot], tiny)
-        for foot, force in forces.items()
+        for foot, force in per_foot.items()
     }
     return GravityCompensation(
         joint_names=robot.joint_names,
         joint_torques=torques,
         motor_utilisation=utilisation,
-        contact_forces=forces,
+        contact_forces=per_foot,
         contact_points=points,
         friction_utilisation=sliding,
         foot_loads={
-            foot: foot_load(own, forces, points, normals, friction, sliding, tiny)
+            foot: foot_load(own, per_foot, points, normals, friction, sliding, tiny)
             for foot, soles in robot.soles.items()
-            if (own := [point for point in soles if point in forces])
+            if (own := [name for name in soles if name in per_foot])
         },
         base_wrench=base_wrench,
         center_of_mass=config.center_of_mass(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import mujoco
 import numpy as np
@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, Infeasibility
-from pupper_analysis.results import Result
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.equilibrium import ForceDistribution, equilibrium
+from pupper_analysis.statics.contacts import contacts_of
+from pupper_analysis.statics.equilibrium import Equilibrium, ForceDistribution, equilibrium
 
 Array = NDArray[np.float64]
 
@@ -26,38 +26,22 @@ rolling friction / distance of the feet, a tenth; the balance is exact after any
 
 
 @dataclass(frozen=True, eq=False)
-class InverseDynamics(Result):
-    """What a motion of a robot on its feet takes, at one moment.
+class InverseDynamics(Equilibrium):
+    """What a motion of a robot on its feet takes, at one moment: an ``Equilibrium`` in motion.
 
     Attributes:
-        joint_names: Names of the joints, in actuator order.
-        joint_torques: (nu,) of the motors (N m).
-        motor_utilisation: (nu,) torque / effort limit, absolute.
-        contact_forces: {foot: (3,)} force of the ground on the foot, in world axes (N).
         contact_moments: {foot: (3,)} moment of the ground on the foot about the contact point, in
             world axes (N m): resistance to rolling and spinning.
-        contact_points: {foot: (3,)} where the force acts, in the world (m).
-        friction_utilisation: {foot: tangential force / (friction coefficient x normal force)}.
         zero_moment_point: (3,) on the ground, in the world (m): where the contact forces have no
             tangential moment (``contact_moments`` apart). Not a number for a fixed base, or where
             the ground would have to pull.
         zmp_margin: Distance of its vertical projection from the edge of the support polygon (m),
             positive inside; None without contacts, minus infinity where it is not a number.
-        residual_force: Norm of what is left of the balance of forces (N).
-        residual_torque: Norm of what is left of the balance of moments and joint torques (N m).
     """
 
-    joint_names: tuple[str, ...]
-    joint_torques: Array
-    motor_utilisation: Array
-    contact_forces: dict[str, Array]
     contact_moments: dict[str, Array]
-    contact_points: dict[str, Array]
-    friction_utilisation: dict[str, float]
     zero_moment_point: Array
     zmp_margin: float | None
-    residual_force: float
-    residual_torque: float
 
 
 @checked
@@ -107,17 +91,19 @@ def inverse_dynamics(
         acceleration = np.zeros(0)
     if acceleration.shape != (robot.nv,) or not np.isfinite(acceleration).all():
         raise ConfigurationError("qacc", f"it must be {robot.nv} finite numbers")
-    feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
-    ground = {robot.check_foot(foot): np.array((normals or {}).get(foot, UP)) for foot in feet}
+    carrying = contacts_of(robot, contacts, friction, normals, depths)
+    feet, ground = carrying.feet, dict(zip(carrying.feet, carrying.normals, strict=True))
     load = config.mass_matrix() @ acceleration + config.bias_forces() - config.passive()
     levers: dict[str, Array] = {}
     if resistance:
         load += joint_resistance(robot, config.qvel, acceleration)
         levers = rolling_levers(config, acceleration, ground)
+    left = dict.fromkeys(levers, 1.0)
     origin, normal = _ground_under(config, ground)
     pressed = {foot: max(0.0, float(load[:3] @ normal)) / len(feet) for foot in feet}
     for _ in range(_ROUNDS if levers else 1):
-        moments = {foot: pressed[foot] * levers.get(foot, np.zeros(3)) for foot in feet}
+        moments = {foot: np.zeros(3) for foot in feet}
+        moments |= {foot: pressed[foot] * left[foot] * lever for foot, lever in levers.items()}
         rest = load.copy()
         for foot, moment in moments.items():
             rest -= config.frame_jacobian(robot.foot_frames[foot])[3:].T @ moment
@@ -126,28 +112,22 @@ def inverse_dynamics(
             config,
             rest,
             point,
-            feet,
-            friction=friction,
-            normals=normals,
-            depths=depths,
+            carrying,
             distribution=distribution,
             tipping=Infeasibility.ZMP_OUTSIDE,
             held=held,
         )
         forces = found.contact_forces
         pressed = {foot: max(0.0, float(forces[foot] @ ground[foot])) for foot in feet}
+        left = {
+            foot: left_to_turn(robot, foot, forces[foot], pressed[foot] * lever, ground[foot])
+            for foot, lever in levers.items()
+        }
     return InverseDynamics(
-        joint_names=found.joint_names,
-        joint_torques=found.joint_torques,
-        motor_utilisation=found.motor_utilisation,
-        contact_forces=found.contact_forces,
+        **{field.name: getattr(found, field.name) for field in fields(Equilibrium)},
         contact_moments=moments,
-        contact_points=found.contact_points,
-        friction_utilisation=found.friction_utilisation,
         zero_moment_point=point,
         zmp_margin=found.com_margin,
-        residual_force=found.residual_force,
-        residual_torque=found.residual_torque,
     )
 
 
@@ -263,3 +243,27 @@ def rolling_levers(
         pressed = limits @ asked / (softness * slide**2) / share
         found[foot] = -limits @ pressed / max(1.0, float(np.linalg.norm(pressed)))
     return found
+
+
+def left_to_turn(robot: Robot, foot: str, force: Array, moment: Array, normal: Array) -> float:
+    """Returns what share of a moment against turning the tangential force of a foot leaves.
+
+    The two share one cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2.
+
+    Args:
+        robot: The robot.
+        foot: A foot that the ground resists (``rolling_levers``).
+        force: (3,) of the ground on it (N).
+        moment: (3,) that it would be without tangential force (N m).
+        normal: (3,) direction out of the ground.
+    """
+    slide, _, spin, roll, _ = robot.contacts[foot].friction
+    pressing, about = float(force @ normal), float(moment @ normal)
+    if pressing <= 0.0:
+        return 0.0
+    tangential = float(np.linalg.norm(force - pressing * normal)) / (slide * pressing)
+    over = float(np.linalg.norm(moment - about * normal))
+    parts = [abs(size) / limit for size, limit in ((about, spin), (over, roll)) if limit > 0]
+    taken = math.hypot(*parts) / pressing
+    room = math.sqrt(max(0.0, 1.0 - tangential**2))
+    return min(1.0, room / taken) if taken > 0 else 1.0

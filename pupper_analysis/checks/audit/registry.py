@@ -1,9 +1,11 @@
-"""The register of rules: each is a small function with the reasons for its existence."""
+"""The register of rules: each has its reasons in the catalogue, and a small function."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
 
@@ -58,10 +60,27 @@ class Found:
     severity: Severity | None = None
 
 
-_RULES: dict[str, Rule] = {}
+def _catalogue() -> dict[str, Rule]:
+    """Reads what the rules are called, how bad they are, and their reasons and remedies."""
+    file = files("pupper_analysis.checks.audit.rules").joinpath("catalogue.toml")
+    entries = tomllib.loads(file.read_text(encoding="utf-8"))
+    rules = {}
+    for name, entry in entries.items():
+        model = entries[entry["like"]] if "like" in entry else entry
+        rules[name] = Rule(
+            name,
+            Severity(entry["severity"]),
+            entry["title"],
+            " ".join([model["why"], *([entry["more"]] if "more" in entry else [])]),
+            model["todo"],
+            tuple(entry.get("formats", BOTH)),
+        )
+    return rules
+
+
 _CHECKS: dict[str, Check] = {}
 
-RULES: Mapping[str, Rule] = MappingProxyType(_RULES)
+RULES: Mapping[str, Rule] = MappingProxyType(_catalogue())
 """All rules, by id."""
 
 CHECKS: Mapping[str, Check] = MappingProxyType(_CHECKS)
@@ -72,7 +91,7 @@ def rules_table() -> str:
     """Returns all rules as a table in Markdown."""
     lines = ["| rule | severity | for | what is wrong | why it matters | what to do |"]
     lines.append("|" + "---|" * 6)
-    for one in _RULES.values():
+    for one in RULES.values():
         where = ", ".join(name.upper() for name in one.formats)
         cells = (f"`{one.id}`", str(one.severity), where, one.title, one.why, one.todo)
         row = " | ".join(cell.replace("|", "\\|").replace("<", "&lt;") for cell in cells)
@@ -80,21 +99,9 @@ def rules_table() -> str:
     return "\n".join(lines) + "\n"
 
 
-def rule(
-    id: str,
-    severity: Severity,
-    title: str,
-    *,
-    why: str,
-    todo: str,
-    formats: tuple[str, ...] = BOTH,
-) -> Callable[[Check], Check]:
-    """Registers a check as a rule; the arguments are those of ``Rule``."""
-
-    def register(check: Check) -> Check:
-        assert id not in _RULES, id
-        _RULES[id] = Rule(id, severity, title, why, todo, formats)
-        _CHECKS[id] = check
-        return check
-
-    return register
+def rule(check: Check) -> Check:
+    """Registers a check as that of the rule of its name: ``axis_zero`` of ``axis-zero``."""
+    name = check.__name__.replace("_", "-")
+    assert name in RULES, f"catalogue.toml has no rule {name}"
+    _CHECKS[name] = check
+    return check

@@ -13,18 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogLocator, NullLocator
 
-from pupper_analysis.report.figures.style import (
-    BLACK,
-    COLUMNS,
-    FONT,
-    GREY,
-    RED,
-    panels_of,
-    plain_numbers,
-    put_legend,
-    put_style,
-    save,
-)
+from pupper_analysis.report.figures import style
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis
@@ -43,7 +32,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         OutputError: If the file cannot be written.
     """
     rows = max((len(analysis.sweep.kp) for analysis in analyses), default=0)
-    figure, panels = panels_of(
+    figure, panels = style.panels_of(
         analyses,
         "Gain sweep: standard deviation of the height in the last second",
         0.26 * rows + 0.65,
@@ -64,27 +53,27 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             origin="lower",
         )
         _write_values(axes, sweep, norm)
-        put_style(axes, analysis.name)
+        style.title_panel(axes, analysis.name)
         axes.set_xticks(range(len(sweep.kd)), [f"{value:g}" for value in sweep.kd])
         axes.set_yticks(range(len(sweep.kp)), [f"{value:g}" for value in sweep.kp])
         axes.tick_params(length=0)
-        if index + COLUMNS >= len(analyses):
-            axes.set_xlabel("kd (N m s/rad)", size=FONT)
-        if index % COLUMNS == 0:
-            axes.set_ylabel("kp (N m/rad)", size=FONT)
+        if index + style.COLUMNS >= len(analyses):
+            axes.set_xlabel("kd (N m s/rad)", size=style.FONT)
+        if index % style.COLUMNS == 0:
+            axes.set_ylabel("kp (N m/rad)", size=style.FONT)
     colours = figure.colorbar(
-        image, ax=panels, shrink=0.9, pad=0.015, aspect=20 * -(-len(panels) // COLUMNS)
+        image, ax=panels, shrink=0.9, pad=0.015, aspect=20 * -(-len(panels) // style.COLUMNS)
     )
-    colours.set_label("deviation (mm)", size=FONT)
-    colours.ax.tick_params(labelsize=FONT, which="both")
+    colours.set_label("deviation (mm)", size=style.FONT)
+    colours.ax.tick_params(labelsize=style.FONT, which="both")
     colours.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     colours.ax.yaxis.set_minor_locator(NullLocator())
-    colours.ax.yaxis.set_major_formatter(plain_numbers)
-    put_legend(
+    colours.ax.yaxis.set_major_formatter(style.plain_numbers)
+    style.put_legend(
         figure,
         [
-            Patch(fill=False, edgecolor=RED, lw=2, label="steadiest"),
-            Patch(facecolor="#F1F1F1", edgecolor=GREY, hatch="////", label="fell"),
+            Patch(fill=False, edgecolor=style.RED, lw=2, label="steadiest"),
+            Patch(facecolor="#F1F1F1", edgecolor=style.GREY, hatch="////", label="fell"),
             Line2D(
                 [],
                 [],
@@ -93,7 +82,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             ),
         ],
     )
-    save(figure, path)
+    style.save(figure, path)
 
 
 def _write_values(axes: Axes, sweep: GainSweep, norm: LogNorm) -> None:
@@ -102,14 +91,14 @@ def _write_values(axes: Axes, sweep: GainSweep, norm: LogNorm) -> None:
         if sweep.fell[row, column]:
             axes.add_patch(
                 Rectangle(
-                    (column - 0.5, row - 0.5), 1, 1, fc="#F1F1F1", ec=GREY, hatch="////", lw=0
+                    (column - 0.5, row - 0.5), 1, 1, fc="#F1F1F1", ec=style.GREY, hatch="////", lw=0
                 )
             )
             axes.text(
                 column,
                 row,
                 "fell",
-                size=FONT,
+                size=style.FONT,
                 ha="center",
                 va="center",
                 bbox={"fc": "white", "ec": "none", "pad": 1.0},
@@ -121,12 +110,12 @@ def _write_values(axes: Axes, sweep: GainSweep, norm: LogNorm) -> None:
             column,
             row,
             f"{value:.3f}" if value < 10 else f"{value:.0f}",
-            size=FONT,
+            size=style.FONT,
             ha="center",
             va="center",
-            color="white" if norm(value) < 0.5 else BLACK,
+            color="white" if norm(value) < 0.5 else style.BLACK,
         )
         if best:
             axes.add_patch(
-                Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, fill=False, ec=RED, lw=2.2)
+                Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, fill=False, ec=style.RED, lw=2.2)
             )

@@ -9,24 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.lines import Line2D
 
-from pupper_analysis.report.figures.style import (
-    BLACK,
-    BLUE,
-    COLUMNS,
-    FONT,
-    RED,
-    panels_of,
-    put_legend,
-    put_style,
-    save,
-)
+from pupper_analysis.report.figures import style
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis
 
-_WITH: dict[str, Any] = {"color": BLUE, "lw": 1.5, "marker": "o", "ms": 4, "mfc": "white"}
+_WITH: dict[str, Any] = {"color": style.BLUE, "lw": 1.5, "marker": "o", "ms": 4, "mfc": "white"}
 _FAILS: dict[str, Any] = {
-    "color": BLACK,
+    "color": style.BLACK,
     "marker": "X",
     "ms": 9,
     "mec": "white",
@@ -34,7 +24,13 @@ _FAILS: dict[str, Any] = {
     "zorder": 5,
     "clip_on": False,
 }
-_WITHOUT: dict[str, Any] = {"color": RED, "lw": 1.5, "ls": (0, (5, 1.5)), "marker": "s", "ms": 4}
+_WITHOUT: dict[str, Any] = {
+    "color": style.RED,
+    "lw": 1.5,
+    "ls": (0, (5, 1.5)),
+    "marker": "s",
+    "ms": 4,
+}
 
 
 def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
@@ -48,18 +44,18 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         ConfigurationError: If there is no robot.
         OutputError: If the file cannot be written.
     """
-    figure, panels = panels_of(analyses, "Height of the simulated base", 1.75)
+    figure, panels = style.panels_of(analyses, "Height of the simulated base", 1.75)
     for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
         task = 1e3 * analysis.stand.qpos[2]
-        axes.axhline(task, color=BLACK, lw=1.2, ls=":")
+        axes.axhline(task, color=style.BLACK, lw=1.2, ls=":")
         low = high = task
-        for run, style in ((analysis.verification, _WITH), (analysis.sagging, _WITHOUT)):
+        for run, look in ((analysis.verification, _WITH), (analysis.sagging, _WITHOUT)):
             label = f"{1e3 * run.height_loss:.2f} mm"
             if run.failures:
                 label += ", fails"
                 end = np.flatnonzero(np.isfinite(run.height))[-1]
                 axes.plot(run.time[end], 1e3 * run.height[end], **_FAILS)
-            axes.plot(run.time, 1e3 * run.height, **style, markevery=(0.1, 0.2), label=label)
+            axes.plot(run.time, 1e3 * run.height, **look, markevery=(0.1, 0.2), label=label)
             low = min(low, float(np.nanmin(1e3 * run.height)))
             high = max(high, float(np.nanmax(1e3 * run.height)))
         span = max(high - low, 1.0)
@@ -67,27 +63,27 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.legend(
             loc="lower right",
             ncols=2,
-            fontsize=FONT,
+            fontsize=style.FONT,
             handlelength=1.8,
             columnspacing=1.0,
             frameon=False,
             borderpad=0.1,
         )
-        put_style(axes, f"{analysis.name}: task {task:.1f} mm")
+        style.title_panel(axes, f"{analysis.name}: task {task:.1f} mm")
         axes.set_xlim(0, max(analysis.verification.time[-1], analysis.sagging.time[-1]))
         axes.grid(color="#E3E6EB", lw=0.6)
-        if index + COLUMNS >= len(analyses):
-            axes.set_xlabel("time (s)", size=FONT)
-        if index % COLUMNS == 0:
-            axes.set_ylabel("base height (mm)", size=FONT)
-    put_legend(
+        if index + style.COLUMNS >= len(analyses):
+            axes.set_xlabel("time (s)", size=style.FONT)
+        if index % style.COLUMNS == 0:
+            axes.set_ylabel("base height (mm)", size=style.FONT)
+    style.put_legend(
         figure,
         [
-            Line2D([], [], color=BLACK, lw=1.2, ls=":", label="task"),
+            Line2D([], [], color=style.BLACK, lw=1.2, ls=":", label="task"),
             Line2D([], [], **_WITH, label="with feed-forward"),
             Line2D([], [], **_WITHOUT, label="without"),
             Line2D([], [], **_FAILS, label="fails"),
             Line2D([], [], ls="", label="in the panels: height lost, mean of the last second"),
         ],
     )
-    save(figure, path)
+    style.save(figure, path)

@@ -19,6 +19,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 from mpl_toolkits.mplot3d.proj3d import proj_transform  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
+from pupper_analysis.report.figures import style
 from pupper_analysis.report.figures.ground import draw_ground, step_corners
 from pupper_analysis.report.figures.skeleton import (
     BOX_FACES,
@@ -26,19 +27,6 @@ from pupper_analysis.report.figures.skeleton import (
     hull_corners,
     nearest_edge_point,
     skeleton,
-)
-from pupper_analysis.report.figures.style import (
-    BLACK,
-    BLUE,
-    DPI,
-    FONT,
-    GREEN,
-    RED,
-    WIDTH,
-    page_figure,
-    put_legend,
-    put_style,
-    save,
 )
 from pupper_analysis.robot.robot import Robot
 
@@ -55,7 +43,7 @@ _NEAR, _FAR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT = "#CFE8F7"
 _COM: dict[str, Any] = {
-    "color": GREEN,
+    "color": style.GREEN,
     "marker": "o",
     "ls": "",
     "mfc": "white",
@@ -63,8 +51,14 @@ _COM: dict[str, Any] = {
     "ms": 8,
 }
 
-_LIFTED: dict[str, Any] = {"color": BLACK, "marker": "o", "ls": "", "mfc": "white", "mew": 1.6}
-_PROJECTION: dict[str, Any] = {"color": GREEN, "marker": "x", "ls": "", "mew": 2.2, "ms": 7}
+_LIFTED: dict[str, Any] = {
+    "color": style.BLACK,
+    "marker": "o",
+    "ls": "",
+    "mfc": "white",
+    "mew": 1.6,
+}
+_PROJECTION: dict[str, Any] = {"color": style.GREEN, "marker": "x", "ls": "", "mew": 2.2, "ms": 7}
 
 
 def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: str | Path) -> None:
@@ -82,23 +76,25 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
         OutputError: If the file cannot be written.
     """
     lines = skeleton(robot, stand.qpos)
-    figure = page_figure(f"{robot.name}: how it stands", 0.6 * WIDTH)
+    figure = style.page_figure(f"{robot.name}: how it stands", 0.6 * style.WIDTH)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; the contact forces that last"
-    figure.text(0.012, 0.925, textwrap.fill(text, 120), size=FONT, va="top")
+    figure.text(0.012, 0.925, textwrap.fill(text, 120), size=style.FONT, va="top")
     _draw_in_space(figure, lines, stand, statics)
     _draw_from_above(figure, lines, stand, statics)
     handles: list[Line2D | Patch] = [
-        Line2D([], [], color=_NEAR, lw=3, marker="o", mfc="white", mec=BLACK, ms=4, label="leg"),
-        Line2D([], [], color=BLACK, marker="o", ls="", ms=6, label="foot"),
+        Line2D(
+            [], [], color=_NEAR, lw=3, marker="o", mfc="white", mec=style.BLACK, ms=4, label="leg"
+        ),
+        Line2D([], [], color=style.BLACK, marker="o", ls="", ms=6, label="foot"),
         *([Line2D([], [], **_LIFTED, label="lifted")] if stand.task.swing else []),
         Patch(facecolor=_BASE_FACE, edgecolor=_BASE_EDGE, label="base"),
-        Line2D([], [], color=RED, marker=r"$\uparrow$", ls="", ms=9, label="contact force"),
+        Line2D([], [], color=style.RED, marker=r"$\uparrow$", ls="", ms=9, label="contact force"),
         Line2D([], [], **_COM, label="com"),
         Line2D([], [], **_PROJECTION, label="com's projection"),
-        Patch(facecolor=_SUPPORT, edgecolor=BLUE, hatch="//", label="support polygon"),
+        Patch(facecolor=_SUPPORT, edgecolor=style.BLUE, hatch="//", label="support polygon"),
     ]
-    put_legend(figure, handles)
-    save(figure, path)
+    style.put_legend(figure, handles)
+    style.save(figure, path)
 
 
 def _draw_in_space(
@@ -112,7 +108,9 @@ def _draw_in_space(
     polygon = hull_corners(statics.contact_points.values())
     ground = 1e3 * np.column_stack([polygon, _heights_below(statics, polygon)])
     axes.add_collection3d(
-        Poly3DCollection([ground], facecolor=_SUPPORT, alpha=0.6, edgecolor=BLUE, lw=1.2, zorder=1)
+        Poly3DCollection(
+            [ground], facecolor=_SUPPORT, alpha=0.6, edgecolor=style.BLUE, lw=1.2, zorder=1
+        )
     )
     hips = 1e3 * np.array([leg[0] for leg in lines.legs.values()])
     for foot, leg in lines.legs.items():
@@ -124,9 +122,9 @@ def _draw_in_space(
             x, y, z, color=_NEAR if near else _FAR, lw=4.5, solid_capstyle="round", zorder=order
         )
         axes.plot(
-            x[:-1], y[:-1], z[:-1], "o", color="white", mec=BLACK, mew=0.8, ms=4, zorder=order
+            x[:-1], y[:-1], z[:-1], "o", color="white", mec=style.BLACK, mew=0.8, ms=4, zorder=order
         )
-        mark = _LIFTED if foot in stand.task.swing else {"color": BLACK, "marker": "o"}
+        mark = _LIFTED if foot in stand.task.swing else {"color": style.BLACK, "marker": "o"}
         axes.plot(x[-1:], y[-1:], z[-1:], **mark, ms=7 * _small(statics), zorder=order)
     for arm in lines.arms:
         axes.plot(*(1e3 * arm.T), color=_FAR, lw=2.5, solid_capstyle="round", zorder=2)
@@ -140,7 +138,7 @@ def _draw_in_space(
     com = 1e3 * statics.center_of_mass
     below = 1e3 * _heights_below(statics, statics.center_of_mass[np.newaxis, :2])
     ends = np.array([com, [*com[:2], below[0]]])
-    axes.plot(*ends.T, color=GREEN, ls="--", lw=1.2, zorder=6)
+    axes.plot(*ends.T, color=style.GREEN, ls="--", lw=1.2, zorder=6)
     axes.plot(com[:1], com[1:2], com[2:], **_COM, zorder=6)
     axes.plot(com[:1], com[1:2], below, **_PROJECTION, zorder=6)
     _draw_forces(axes, lines, statics, polygon)
@@ -175,8 +173,8 @@ def _draw_forces(axes: Any, lines: Skeleton, statics: GravityCompensation, polyg
             tail,
             (aside[foot], -1),
             textcoords="offset points",
-            size=FONT,
-            color=RED,
+            size=style.FONT,
+            color=style.RED,
             ha="center",
             va="top",
             zorder=7,
@@ -190,7 +188,7 @@ def _draw_forces(axes: Any, lines: Skeleton, statics: GravityCompensation, polyg
             zorder=7,
             arrowprops={
                 "arrowstyle": "-|>",
-                "color": RED,
+                "color": style.RED,
                 "lw": 1.8,
                 "shrinkA": 0,
                 "shrinkB": 0,
@@ -207,7 +205,7 @@ def _aside(axes: Any, labels: Mapping[str, tuple[float, float]]) -> dict[str, fl
     """
     axes.apply_aspect()  # which drawing does, too late for this
     places = {foot: axes.transData.transform(place) for foot, place in labels.items()}  # pixels
-    wide, high = (size * FONT * DPI / 72 for size in _LABEL)
+    wide, high = (size * style.FONT * style.DPI / 72 for size in _LABEL)
     moved = dict.fromkeys(labels, 0.0)
     for _ in labels:  # to move one aside may bring it to the next
         for one, two in itertools.combinations(labels, 2):
@@ -216,7 +214,7 @@ def _aside(axes: Any, labels: Mapping[str, tuple[float, float]]) -> dict[str, fl
             if lacks > 0 and abs(places[two][1] - places[one][1]) < high:
                 way = math.copysign(lacks / 2, across)
                 moved[one], moved[two] = moved[one] - way, moved[two] + way
-    return {foot: 72 / DPI * by for foot, by in moved.items()}
+    return {foot: 72 / style.DPI * by for foot, by in moved.items()}
 
 
 def _small(statics: GravityCompensation) -> float:
@@ -247,8 +245,8 @@ def _fit(axes: Any, shown: Array) -> None:
     names = ("x, forward", "y, left", "z, up")
     for index, axis in enumerate((axes.xaxis, axes.yaxis, axes.zaxis)):
         axis.set_ticks(np.arange(step * np.ceil(first[index] / step), last[index], step))
-        axis.set_tick_params(labelsize=FONT, pad=-2)
-        axis.set_label_text(f"{names[index]} (mm)", fontsize=FONT)
+        axis.set_tick_params(labelsize=style.FONT, pad=-2)
+        axis.set_label_text(f"{names[index]} (mm)", fontsize=style.FONT)
         axis.labelpad = 0
         axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
 
@@ -257,11 +255,13 @@ def _draw_from_above(
     figure: Figure, lines: Skeleton, stand: Stand, statics: GravityCompensation
 ) -> None:
     axes = figure.add_axes((0.735, 0.17, 0.255, 0.66))
-    put_style(axes, "from above")
+    style.title_panel(axes, "from above")
     points = {foot: 1e3 * point[:2] for foot, point in statics.contact_points.items()}
     polygon = 1e3 * hull_corners(statics.contact_points.values())
     # Forward is up and left is left: y is drawn to the left, x upwards.
-    axes.add_patch(Polygon(polygon[:, ::-1], fc=_SUPPORT, ec=BLUE, hatch="//", lw=1.2, zorder=1))
+    axes.add_patch(
+        Polygon(polygon[:, ::-1], fc=_SUPPORT, ec=style.BLUE, hatch="//", lw=1.2, zorder=1)
+    )
     for box in lines.boxes:
         outline = 1e3 * hull_corners(box)
         axes.plot(outline[:, 1], outline[:, 0], color=_BASE_EDGE, lw=1.0, zorder=2)
@@ -278,7 +278,7 @@ def _draw_from_above(
             axes.plot(y, x, **_LIFTED, ms=6 * _small(statics), zorder=3)
     middle = np.mean(list(points.values()), axis=0)
     for x, y in points.values():
-        axes.plot(y, x, "o", color=BLACK, ms=6 * _small(statics), zorder=3)
+        axes.plot(y, x, "o", color=style.BLACK, ms=6 * _small(statics), zorder=3)
     for foot, load in statics.foot_loads.items():
         x, y = 1e3 * load.centre_of_pressure[:2]
         left = y > middle[1]
@@ -287,7 +287,7 @@ def _draw_from_above(
             (y, x),
             (-7 if left else 7, 0),
             textcoords="offset points",
-            size=FONT,
+            size=style.FONT,
             ha="right" if left else "left",
             va="center",
             parse_math=False,
@@ -300,8 +300,8 @@ def _draw_from_above(
     axes.set_ylim(shown[:, 0].min() - 15 * room, shown[:, 0].max() + 15 * room)
     axes.xaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
     axes.yaxis.set_major_locator(MultipleLocator(_tick_step(shown)))
-    axes.set_xlabel("y, left (mm)", size=FONT)
-    axes.set_ylabel("x, forward (mm)", size=FONT)
+    axes.set_xlabel("y, left (mm)", size=style.FONT)
+    axes.set_ylabel("x, forward (mm)", size=style.FONT)
 
 
 def _draw_margin(axes: Axes, statics: GravityCompensation, polygon: Array) -> None:
@@ -310,14 +310,14 @@ def _draw_margin(axes: Axes, statics: GravityCompensation, polygon: Array) -> No
     axes.plot(com[1], com[0], **_PROJECTION, zorder=5)
     if statics.com_margin is not None:
         edge = nearest_edge_point(polygon, com)
-        axes.plot((com[1], edge[1]), (com[0], edge[0]), color=GREEN, lw=1.6, zorder=4)
-        axes.plot(edge[1], edge[0], "o", color=GREEN, ms=4, zorder=4)
+        axes.plot((com[1], edge[1]), (com[0], edge[0]), color=style.GREEN, lw=1.6, zorder=4)
+        axes.plot(edge[1], edge[0], "o", color=style.GREEN, ms=4, zorder=4)
         axes.annotate(
             f"margin {1e3 * statics.com_margin:.1f} mm",
             (com[1], com[0]),
             (0, 8),
             textcoords="offset points",
-            size=FONT,
+            size=style.FONT,
             ha="center",
             va="bottom",
             color="#00644A",

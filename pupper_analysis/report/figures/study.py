@@ -17,21 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.report.figures.style import (
-    BLACK,
-    BLUE,
-    FONT,
-    GREEN,
-    GREY,
-    ORANGE,
-    RED,
-    SKY,
-    WIDTH,
-    page_figure,
-    put_legend,
-    put_style,
-    save,
-)
+from pupper_analysis.report.figures import style
 from pupper_analysis.study.cells import check_columns, end_map, mean_map, measures_in, spread_in
 from pupper_analysis.study.pareto import pareto_front
 
@@ -41,14 +27,14 @@ if TYPE_CHECKING:
 MOST_LINES = 2000
 """In parallel coordinates: evenly drawn of more designs."""
 
-_FAILED = (RED, ORANGE, GREY, BLACK, SKY, "#CC79A7", "#F0E442")
-_FRONTS = (BLUE, RED, GREEN, ORANGE, SKY, BLACK)
+_FAILED = (style.RED, style.ORANGE, style.GREY, style.BLACK, style.SKY, "#CC79A7", "#F0E442")
+_FRONTS = (style.BLUE, style.RED, style.GREEN, style.ORANGE, style.SKY, style.BLACK)
 _OUT = "0.93"  # grey of what is not known
 
 
-def figure_of(title: str, width: float = WIDTH, height: float = 3.4) -> tuple[Figure, Axes]:
+def figure_of(title: str, width: float = style.WIDTH, height: float = 3.4) -> tuple[Figure, Axes]:
     """Returns a figure with one panel."""
-    figure = page_figure(title, height, width=width, layout="constrained")
+    figure = style.page_figure(title, height, width=width, layout="constrained")
     return figure, figure.add_subplot()
 
 
@@ -71,10 +57,10 @@ def heat_map(table: pd.DataFrame, x: str, y: str, measure: str, path: str | Path
     axes.set_facecolor(_OUT)
     mesh = axes.pcolormesh(found.x.edges, found.y.edges, found.means, cmap="viridis")
     bar = figure.colorbar(mesh, ax=axes)
-    bar.set_label(measure, size=FONT)
-    bar.ax.tick_params(labelsize=FONT)
+    bar.set_label(measure, size=style.FONT)
+    bar.ax.tick_params(labelsize=style.FONT)
     _label(axes, x, y)
-    save(figure, path)
+    style.save(figure, path)
 
 
 def failure_map(table: pd.DataFrame, x: str, y: str, path: str | Path) -> None:
@@ -92,7 +78,7 @@ def failure_map(table: pd.DataFrame, x: str, y: str, path: str | Path) -> None:
     """
     found = end_map(table, x, y)
     kinds, counts = found.kinds, found.counts
-    colours = [GREEN, *(_FAILED[index % len(_FAILED)] for index in range(len(kinds) - 1))]
+    colours = [style.GREEN, *(_FAILED[index % len(_FAILED)] for index in range(len(kinds) - 1))]
     image = np.ones((*counts.shape[1:], 4))
     total = counts.sum(axis=0)
     most = counts.argmax(axis=0)
@@ -110,8 +96,8 @@ def failure_map(table: pd.DataFrame, x: str, y: str, path: str | Path) -> None:
         for kind, colour, count in zip(kinds, colours, counts, strict=True)
         if count.any()
     ]
-    put_legend(figure, named)
-    save(figure, path)
+    style.put_legend(figure, named)
+    style.save(figure, path)
 
 
 def parallel_coordinates(
@@ -140,7 +126,7 @@ def parallel_coordinates(
     figure, axes = figure_of(f"Designs as lines, coloured by {colour}")
     scale = Normalize(np.nanmin(shade), np.nanmax(shade))
     palette = colormaps["viridis"]
-    colours = [palette(scale(v)) if np.isfinite(v) else to_rgba(GREY) for v in shade]
+    colours = [palette(scale(v)) if np.isfinite(v) else to_rgba(style.GREY) for v in shade]
     known = np.isfinite(unit)
     lines = [
         np.column_stack([np.flatnonzero(there), row[there]])
@@ -152,16 +138,16 @@ def parallel_coordinates(
     axes.set_ylim(-0.08, 1.08)
     axes.set_yticks([])
     axes.set_xticks(range(len(columns)), [_wrapped(name) for name in columns])
-    put_style(axes, "")
+    style.title_panel(axes, "")
     axes.spines["left"].set_visible(False)
     for place, (least, most) in enumerate(zip(low, high, strict=True)):
-        axes.axvline(place, color=BLACK, linewidth=0.7)
+        axes.axvline(place, color=style.BLACK, linewidth=0.7)
         for value, at, side in ((least, -0.02, "top"), (most, 1.02, "bottom")):
-            axes.text(place, at, f"{value:.4g}", ha="center", va=side, size=FONT - 1)
+            axes.text(place, at, f"{value:.4g}", ha="center", va=side, size=style.FONT - 1)
     bar = figure.colorbar(ScalarMappable(scale, palette), ax=axes, pad=0.04)
-    bar.set_label(colour, size=FONT)
-    bar.ax.tick_params(labelsize=FONT)
-    save(figure, path)
+    bar.set_label(colour, size=style.FONT)
+    bar.ax.tick_params(labelsize=style.FONT)
+    style.save(figure, path)
 
 
 def pareto_figure(
@@ -205,8 +191,8 @@ def pareto_figure(
         label = f"{said}no other design beats these"
         handles.append(Line2D([], [], color=colour, marker="o", markersize=3.5, label=label))
     _label(axes, labels[x], labels[y])
-    put_legend(figure, handles)
-    save(figure, path)
+    style.put_legend(figure, handles)
+    style.save(figure, path)
 
 
 def draw_study(
@@ -245,9 +231,9 @@ def draw_study(
 
 
 def _label(axes: Axes, x: str, y: str) -> None:
-    put_style(axes, "")
-    axes.set_xlabel(x, size=FONT)
-    axes.set_ylabel(y, size=FONT)
+    style.title_panel(axes, "")
+    axes.set_xlabel(x, size=style.FONT)
+    axes.set_ylabel(y, size=style.FONT)
 
 
 def _wrapped(name: str) -> str:

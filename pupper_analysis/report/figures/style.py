@@ -68,7 +68,7 @@ def page_figure(
     return figure
 
 
-def put_style(axes: Axes, title: str) -> None:
+def title_panel(axes: Axes, title: str) -> None:
     """Gives a panel its title, and the look of all panels."""
     axes.set_title(title, size=FONT, weight="bold", loc="left", pad=4, parse_math=False)
     axes.tick_params(labelsize=FONT)

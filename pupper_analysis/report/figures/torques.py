@@ -7,22 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, NullLocator
 from numpy.typing import NDArray
 
-from pupper_analysis.report.figures.style import (
-    BLACK,
-    BLUE,
-    COLUMNS,
-    FONT,
-    RED,
-    panels_of,
-    plain_numbers,
-    put_legend,
-    put_style,
-    save,
-)
+from pupper_analysis.report.figures import style
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis
@@ -30,7 +20,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _LEAST_UTILISATION = 0.1  # %, where the axis of the torques begins
 _PREDICTED: dict[str, Any] = {
-    "color": BLUE,
+    "color": style.BLUE,
     "marker": "o",
     "ls": "",
     "mfc": "white",
@@ -38,7 +28,7 @@ _PREDICTED: dict[str, Any] = {
     "ms": 7,
 }
 
-_SIMULATED: dict[str, Any] = {"color": BLACK, "marker": "x", "ls": "", "mew": 1.3, "ms": 4.5}
+_SIMULATED: dict[str, Any] = {"color": style.BLACK, "marker": "x", "ls": "", "mew": 1.3, "ms": 4.5}
 
 
 def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
@@ -55,7 +45,7 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         OutputError: If the file cannot be written.
     """
     rows = max((len(analysis.joints) for analysis in analyses), default=0)
-    figure, panels = panels_of(
+    figure, panels = style.panels_of(
         analyses,
         "Motor torques of the stand (at the left edge: up to 0.1 % of the limit)",
         0.16 * rows + 0.62,
@@ -71,25 +61,10 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.hlines(places, floor, greatest.clip(floor), color="#C9CED6", lw=1)
         axes.plot(predicted.clip(floor), places, **_PREDICTED, clip_on=False, zorder=3)
         axes.plot(simulated.clip(floor), places, **_SIMULATED, clip_on=False, zorder=4)
-        axes.axvline(100, color=RED, lw=2)
-        most = int(np.argmax(greatest > 0.999 * greatest.max()))
-        torque = max(
-            abs(analysis.statics.joint_torques[most]),
-            abs(analysis.verification.joint_torques[most]),
-        )
-        axes.annotate(
-            f"{torque:.3f} N m",
-            (max(greatest[most], floor), most),
-            (7, 0) if greatest[most] < 5 else (-7, 0),
-            textcoords="offset points",
-            size=FONT,
-            ha="left" if greatest[most] < 5 else "right",
-            va="center",
-            zorder=5,
-            bbox={"fc": "white", "ec": "none", "pad": 0.5},
-        )
+        axes.axvline(100, color=style.RED, lw=2)
+        _mark_greatest(axes, analysis, greatest, floor)
         low, high = limits.min(), limits.max()
-        put_style(
+        style.title_panel(
             axes,
             f"{analysis.name}: limit {low:g}" + (f" to {high:g}" if high > low else "") + " N m",
         )
@@ -97,26 +72,47 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.set_xlim(floor, 200)
         axes.xaxis.set_major_locator(FixedLocator((0.1, 1, 10, 100)))
         axes.xaxis.set_minor_locator(NullLocator())
-        axes.xaxis.set_major_formatter(plain_numbers)
+        axes.xaxis.set_major_formatter(style.plain_numbers)
         axes.grid(axis="x", color="#E3E6EB", lw=0.6)
         axes.set_axisbelow(True)
         axes.set_ylim(len(names) - 0.4, -0.6)
-        before = [joint.name for joint in analyses[index - 1].joints] if index % COLUMNS else None
+        before = (
+            [joint.name for joint in analyses[index - 1].joints] if index % style.COLUMNS else None
+        )
         axes.set_yticks(places, names if names != before else [""] * len(names), parse_math=False)
-        if index + COLUMNS >= len(analyses):
-            axes.set_xlabel("torque / limit (%)", size=FONT)
-    put_legend(
+        if index + style.COLUMNS >= len(analyses):
+            axes.set_xlabel("torque / limit (%)", size=style.FONT)
+    style.put_legend(
         figure,
         [
             Line2D([], [], **_PREDICTED, label="predicted (Pinocchio)"),
             Line2D([], [], **_SIMULATED, label="simulated (MuJoCo, with feed-forward)"),
-            Line2D([], [], color=RED, lw=2, label="limit"),
+            Line2D([], [], color=style.RED, lw=2, label="limit"),
         ],
     )
-    save(figure, path)
+    style.save(figure, path)
 
 
 def utilisation(torques: Array, limits: Array) -> Array:
     """Returns |torque| / limit in percent; 0 where there is no limit."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where((limits > 0) & np.isfinite(limits), 100 * np.abs(torques) / limits, 0.0)
+
+
+def _mark_greatest(axes: Axes, analysis: Analysis, percents: Array, floor: float) -> None:
+    """Writes the torque of the motor that is used most beside its point."""
+    most = int(np.argmax(percents > 0.999 * percents.max()))
+    runs = (analysis.statics, analysis.verification)
+    torque = max(abs(run.joint_torques[most]) for run in runs)
+    left = percents[most] < 5
+    axes.annotate(
+        f"{torque:.3f} N m",
+        (max(percents[most], floor), most),
+        (7 if left else -7, 0),
+        textcoords="offset points",
+        size=style.FONT,
+        ha="left" if left else "right",
+        va="center",
+        zorder=5,
+        bbox={"fc": "white", "ec": "none", "pad": 0.5},
+    )

@@ -11,18 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from pupper_analysis.report.figures import style
 from pupper_analysis.report.figures.skeleton import Skeleton, hull_corners, skeleton
-from pupper_analysis.report.figures.style import (
-    BLUE,
-    FONT,
-    GREY,
-    RED,
-    WIDTH,
-    page_figure,
-    put_legend,
-    put_style,
-    save,
-)
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace, stand_at
@@ -40,7 +30,7 @@ _VIEWS = {
 """{direction: where it is seen from, which axes are drawn to the right (y: to the left) and up}."""
 
 _AXES = ("x, forward (mm)", "y, left (mm)", "z, up (mm)")
-_ENDS = {"low": BLUE, "high": RED}
+_ENDS = {"low": style.BLUE, "high": style.RED}
 
 
 def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -> None:
@@ -55,7 +45,7 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
         OutputError: If the file cannot be written.
     """
     title = f"{robot.name}: how far the base can go with its feet planted, each way alone"
-    figure = page_figure(title, 0.68 * WIDTH, layout="constrained")
+    figure = style.page_figure(title, 0.68 * style.WIDTH, layout="constrained")
     start = workspace.start
     panels = figure.subplots(2, 3).flat
     for axes, (direction, interval) in zip(panels, workspace.intervals.items(), strict=True):
@@ -67,9 +57,9 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
             title = f"{1e3 * low:.1f} to {1e3 * high:.1f} mm"
         else:
             title = f"{1e3 * low:+.1f} to {1e3 * high:+.1f} mm"
-        put_style(axes, f"{direction}: {title}")
+        style.title_panel(axes, f"{direction}: {title}")
         drawn = [skeleton(robot, start.qpos)]
-        _draw(axes, drawn[0], GREY, across, up)
+        _draw(axes, drawn[0], style.GREY, across, up)
         for end, value in (("low", low), ("high", high)):
             drawn.append(skeleton(robot, stand_at(robot, start, direction, value).qpos))
             _draw(axes, drawn[-1], _ENDS[end], across, up)
@@ -79,15 +69,15 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
         axes.set_aspect("equal")
         if across == 1:
             axes.invert_xaxis()
-        axes.set_xlabel(f"{_AXES[across]}; {view}", size=FONT)
-        axes.set_ylabel(_AXES[up], size=FONT)
+        axes.set_xlabel(f"{_AXES[across]}; {view}", size=style.FONT)
+        axes.set_ylabel(_AXES[up], size=style.FONT)
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_locator(MaxNLocator(4))
-    names = {"start": GREY, "least value": BLUE, "greatest value": RED}
-    put_legend(
+    names = {"start": style.GREY, "least value": style.BLUE, "greatest value": style.RED}
+    style.put_legend(
         figure, [Line2D([], [], color=color, lw=2, label=name) for name, color in names.items()]
     )
-    save(figure, path)
+    style.save(figure, path)
 
 
 def _draw(axes: Axes, lines: Skeleton, color: str, across: int, up: int) -> None:

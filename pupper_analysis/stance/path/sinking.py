@@ -1,4 +1,4 @@
-"""Paths on soft ground: the feet sink by what they carry."""
+"""Paths on soft ground: the feet sink by what they carry, and creep where they are pushed."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.path.creeping import crept
 from pupper_analysis.stance.path.stance_path import StancePath
 
 Array = NDArray[np.float64]
@@ -19,12 +20,14 @@ _STEPS = 3  # of Newton's iteration, for legs that get longer by millimetres
 
 
 def sunk_path(robot: Robot, path: StancePath) -> Array:
-    """Returns a path's qpos (n, nq) with each leg longer by what its foot sinks into soft ground.
+    """Returns a path's qpos (n, nq) with the feet where soft ground has them: sunk, and crept.
 
-    The base stays. (The com moves with the legs, by a hundredth of the depths.) The depths are
-    those under the path's forces in motion, which the ground follows with a delay (``depths_of``).
+    The base stays, and legs get longer. (The com moves with them, by a hundredth of the depths.)
+    The depths are those under the path's forces in motion, which the ground follows with a delay
+    (``depths_of``).
     MuJoCo has the contact half way down, so that a foot that rolls, rolls on a radius that is
-    shorter by half its depth: by a tenth for v3.
+    shorter by half its depth: by a tenth for v3. And a foot that is pushed as it rolls creeps
+    (``crept``).
 
     Args:
         robot: The robot.
@@ -47,6 +50,7 @@ def sunk_path(robot: Robot, path: StancePath) -> Array:
     back = np.cumsum(shorter[..., None] * rolled, axis=0)
     goals = centres - depths[..., None] * normal
     goals[1:] -= back
+    goals += crept(robot, path)
     rows = []
     for qpos, places in zip(path.qpos, goals, strict=True):
         targets = dict(zip(path.feet, places, strict=True))

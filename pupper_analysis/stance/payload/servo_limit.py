@@ -135,11 +135,11 @@ def servo_limit(
     which it stops standing is bisected.
 
     Args:
-        robot: The robot.
-        stand: How it stands, without payload.
-        point: (3,) where the mass is, in the base's frame (m).
-        command: What the servos are commanded.
-        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        robot: As in ``payload_limit``, like the next four.
+        stand: Likewise.
+        point: Likewise.
+        command: Likewise.
+        kp: Likewise.
         most: What motors and contacts bear (kg): where it still stands with that, on soft ground it
             may stand with a little more.
 

@@ -14,7 +14,6 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
@@ -256,17 +255,15 @@ def pose_at(way: Way, margin: float) -> SteadyState:
     system, solution = way.system, way.solution
     robot, stand, qpos = system.robot, system.stand, solution.qpos
     forces = np.array(list(solution.forces.values())).reshape(-1, 3)
-    derivative = system.derivative(qpos, forces)
-    stiffness = way.stiffness(solution)
-    depths = system.depths(Configuration(robot, qpos))
+    derivative, stiffness = way.look(solution)
+    touch = system.touch(qpos)
     creep, flow = np.zeros((len(forces), 2)), np.zeros(len(derivative))
     if system.feet == "pinned":
-        viscosities = [system.viscosity(foot, depths[foot]) for foot in system.anchors]
+        viscosities = [system.viscosity(foot, touch.depths[foot]) for foot in system.anchors]
         creep = -forces[:, :2] / np.array(viscosities)[:, None]
     flow[robot.nv :].reshape(-1, 3)[:, :2] = creep
     targets = np.array([stand.foot_targets[foot] for foot in stand.stance_feet])
-    centres = Configuration(robot, qpos).foot_positions()
-    reached = np.array([centres[foot] for foot in stand.stance_feet])
+    reached = touch.config.foot_places(stand.stance_feet)
     loss = float(stand.qpos[2] - qpos[2])
     contact_sag = drop_at(stand.qpos[:2], targets, (targets - reached)[:, 2])
     torques = system.torques(qpos)

@@ -82,14 +82,7 @@ def _drives(view: MjcfView) -> Iterator[tuple[mujoco.MjModel, Drive]]:
             yield view.model, drive
 
 
-@rule(
-    "actuator-without-effect",
-    Severity.WARNING,
-    "An actuator gives no force, whatever its input",
-    why="Its gain (kp) or its gear is 0: the joint hangs free.",
-    todo="State kp, gainprm or gear.",
-    formats=("mjcf",),
-)
+@rule
 def actuator_without_effect(view: MjcfView) -> Iterator[Found]:
     """Finds gains and gears of 0."""
     for _, drive in _drives(view):
@@ -98,15 +91,7 @@ def actuator_without_effect(view: MjcfView) -> Iterator[Found]:
             yield Found("actuator", drive.name, text)
 
 
-@rule(
-    "servo-gains-contradict",
-    Severity.WARNING,
-    "A position servo's gain and bias do not belong together",
-    why="With gain kp and bias -k q the joint rests at ctrl kp / k and not at ctrl; a positive "
-    "bias on the position drives it away.",
-    todo='<general> needs gainprm="kp" biasprm="0 -kp -kd"; or use <position kp kv>.',
-    formats=("mjcf",),
-)
+@rule
 def servo_gains_contradict(view: MjcfView) -> Iterator[Found]:
     """Finds kp != k, which k < 0 is too; MuJoCo takes kd < 0 for a damping ratio."""
     for _, drive in _drives(view):
@@ -119,14 +104,7 @@ def servo_gains_contradict(view: MjcfView) -> Iterator[Found]:
             yield Found("actuator", drive.name, text)
 
 
-@rule(
-    "actuator-unlimited",
-    Severity.WARNING,
-    "A motor's force has no limit",
-    why="The simulated robot is stronger than any motor: what it learns or proves does not hold.",
-    todo="State forcerange on the actuator, or actuatorfrcrange on the joint.",
-    formats=("mjcf",),
-)
+@rule
 def actuator_unlimited(view: MjcfView) -> Iterator[Found]:
     """Finds drives without forcerange, actuatorfrcrange and, for motors, ctrlrange."""
     for model, drive in _drives(view):
@@ -138,14 +116,7 @@ def actuator_unlimited(view: MjcfView) -> Iterator[Found]:
             yield Found("actuator", drive.name, text)
 
 
-@rule(
-    "forcerange-above-joint",
-    Severity.WARNING,
-    "An actuator may give more than its joint lets through",
-    why="The joint's actuatorfrcrange clips it: the forcerange one reads is not the one there is.",
-    todo="Make forcerange times gear equal to actuatorfrcrange.",
-    formats=("mjcf",),
-)
+@rule
 def forcerange_above_joint(view: MjcfView) -> Iterator[Found]:
     """Compares forcerange times gear with actuatorfrcrange, with 1 % of tolerance."""
     for model, drive in _drives(view):
@@ -161,15 +132,7 @@ def forcerange_above_joint(view: MjcfView) -> Iterator[Found]:
             yield Found("actuator", drive.name, text)
 
 
-@rule(
-    "ctrlrange-differs",
-    Severity.WARNING,
-    "A position servo's ctrlrange is not its joint's range",
-    why="Where it is narrower, part of the range cannot be commanded; where it is wider, commands "
-    "push against the joint's limit.",
-    todo='Say inheritrange="1" instead of ctrlrange.',
-    formats=("mjcf",),
-)
+@rule
 def ctrlrange_differs(view: MjcfView) -> Iterator[Found]:
     """Compares the ranges; INFO where the ctrlrange is wider, or narrower by less than 10 %."""
     for model, drive in _drives(view):

@@ -8,21 +8,13 @@ from pathlib import Path
 from lxml import etree
 
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import FIXED, MjcfView, UrdfView, View
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.packages import existing, is_pointer
 from pupper_analysis.models.places import Place
 
 
-@rule(
-    "mujoco-refuses",
-    Severity.ERROR,
-    "MuJoCo refuses to compile the file",
-    why="It cannot be simulated as it is.",
-    todo="See the other findings, and MuJoCo's message.",
-    formats=("mjcf",),
-)
+@rule
 def mujoco_refuses(view: MjcfView) -> Iterator[Found]:
     """Compiles the file."""
     if view.refusal is not None:
@@ -30,13 +22,7 @@ def mujoco_refuses(view: MjcfView) -> Iterator[Found]:
         yield Found("mujoco", "", message, place=place)
 
 
-@rule(
-    "mesh-missing",
-    Severity.WARNING,
-    "A mesh's file is missing",
-    why="The link is drawn and touches things without it; MuJoCo refuses the file.",
-    todo="Bring the file, correct the path, or tell where the package is.",
-)
+@rule
 def mesh_missing(view: UrdfView | MjcfView) -> Iterator[Found]:
     """Looks for each file once."""
     seen: set[str] = set()
@@ -77,14 +63,7 @@ def first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:
     return next((place for found, place in file.elements(tag) if attribute in found), None)
 
 
-@rule(
-    "material-undefined",
-    Severity.WARNING,
-    "A material is named but nowhere defined",
-    why="Viewers draw the link in a colour of their own, or refuse the file.",
-    todo="Define <material name=...><color rgba=.../></material> at the top level.",
-    formats=("urdf",),
-)
+@rule
 def material_undefined(view: UrdfView) -> Iterator[Found]:
     """Finds names without a <material> that has a colour or texture; each name once."""
     materials = list(view.file.root.iter("material"))
@@ -108,14 +87,7 @@ def _of_gazebo(element: etree._Element) -> bool:
     return any(parent.tag == "gazebo" for parent in element.iterancestors())
 
 
-@rule(
-    "joint-named-like-link",
-    Severity.INFO,
-    "A joint and a link have the same name",
-    why="Pinocchio's getFrameId(name) takes both for frames: without the frame's type it raises or "
-    "answers with the first.",
-    todo="Ask with the type (pin.FrameType.BODY), or rename one of them.",
-)
+@rule
 def joint_named_like_link(view: View) -> Iterator[Found]:
     """Finds the names in common; once per file."""
     both = [j.name for j in view.joints.values() if j.name in view.bodies]

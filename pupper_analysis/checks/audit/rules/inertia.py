@@ -9,7 +9,6 @@ import numpy as np
 from pupper_analysis.checks.audit.geometry import extent_points, link_points
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import Body, Inertial, View
 
 FACTOR = 100.0
@@ -29,16 +28,8 @@ def _stated(view: View) -> Iterator[tuple[Body, Inertial]]:
             yield body, body.inertial
 
 
-@rule(
-    "inertia-not-positive-definite",
-    Severity.ERROR,
-    "An inertia matrix is not positive definite",
-    why="A body with mass and size resists being turned about any axis: each principal moment is "
-    "positive. The mass matrix becomes indefinite, and simulations blow up.",
-    todo="Check the signs and the order of the six values; MuJoCo's fullinertia is "
-    "xx yy zz xy xz yz.",
-)
-def not_positive_definite(view: View) -> Iterator[Found]:
+@rule
+def inertia_not_positive_definite(view: View) -> Iterator[Found]:
     """Finds negative moments; and moments of zero on moving bodies to which nothing is fixed."""
     for body, inertial in _stated(view):
         least, _, greatest = inertial.moments
@@ -50,14 +41,7 @@ def not_positive_definite(view: View) -> Iterator[Found]:
             yield Found(view.body_tag, body.name, text, view.inertial_part("inertia"))
 
 
-@rule(
-    "triangle-inequality",
-    Severity.ERROR,
-    "Principal moments break the triangle inequality",
-    why="With I_i the integral of the squared distances from axis i, I1 + I2 >= I3 holds for any "
-    "body there can be. MuJoCo refuses such a body.",
-    todo="Take the inertia from CAD again, about the com; look for a lost or doubled value.",
-)
+@rule
 def triangle_inequality(view: View) -> Iterator[Found]:
     """Compares the greatest moment with the sum of the others.
 
@@ -80,15 +64,8 @@ def triangle_inequality(view: View) -> Iterator[Found]:
             yield Found(view.body_tag, body.name, text, view.inertial_part("inertia"))
 
 
-@rule(
-    "inertia-implausible",
-    Severity.WARNING,
-    "An inertia does not fit the body's mass and size",
-    why="Inertias in g mm^2, kg mm^2 or about another point are wrong by factors of 1e3 to 1e9: "
-    "a leg then swings as if it were a feather or a house.",
-    todo="State kg m^2 about the com. 1 kg mm^2 = 1e-6 kg m^2, 1 g mm^2 = 1e-9 kg m^2.",
-)
-def implausible(view: View) -> Iterator[Found]:
+@rule
+def inertia_implausible(view: View) -> Iterator[Found]:
     """Compares the greatest moment with what a body of this mass and size can have.
 
     An inertia is at most m R^2, with R the distance of the furthest point from the com; twice that

@@ -9,7 +9,6 @@ import numpy as np
 
 from pupper_analysis.checks.audit.pairs import mirror_plane
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import HINGE, View
 
 _MOTIONS = ("rolls (about x)", "pitches (about y)", "yaws (about z)")
@@ -40,14 +39,7 @@ def expected_axis(name: str, all_names: set[str]) -> int | None:
     return None
 
 
-@rule(
-    "axis-contradicts-name",
-    Severity.WARNING,
-    "A joint does not turn as its name says",
-    why="Controllers address joints by name: HAA, abad and hip roll turn about x, HFE, KFE, thigh "
-    "and knee about y. Torques and targets go to the wrong motion.",
-    todo="Rename the joint, or correct its axis or the rotation of its frame.",
-)
+@rule
 def axis_contradicts_name(view: View) -> Iterator[Found]:
     """Compares axes at zero angles with names; an axis may be up to 60 degrees inclined."""
     mirror = mirror_plane(view)
@@ -68,13 +60,7 @@ def axis_contradicts_name(view: View) -> Iterator[Found]:
             yield Found("joint", joint.name, text, "axis")
 
 
-@rule(
-    "axis-zero",
-    Severity.ERROR,
-    "A joint's axis is (0, 0, 0)",
-    why="It has no direction; engines refuse it, or compute with NaN.",
-    todo="State a unit vector in the frame of the joint.",
-)
+@rule
 def axis_zero(view: View) -> Iterator[Found]:
     """Finds axes shorter than 1e-9."""
     for joint in view.joints.values():
@@ -82,13 +68,7 @@ def axis_zero(view: View) -> Iterator[Found]:
             yield Found("joint", joint.name, "its axis has length 0", "axis")
 
 
-@rule(
-    "axis-not-unit",
-    Severity.INFO,
-    "A joint's axis is not of length 1",
-    why="Engines normalise it silently; one that does not would scale speeds and torques.",
-    todo="State a unit vector.",
-)
+@rule
 def axis_not_unit(view: View) -> Iterator[Found]:
     """Finds axes whose length differs from 1 by more than 1e-3."""
     for joint in view.joints.values():

@@ -9,17 +9,10 @@ import numpy as np
 
 from pupper_analysis.checks.audit.from_urdf import number
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import HINGE, MjcfView, UrdfView, View
 
 
-@rule(
-    "range-empty",
-    Severity.ERROR,
-    "A joint's range is empty or inverted",
-    why="No angle is allowed: solvers find no solution, simulations push against both limits.",
-    todo="State lower < upper; or make the joint fixed.",
-)
+@rule
 def range_empty(view: View) -> Iterator[Found]:
     """Finds lower >= upper, also where both are left out of a URDF, where they count as 0."""
     for joint in view.joints.values():
@@ -28,13 +21,7 @@ def range_empty(view: View) -> Iterator[Found]:
             yield Found("joint", joint.name, limits, "limit")
 
 
-@rule(
-    "limit-missing",
-    Severity.INFO,
-    "A joint has no limits",
-    why="Nothing stops it: inverse kinematics and random configurations turn it through the robot.",
-    todo="State the limits, if the real joint has any.",
-)
+@rule
 def limit_missing(view: View) -> Iterator[Found]:
     """Finds hinges and slides without a range, but for wheels.
 
@@ -66,14 +53,7 @@ def _limits_without_effect(view: View, name: str) -> str:
     )
 
 
-@rule(
-    "limits-in-wrong-unit",
-    Severity.WARNING,
-    "Limits look like degrees where radians are meant, or the other way round",
-    why="A range of 90 rad is none at all; a range of 1.5 degrees is a locked joint. MJCF is in "
-    'degrees unless the compiler says angle="radian"; URDF is in radians.',
-    todo='Convert the values, or set <compiler angle="radian"/>.',
-)
+@rule
 def limits_in_wrong_unit(view: View) -> Iterator[Found]:
     """Finds integer limits of 12 to 360 rad, and an MJCF in degrees with none above 2 pi.
 
@@ -100,14 +80,7 @@ def limits_in_wrong_unit(view: View) -> Iterator[Found]:
         yield Found("joint", widest.name, text)
 
 
-@rule(
-    "effort-or-velocity-zero",
-    Severity.WARNING,
-    "A joint's effort or velocity limit is zero",
-    why="Taken at its word, the motor can do nothing: limits on torque or speed are never met.",
-    todo="State the motor's limits in N m (N) and rad/s (m/s).",
-    formats=("urdf",),
-)
+@rule
 def effort_or_velocity_zero(view: UrdfView) -> Iterator[Found]:
     """Finds <limit effort="0"> and <limit velocity="0"> on joints that move and mimic none."""
     for joint in view.file.root.findall("joint"):

@@ -27,13 +27,7 @@ DEFAULT_DENSITY = 1000.0
 """MuJoCo's density of a geom for which none is stated (kg/m^3)."""
 
 
-@rule(
-    "mass-not-positive",
-    Severity.ERROR,
-    "A stated mass is zero or negative",
-    why="The mass matrix becomes singular or indefinite; engines refuse it or compute nonsense.",
-    todo="State the link's mass in kg.",
-)
+@rule
 def mass_not_positive(view: View) -> Iterator[Found]:
     """Finds masses <= 0; not where nothing is claimed, with an inertia of zero too."""
     for body in view.bodies.values():
@@ -49,13 +43,7 @@ def mass_not_positive(view: View) -> Iterator[Found]:
         yield Found(view.body_tag, body.name, text, view.inertial_part("mass"))
 
 
-@rule(
-    "moving-body-without-mass",
-    Severity.ERROR,
-    "A body that moves has no mass, nor has anything fixed to it",
-    why="Its joint has no inertia: the mass matrix is singular, and MuJoCo refuses the body.",
-    todo="Give it a mass and an inertia, or make the joint fixed.",
-)
+@rule
 def moving_body_without_mass(view: View) -> Iterator[Found]:
     """Finds moving bodies without mass, fixed ones counted in; WARNING if others hang on them."""
     for body in view.bodies.values():
@@ -69,13 +57,7 @@ def moving_body_without_mass(view: View) -> Iterator[Found]:
         yield Found(view.body_tag, body.name, text, severity=Severity.WARNING if carries else None)
 
 
-@rule(
-    "com-outside-shapes",
-    Severity.WARNING,
-    "A com lies outside the body's shapes",
-    why="A com in another frame, with a wrong sign or in mm shifts all gravity torques.",
-    todo="Check the com's axes, signs and units against the drawing of the link.",
-)
+@rule
 def com_outside_shapes(view: View) -> Iterator[Found]:
     """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it."""
     for body in view.bodies.values():
@@ -100,13 +82,7 @@ def com_outside_shapes(view: View) -> Iterator[Found]:
             yield Found(view.body_tag, body.name, text, view.inertial_part("origin"))
 
 
-@rule(
-    "total-mass-unusual",
-    Severity.INFO,
-    "The robot as a whole is very light or very heavy",
-    why="Masses in g instead of kg, or mesh volumes in mm, show in the sum first.",
-    todo="Compare the sum with the robot on a scale.",
-)
+@rule
 def total_mass_unusual(view: View) -> Iterator[Found]:
     """Finds totals below 50 g and above 500 kg."""
     base = view.bodies.get(view.base)
@@ -118,14 +94,7 @@ def total_mass_unusual(view: View) -> Iterator[Found]:
         yield Found(view.body_tag, view.base, text)
 
 
-@rule(
-    "inertial-ignored",
-    Severity.WARNING,
-    "An <inertial> is ignored, as the compiler takes inertias from the geoms",
-    why='With inertiafromgeom="true" MuJoCo silently replaces every stated mass and inertia.',
-    todo='Say inertiafromgeom="auto" (the default), or remove the <inertial>.',
-    formats=("mjcf",),
-)
+@rule
 def inertial_ignored(view: MjcfView) -> Iterator[Found]:
     """Compares each stated mass with the one that MuJoCo computes."""
     if view.file.spec.compiler.inertiafromgeom != 1:
@@ -137,14 +106,7 @@ def inertial_ignored(view: MjcfView) -> Iterator[Found]:
             yield Found("body", body.name, text, "inertial")
 
 
-@rule(
-    "visual-adds-mass",
-    Severity.WARNING,
-    "A geom that is only drawn adds mass",
-    why="Without <inertial>, MuJoCo gives every geom, drawn ones too, the density of water.",
-    todo='Say density="0" or mass="0" in the class of drawn geoms, or state an <inertial>.',
-    formats=("mjcf",),
-)
+@rule
 def visual_adds_mass(view: MjcfView) -> Iterator[Found]:
     """Finds drawn geoms with a mass that nobody stated, in bodies whose mass is their geoms'."""
     compiler = view.file.spec.compiler
@@ -174,14 +136,7 @@ def visual_adds_mass(view: MjcfView) -> Iterator[Found]:
             yield Found("geom", geom.name, text, place=place)
 
 
-@rule(
-    "base-fixed",
-    Severity.INFO,
-    "The base of a robot with feet cannot move",
-    why="A URDF states no floating joint: MuJoCo's importer welds the base to the world and drops "
-    "its mass. An MJCF without <freejoint> holds the robot in the air.",
-    todo="Nothing, if it is meant; else load the URDF with a floating base, or add <freejoint/>.",
-)
+@rule
 def base_fixed(view: View) -> Iterator[Found]:
     """Finds a base with mass and without a free joint, below which are at least two feet."""
     feet = [

@@ -9,14 +9,10 @@ import numpy as np
 from pupper_analysis.checks.audit.pairs import Mirror, mirror_pairs, mirror_plane
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import HINGE, Body, Inertial, Joint, View
 
 POSITION, MASS, COM, INERTIA, LIMIT = 1e-3, 0.01, 1e-3, 0.1, 0.02
 """Tolerances: m, relative, m, relative, rad or m."""
-
-_WHY = "A robot whose sides differ drifts and loads its legs unequally; mostly a sign was lost."
-_TODO = "Compare with the other side, in the base's axes; disable the rule if it is on purpose."
 
 
 def _body_pairs(view: View) -> Iterator[tuple[Body, Body]]:
@@ -86,13 +82,7 @@ def _vector(vector: Array) -> str:
     return "(" + ", ".join(f"{value:.4g}" for value in vector + 0.0) + ")"
 
 
-@rule(
-    "mirror-position",
-    Severity.WARNING,
-    "A joint is not where the mirror image of its partner is",
-    why=_WHY,
-    todo=_TODO,
-)
+@rule
 def mirror_position(view: View) -> Iterator[Found]:
     """Compares the places of joints, or of fixed bodies; once per chain."""
     mirror = mirror_plane(view)
@@ -114,13 +104,7 @@ def mirror_position(view: View) -> Iterator[Found]:
             yield Found(view.body_tag, other.name, text)
 
 
-@rule(
-    "mirror-mass",
-    Severity.WARNING,
-    "Left and right partners differ in mass",
-    why=_WHY,
-    todo=_TODO,
-)
+@rule
 def mirror_mass(view: View) -> Iterator[Found]:
     """Compares masses, with 1 % of tolerance."""
     for one, other in _body_pairs(view):
@@ -129,13 +113,7 @@ def mirror_mass(view: View) -> Iterator[Found]:
             yield Found(view.body_tag, other.name, text, view.inertial_part("mass"))
 
 
-@rule(
-    "mirror-com",
-    Severity.WARNING,
-    "Left and right partners' coms are not each other's mirror images",
-    why=_WHY,
-    todo=_TODO,
-)
+@rule
 def mirror_com(view: View) -> Iterator[Found]:
     """Compares coms, with 1 mm and 1 % of the distance to the base of tolerance."""
     for mirror, (one, here), (other, there) in _inertials(view):
@@ -150,13 +128,7 @@ def mirror_com(view: View) -> Iterator[Found]:
             yield Found(view.body_tag, other.name, text, view.inertial_part("origin"))
 
 
-@rule(
-    "mirror-inertia",
-    Severity.WARNING,
-    "Left and right partners' inertias are not each other's mirror images",
-    why=_WHY + " A mirror image about y has ixy and iyz of the other sign.",
-    todo=_TODO,
-)
+@rule
 def mirror_inertia(view: View) -> Iterator[Found]:
     """Compares S I S with I', with S the reflection, where the masses agree; tolerance: 10 %."""
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -199,13 +171,7 @@ def _sense(mirror: Mirror, one: Joint, other: Joint) -> float:
     return float(image @ other.axis)
 
 
-@rule(
-    "mirror-axis",
-    Severity.WARNING,
-    "Left and right partners' joint axes are not each other's mirror images",
-    why=_WHY,
-    todo=_TODO,
-)
+@rule
 def mirror_axis(view: View) -> Iterator[Found]:
     """Compares the lines along which axes lie; either may point either way. Tolerance: 1 degree."""
     for mirror, one, other in _joint_pairs(view):
@@ -220,13 +186,7 @@ def mirror_axis(view: View) -> Iterator[Found]:
                 yield Found("joint", other.name, text, "axis")
 
 
-@rule(
-    "mirror-limits",
-    Severity.WARNING,
-    "Left and right partners' limits are not each other's mirror images",
-    why=_WHY + " A range must change sign with the axis: [a, b] becomes [-b, -a].",
-    todo=_TODO,
-)
+@rule
 def mirror_limits(view: View) -> Iterator[Found]:
     """Compares ranges, turned round if the axes' senses differ, and efforts (1 %)."""
     for mirror, one, other in _joint_pairs(view):

@@ -12,20 +12,13 @@ from pupper_analysis.checks.audit.from_mjcf import line_of
 from pupper_analysis.checks.audit.from_urdf import vector
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import MjcfView, UrdfView
 from pupper_analysis.models.places import Place
 
 FULL_TURN = 2 * math.pi + 1e-3
 
 
-@rule(
-    "rpy-in-degrees",
-    Severity.WARNING,
-    "A rotation of more than a full turn looks like degrees",
-    why="URDF's rpy is in radians, and MJCF's euler too if the compiler says so.",
-    todo="Convert it: 90 degrees are 1.5708 rad.",
-)
+@rule
 def rpy_in_degrees(view: UrdfView | MjcfView) -> Iterator[Found]:
     """Finds angles above 2 pi in magnitude in ``rpy`` and, in a file in radians, in ``euler``."""
     if isinstance(view, UrdfView):
@@ -48,14 +41,7 @@ def rpy_in_degrees(view: UrdfView | MjcfView) -> Iterator[Found]:
             yield Found(tag, name, text, place=place)
 
 
-@rule(
-    "quaternion-not-unit",
-    Severity.INFO,
-    "A quaternion is not of length 1",
-    why="MuJoCo normalises it silently: a mistyped digit turns the frame by another angle.",
-    todo="Write it with all its digits.",
-    formats=("mjcf",),
-)
+@rule
 def quaternion_not_unit(view: MjcfView) -> Iterator[Found]:
     """Finds lengths off 1 by more than 1e-3, but for (1, 0, 0, 1) and the like."""
     for tag, name, element, place in _posed(view):
@@ -68,15 +54,7 @@ def quaternion_not_unit(view: MjcfView) -> Iterator[Found]:
             yield Found(tag, name, text, place=place)
 
 
-@rule(
-    "keyframe-quaternion",
-    Severity.WARNING,
-    "A keyframe's quaternion is not of length 1",
-    why="MuJoCo normalises it when it computes, other tools take it as it is, and turn and scale "
-    "the robot. Often a number before it is missing, so that all are shifted.",
-    todo="Count the numbers: base position (3), quaternion w x y z (4), joints.",
-    formats=("mjcf",),
-)
+@rule
 def keyframe_quaternion(view: MjcfView) -> Iterator[Found]:
     """Finds lengths off 1 by more than 1e-3, of free and ball joints in keyframes."""
     if view.model is None:

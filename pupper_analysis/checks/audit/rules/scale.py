@@ -10,7 +10,6 @@ from scipy.spatial import ConvexHull, QhullError
 from pupper_analysis.checks.audit.geometry import extent_points, link_points
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import Body, View
 
 DENSEST = 20_000.0
@@ -39,14 +38,7 @@ OUT_OF_SCALE = 20.0
 """Times the extent of all joints that no link is drawn; of 1500 links the largest has 2.3."""
 
 
-@rule(
-    "density-implausible",
-    Severity.WARNING,
-    "A link is denser than any metal, or lighter than foam",
-    why="A mass in g, or of another link, or shapes in mm: torques and inertias follow the mass, "
-    "contacts and clearances the shapes, and one of the two is another robot's.",
-    todo="Compare the mass with a scale, and the shapes' units (a mesh in mm needs scale=0.001).",
-)
+@rule
 def density_implausible(view: View) -> Iterator[Found]:
     """Compares a moving body's mass, with all that is fixed to it, with its shapes' convex hull."""
     for body in _moving(view):
@@ -72,14 +64,7 @@ def density_implausible(view: View) -> Iterator[Found]:
             yield Found(view.body_tag, body.name, text, view.inertial_part("mass"))
 
 
-@rule(
-    "scale-unusual",
-    Severity.WARNING,
-    "Lengths look like mm where m are meant, or the other way round",
-    why="URDF and MJCF are in m. A mesh in mm is drawn a thousand times too large, and swallows "
-    "the scene; joints in mm make a robot of the size of a town.",
-    todo='State m; a mesh file in mm needs scale="0.001 0.001 0.001".',
-)
+@rule
 def scale_unusual(view: View) -> Iterator[Found]:
     """Compares the extent of all joints with that of robots, and that of each link with it."""
     places = np.array([joint.position for joint in view.joints.values() if joint.moves])

@@ -49,14 +49,7 @@ def _from_joint(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
     return None
 
 
-@rule(
-    "shape-ends-off-joint",
-    Severity.WARNING,
-    "A link's shape begins at its joint and ends elsewhere than at the next one",
-    why="Either the drawing or the kinematics has the wrong length: the robot that is seen, and "
-    "touches things, is not the robot that is computed.",
-    todo="Make the shape as long as the link, or move the next joint to the shape's end.",
-)
+@rule
 def shape_ends_off_joint(view: View) -> Iterator[Found]:
     """Compares capsules and cylinders that begin at their body's joint with the way to the next.
 
@@ -107,14 +100,7 @@ def _on_line(offset: Array, direction: Array, radius: float) -> bool:
     return along > 2 * radius and across < max(TOLERANCE, 0.5 * radius)
 
 
-@rule(
-    "foot-sphere-off-frame",
-    Severity.WARNING,
-    "The foot's sphere is neither at the foot's frame nor touches the ground there",
-    why="Kinematics plants the frame, the simulation stands on the sphere: the stance is off by "
-    "their distance.",
-    todo="Centre the sphere at the foot's frame, or put the frame at the sphere's lowest point.",
-)
+@rule
 def foot_sphere_off_frame(view: View) -> Iterator[Found]:
     """Compares a foot's frame with the nearest sphere that touches things, of what moves with it.
 

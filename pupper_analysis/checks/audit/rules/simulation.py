@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.rules.actuators import drives
 from pupper_analysis.checks.audit.rules.files import first_place
 from pupper_analysis.checks.audit.view import MjcfView
@@ -19,14 +18,7 @@ STANDARD_GRAVITY = 9.80665
 """m/s^2; what is used differs by the third digit."""
 
 
-@rule(
-    "gravity-unusual",
-    Severity.INFO,
-    "Gravity is not 9.81 m/s^2 downwards",
-    why="Forgotten after an experiment, it falsifies every torque.",
-    todo='Say <option gravity="0 0 -9.81"/>.',
-    formats=("mjcf",),
-)
+@rule
 def gravity_unusual(view: MjcfView) -> Iterator[Found]:
     """Finds a gravity off by more than 0.02 m/s^2 in any direction."""
     gravity = np.array(view.file.spec.option.gravity)
@@ -36,15 +28,7 @@ def gravity_unusual(view: MjcfView) -> Iterator[Found]:
         yield Found("option", "", f"gravity is ({x:g}, {y:g}, {z:g}) m/s^2", place=place)
 
 
-@rule(
-    "armature-zero",
-    Severity.INFO,
-    "No driven joint has armature",
-    why="A rotor's inertia times the gear ratio squared often exceeds the link's own; without it, "
-    "stiff servos jitter and joints accelerate too fast.",
-    todo="State armature = rotor inertia x ratio^2 (kg m^2) on the joints.",
-    formats=("mjcf",),
-)
+@rule
 def armature_zero(view: MjcfView) -> Iterator[Found]:
     """Finds models in which the armature of every driven joint, and of its motor, is 0."""
     if view.model is None:
@@ -60,15 +44,7 @@ def armature_zero(view: MjcfView) -> Iterator[Found]:
         yield Found("joint", driven[0].joint_name, text)
 
 
-@rule(
-    "servo-unstable",
-    Severity.WARNING,
-    "A servo is too stiff for the timestep",
-    why="MuJoCo's Euler takes the servo's gains at the old state, so that the joint overshoots in "
-    "every step: it jitters or blows up.",
-    todo='Say integrator="implicitfast", or take a smaller timestep, less gain, more armature.',
-    formats=("mjcf",),
-)
+@rule
 def servo_unstable(view: MjcfView) -> Iterator[Found]:
     """Tests the stability of all servos together at qpos0; see ``servo_stability``."""
     model = view.model
@@ -97,14 +73,7 @@ def servo_unstable(view: MjcfView) -> Iterator[Found]:
         yield Found("actuator", drive.name, text)
 
 
-@rule(
-    "foot-frictionless",
-    Severity.WARNING,
-    "A foot slides without friction",
-    why="The robot stands on ice: no stance with a tangential force can hold.",
-    todo="State friction and condim 3 or more on the foot, and mind the geom of higher priority.",
-    formats=("mjcf",),
-)
+@rule
 def foot_frictionless(view: MjcfView) -> Iterator[Found]:
     """Finds feet whose contact with the ground, as MuJoCo combines it, has no sliding friction.
 

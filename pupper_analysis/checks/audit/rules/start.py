@@ -53,13 +53,7 @@ def _starts(view: MjcfView) -> Iterator[Start]:
         yield Start(("key", name), words, np.array(model.key_qpos[key]), Severity.WARNING)
 
 
-@rule(
-    "start-outside-limits",
-    Severity.WARNING,
-    "A start is outside the joint limits",
-    why="The limits throw the joint back in the first steps; solvers that begin there may fail.",
-    todo="Correct the keyframe or the limits. At zero angles it is common: begin elsewhere.",
-)
+@rule
 def start_outside_limits(view: View) -> Iterator[Found]:
     """Finds joints outside by more than 1 mrad (1 mm); INFO for zero angles and qpos0."""
     if not isinstance(view, MjcfView):
@@ -98,14 +92,7 @@ def _outside(
         yield Found(*where, text, severity=severity)
 
 
-@rule(
-    "start-in-floor",
-    Severity.WARNING,
-    "A start is in the floor",
-    why="The contacts push the robot out with great force: it jumps in the first steps.",
-    todo="Raise the base by the depth.",
-    formats=("mjcf",),
-)
+@rule
 def start_in_floor(view: MjcfView) -> Iterator[Found]:
     """Finds contacts with planes of the world deeper than 5 mm; the deepest of each start."""
     for start in _starts(view):
@@ -129,14 +116,7 @@ def _is_plane(view: MjcfView, geom: int) -> bool:
     return bool(view.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE.value)
 
 
-@rule(
-    "start-self-collision",
-    Severity.WARNING,
-    "In a start, bodies of the robot are in each other",
-    why="The contacts push them apart from the first step on; joints never reach their targets.",
-    todo="Exclude the pair (<contact><exclude>), shrink the shapes, or change the pose.",
-    formats=("mjcf",),
-)
+@rule
 def start_self_collision(view: MjcfView) -> Iterator[Found]:
     """Finds contacts within a tree, deeper than 1 mm, that MuJoCo's filters let through."""
     for start in _starts(view):

@@ -1,0 +1,77 @@
+"""The language of a page: its texts are those of the report's catalogue, and so is its Chinese."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.report.html import sentences
+from pupper_analysis.report.html.document import Text
+from pupper_analysis.report.html.tasks import task_text
+from pupper_analysis.report.html.words import text
+from pupper_analysis.stance.task import StandTask
+
+NAMES = {"en": "English", "zh": "中文"}
+"""{language: what it calls itself}."""
+
+
+@dataclass(frozen=True)
+class Language:
+    """Says texts in one language.
+
+    Attributes:
+        code: ``"en"`` or ``"zh"``.
+    """
+
+    code: str = "en"
+
+    def __post_init__(self) -> None:
+        if self.code not in NAMES:
+            raise ConfigurationError("language", f"{self.code!r} is neither 'en' nor 'zh'")
+
+    def __call__(self, english: str, **values: object) -> str:
+        """Returns a text of the page.
+
+        Args:
+            english: A key of the catalogue.
+            **values: What stands in its braces.
+
+        Raises:
+            KeyError: If the catalogue lacks it.
+        """
+        return self._of(text(english, **values))
+
+    def sentence(self, sentence: str) -> str:
+        """Returns what a result says; in English, where nobody has said it otherwise."""
+        found = sentences.said(sentence)
+        if isinstance(found, Text):
+            return self._of(found)
+        field, colon, problem = sentence.partition(": ")  # of a ConfigurationError
+        said = sentences.said(problem)
+        return f"{field}{colon}{self._of(said)}" if isinstance(said, Text) else sentence
+
+    def task(self, task: StandTask) -> str:
+        """Returns what is asked of a stand."""
+        return self._of(task_text(task))
+
+    def demands(self, demands: str) -> str:
+        """Returns demands that a refusal joins with ``and``."""
+        return self(" and ").join(self.sentence(demand) for demand in demands.split(" and "))
+
+    def either(self, choices: Iterable[str]) -> str:
+        """Returns choices with the word for *or* between them."""
+        return self(" or ").join(choices)
+
+    def _of(self, words: Text) -> str:
+        return words.zh if self.code == "zh" else words.en
+
+    @property
+    def other(self) -> Language:
+        """The other one."""
+        return Language("en" if self.code == "zh" else "zh")
+
+    @property
+    def name(self) -> str:
+        """What it calls itself."""
+        return NAMES[self.code]

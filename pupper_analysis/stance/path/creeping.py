@@ -1,0 +1,60 @@
+"""Feet that creep along a path: MuJoCo's friction lets go of a foot that is pushed as it rolls."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
+
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.friction import DryFriction
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.path.stance_path import StancePath
+
+Array = NDArray[np.float64]
+
+_SLIDING = 0.98
+"""A foot that needs more of its friction slides, and its speed is no matter of friction alone."""
+
+
+def crept(robot: Robot, path: StancePath) -> Array:
+    """Returns how far each foot has crept along a path (n, feet, 3) (m).
+
+    A contact at rest gives f_t = -c v (``GroundLaw``), and a foot creeps as long as it is pushed.
+    One that rolls is at the edge of its cone, |f_t|^2/mu^2 + |m|^2/mu_r^2 = f_n^2, where friction
+    takes as much power as it can: v and omega are in the cone's directions,
+
+        v / (f_t/mu^2) = omega / (m/mu_r^2) = -|mu_r omega| / sqrt(f_n^2 - |f_t|^2/mu^2)
+
+    so that the same push moves it as fast as it rolls: by 1 mm in a sway of v3.
+
+    Args:
+        robot: The robot on the path's ground.
+        path: Its path.
+    """
+    friction, normal = DryFriction.of(robot), path.stances[0].task.ground.normal()
+    laws = {foot: GroundLaw.of(robot, foot) for foot in path.feet}
+    speeds = np.zeros_like(path.forces)
+    carrying = path.stance_feet & ~path.infeasible[:, None]
+    for row, (qpos, qvel) in enumerate(zip(path.qpos, path.qvel, strict=True)):
+        config = Configuration(robot, qpos)
+        for column in np.flatnonzero(carrying[row]):
+            foot, force = path.feet[column], path.forces[row, column]
+            pressing = float(force @ normal)
+            pushed = force - pressing * normal
+            mu, limits = friction.sliding[foot], friction.turning[foot]
+            if np.linalg.norm(pushed) >= _SLIDING * mu * pressing:
+                continue
+            turning = config.frame_jacobian(robot.foot_frames[foot])[3:] @ qvel
+            about = float(turning @ normal)
+            rolling = limits[0] * float(np.linalg.norm(turning - about * normal))
+            scaled = math.hypot(rolling, limits[2] * about)
+            room = math.sqrt(pressing**2 - float(pushed @ pushed) / mu**2)
+            viscosity = laws[foot].viscosity(laws[foot].depth(pressing))
+            rate = max(1 / viscosity, scaled / (mu**2 * room))
+            speeds[row, column] = -rate * pushed
+    found: Array = cumulative_trapezoid(speeds, path.time, axis=0, initial=0.0)
+    return found
