@@ -136,7 +136,9 @@ def _value(value: object) -> doc.Cell:
 
 
 def _meanings(kind: type) -> dict[str, str]:
-    """Returns {field: what its docstring says of it, unit included}."""
-    said = (inspect.getdoc(kind) or "").partition("Attributes:\n")[2]
-    entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", said, flags=re.MULTILINE)
+    """Returns {field: what the docstring of its class says of it, unit included}."""
+    entries: list[tuple[str, str]] = []
+    for one in reversed(kind.__mro__):
+        said = inspect.cleandoc(one.__doc__ or "").partition("Attributes:\n")[2]
+        entries += re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", said, flags=re.MULTILINE)
     return {name: re.sub(r"\s+", " ", meaning) for name, meaning in entries}
