@@ -448,20 +448,19 @@ def test_damping_of_the_free_joint(tmp_path: Path) -> None:
     assert set(difference.effects) == {"forward dynamics"}
 
 
-def test_dry_friction_of_the_free_joint(tmp_path: Path) -> None:
-    """It said AGREE, though MuJoCo holds the base by 1.5 N."""
-    files = write(
-        tmp_path,
-        urdf_text(quadruped()),
-        mjcf_text(quadruped()).replace("<freejoint/>", '<joint type="free" frictionloss="1.5"/>'),
-    )
-    comparison = compared(files)
+@pytest.mark.parametrize("base", ["base", "trunk"])
+@pytest.mark.parametrize(
+    ("word", "kind"), [("frictionloss", "dry friction"), ("stiffness", "spring")]
+)
+def test_what_holds_the_free_joint(word: str, kind: str, base: str, tmp_path: Path) -> None:
+    """It said AGREE, though MuJoCo holds the base; whatever the MJCF calls it."""
+    text = mjcf_text(quadruped()).replace("<freejoint/>", f'<joint type="free" {word}="1.5"/>')
+    text = text.replace('<body name="base"', f'<body name="{base}"')
+    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
     assert not comparison.agree
     (difference,) = comparison.differences
-    assert (difference.kind, difference.element) == ("dry friction", "base")
-    assert difference.message.startswith(
-        "free joint of base: no dry friction in the URDF, of 1.5 N"
-    )
+    assert (difference.kind, difference.element) == (kind, base)
+    assert "1.5" in difference.message
 
 
 def test_armature_of_the_free_joint_is_given_to_both(tmp_path: Path) -> None:
