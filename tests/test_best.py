@@ -240,8 +240,9 @@ def test_wrong_requests() -> None:
         best_stance(robot, task=pa.StandTask(height=0.5))
     with pytest.raises(pa.ConfigurationError, match="robot"):
         best_stance(load("v3", fixed_base=True))
-    with pytest.raises(pa.NoEquilibriumError):
+    with pytest.raises(pa.NoEquilibriumError) as caught:
         best_stance(robot, Objective.PAYLOAD, kp=0.5)
+    assert caught.value.share is None  # no feed-forward was taken away
 
 
 @pytest.mark.parametrize(("limit", "words"), [(0.0, "leg_front_r_1"), (np.inf, "no motor")])

@@ -200,7 +200,7 @@ def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.slow
 def test_view_headless() -> None:
-    result = run("view_pupper.py", "--fixed", "--headless")
+    result = run("view_pupper.py", "--fixed-base", "--headless")
     assert result.returncode == 0, result.stderr
     assert "nq=12, nv=12, nu=12" in result.stdout
     assert 'data.sensor("body_gyro")' in result.stdout

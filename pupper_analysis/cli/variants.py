@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 @click.option("--list", "list_only", is_flag=True, help="List the variants, and stop.")
 @options(VARIANT, BASE)
 @click.option(
+    "-o",
     "--output",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("output"),

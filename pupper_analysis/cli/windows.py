@@ -18,14 +18,16 @@ if TYPE_CHECKING:
 @click.command(context_settings=shared.CONTEXT, short_help="Show a variant in MuJoCo's viewer.")
 @name_argument
 @options(VARIANT)
-@click.option("--fixed", is_flag=True, help="Fix the base in the air; else it falls and lands.")
+@click.option(
+    "--fixed-base", is_flag=True, help="Fix the base in the air; else it falls and lands."
+)
 @click.option("--headless", is_flag=True, help="Open no window: print the model and its IMU.")
 def view(
     name: str | None,
     base: str | None,
     leg_scale: float | None,
     torso_mass_scale: float | None,
-    fixed: bool,
+    fixed_base: bool,
     headless: bool,
 ) -> None:
     """Show a variant in MuJoCo's viewer: v3, or NAME (on macOS, run this with mjpython).
@@ -33,13 +35,13 @@ def view(
     \b
     Examples:
       pupper-analysis view
-      pupper-analysis view long-leg --fixed
+      pupper-analysis view long-leg --fixed-base
       pupper-analysis view --base v3 --leg-scale 1.2 --headless
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper import viewer
 
     variant = _variant(name, base, leg_scale, torso_mass_scale)
-    viewer.view(variant, fixed=fixed, headless=headless)
+    viewer.view(variant, fixed=fixed_base, headless=headless)
 
 
 @click.command(

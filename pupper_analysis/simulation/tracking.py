@@ -102,7 +102,7 @@ def track_path(
     plus those that make the legs longer.
 
     A path is tracked if joints and torques stay within ``TRACKING_TOLERANCE`` and
-    ``TORQUE_TOLERANCE``, no motor is at its limit, feet that carry stay on the ground, lifted ones
+    ``TORQUE_TOLERANCE``, no motor is at its limit, stance feet stay on the ground, swing feet
     off it, and nothing else touches it.
 
     Args:

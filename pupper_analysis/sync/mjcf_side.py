@@ -84,10 +84,6 @@ class MjcfSide(Side):
                 "the others"
             )
 
-    def body_in_file(self, name: str) -> Element | None:
-        """Returns the element of a body."""
-        return self.elements.body(name)
-
     def _frame(self, key: Key) -> None:
         name = key[1]
         if not self.on_same_body(key):

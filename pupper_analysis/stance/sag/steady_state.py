@@ -44,7 +44,7 @@ class SteadyState(Result):
         contact_sag: The part lost in the softness of feet and ground (m).
         joint_torques: (nu,) of the motors (N m).
         saturated: The joints whose servo is at its force limit.
-        stance_feet: The feet that carry: lifted ones that came down to the ground too, and without
+        stance_feet: The feet that carry: swing feet that came down to the ground too, and without
             those of the stand that the ground would have to pull.
         contact_forces: {foot: (3,)} of the ground on every foot, in world axes (N); zero for those
             that do not touch.
@@ -111,7 +111,7 @@ def steady_state(
     rolls on it), or creeps with -f_t / c as MuJoCo's friction has it, if ``seconds`` are given;
     sliding, its tangential force is zero. Newton's iteration follows the equilibrium from the stand
     itself, which full feed-forward holds, while feed-forward is taken away. Where on that way a
-    lifted foot touches the ground it is pinned there and carries from then on; where a foot would
+    swing foot touches the ground it is pinned there and carries from then on; where a foot would
     have to pull it lets go. Then backward Euler steps follow the creep.
 
     Dry friction, of joints and of rolling feet, is left out; ``steady_state_band`` has it.
@@ -208,7 +208,7 @@ def minimum_stiffness(
 ) -> float:
     """Finds the least uniform kp with which a robot stands without feed-forward, by bisection.
 
-    It stands if ``steady_state`` has no failures (so a lifted foot that comes down to the ground
+    It stands if ``steady_state`` has no failures (so a swing foot that comes down to the ground
     is none of its standing) and keeps half of the stand's height.
 
     Args:
