@@ -295,3 +295,13 @@ def test_a_mesh_of_an_attached_model_is_left_by_its_name(tmp_path: Path) -> None
     assert "mesh 'left_hand': its file 'hand.stl' is not in the MJCF's folder for meshes" in (
         found.left
     )
+
+
+def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
+    """Robots have boxes of size 0 as markers (Upkie's base), which MuJoCo refuses."""
+    path = standing_urdf(tmp_path)
+    marker = '<visual><geometry><box size="0 0 0"/></geometry></visual></link>'
+    path.write_text(path.read_text().replace("</link>", marker))
+    output, result = converted(path, "marked.xml")
+    compiled(output)
+    assert [note for note in (*result.notes, *result.left) if "size 0 0 0 was left out" in note]

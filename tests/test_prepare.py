@@ -522,3 +522,17 @@ def test_a_prepared_robot_goes_to_another_process_and_is_the_same(tmp_path: Path
     one, two = (pa.sunk_stand(each) for each in (robot, again))
     np.testing.assert_array_equal(one.qpos, two.qpos)
     assert pa.verify_stand(again, two).torque_error < 1e-6
+
+
+def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
+    """Pi Plus' knees bend one way in the MJCF, and both in the URDF: it was thrown into the air."""
+    pair = quadruped(tmp_path, keyframe="")
+    assert 'range="-1.5 2.5"' in pair.mjcf.read_text()
+    pair.mjcf.write_text(pair.mjcf.read_text().replace('range="-1.5 2.5"', 'range="-1.5 0.6"'))
+    robot = load(pair)
+    assert "_pitch -1.5 to 0.6" in said(robot, "limits that are narrower in the MJCF")
+    names = [name for name in robot.joint_names if name.endswith("_pitch")]
+    found = dict(zip(robot.joint_names, robot.home[7:].tolist(), strict=True))
+    assert max(found[name] for name in names) <= 0.6
+    stands(robot)
+    assert not [note for note in load(quadruped(tmp_path)).notes if "limits" in note]

@@ -12,8 +12,9 @@ import pytest
 from conftest import NAMES, SKELETON_NAMES, load, mujoco_at
 
 import pupper_analysis as pa
-from pupper_analysis.robot.build import build_robot, floor_of
+from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.floor import floor_of
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.support_polygon import com_margin
