@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg import lapack
 
 import pupper_analysis as pa
 from pupper_analysis.stance.clearance import shapes_of
@@ -161,7 +162,7 @@ def _sag(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
         watch.stop("what is told of the end")
         derivative = system.derivative(way.solution.qpos, system.stacked(way.solution))
         watch.stop("of a step: the derivative")
-        np.linalg.solve(derivative, derivative[0])
+        lapack.dgesv(derivative, derivative[0])
         watch.stop("of a step: the linear equations")
         pa.steady_state(robot, stand)
         watch.stop("steady_state, all of it")

@@ -117,12 +117,11 @@ def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
 
     @wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
-        hints = _hints(function)
+        fits = _tests(function)
         # What does not fit the signature is left to the call, whose TypeError is Python's own.
-        for name, value in zip(positional, args, strict=False):
-            check_type(name, value, hints.get(name, Any))
-        for name, value in kwargs.items():
-            check_type(name, value, hints.get(name, Any))
+        for name, value in (*zip(positional, args, strict=False), *kwargs.items()):
+            if name in fits and not fits[name](value):
+                check_type(name, value, _hints(function)[name])
         return function(*args, **kwargs)
 
     return call
@@ -165,6 +164,12 @@ def check_type(name: str, value: object, hint: Any) -> None:
 @cache
 def _hints(described: Any) -> dict[str, Any]:
     return typing.get_type_hints(described)
+
+
+@cache
+def _tests(function: Any) -> dict[str, Callable[[Any], bool]]:
+    """Returns what tells of each of a function's arguments whether it is of the type it says."""
+    return {name: _test(hint) for name, hint in _hints(function).items()}
 
 
 _NUMBERS: dict[Any, tuple[Any, str]] = {

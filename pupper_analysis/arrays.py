@@ -55,11 +55,13 @@ def rotation_from_quaternion(quaternion: Array) -> Array:
 
 def crosses(vectors: Array) -> Array:
     """Returns the matrices (n, 3, 3) that take x to v x x, of vectors v (n, 3)."""
-    matrices = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
-    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
+    matrices: Array = (vectors @ _CROSSES).reshape(-1, 3, 3)
     return matrices
+
+
+_CROSSES = np.zeros((3, 9))
+_CROSSES[[2, 1, 2, 0, 1, 0], [1, 2, 3, 5, 6, 7]] = -1, 1, 1, -1, -1, 1
+"""What ``crosses`` takes unit vectors to: one product is quicker than six columns."""
 
 
 def angle_between(one: Sequence[float], other: Sequence[float]) -> float:

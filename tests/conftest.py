@@ -33,27 +33,13 @@ hypothesis.settings.register_profile(
 )
 hypothesis.settings.load_profile("suite")
 
-LONGEST = {
-    "test_action",
-    "test_best",
-    "test_mutations",
-    "test_payload",
-    "test_random_robots",
-    "test_recorded",
-    "test_study_results",
-    "test_study_run",
-    "test_sync_mutations",
-    "test_sync_real",
-}
-"""Modules whose slow tests take minutes together."""
-
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks the longest of the slow tests, before any are chosen by their marks."""
+    """Marks the longest as slow, before any are chosen by their marks."""
     for item in items:
-        if item.get_closest_marker("slow") and item.path.stem in LONGEST:
-            item.add_marker(pytest.mark.longest)
+        if item.get_closest_marker("longest"):
+            item.add_marker(pytest.mark.slow)
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -362,15 +348,20 @@ def tiny(tiny_files: Files) -> pa.Robot:
     return pa.load_robot(urdf=tiny_files.urdf, mjcf=tiny_files.mjcf, feet=["foot"])
 
 
-def benchmark(name: str) -> ModuleType:
-    path = ROOT / "benchmarks" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(f"{name}_benchmark", path)
+def script(path: str) -> ModuleType:
+    """Loads a script of the repository, which is in no package, as a module."""
+    name = f"{Path(path).stem}_script"
+    spec = importlib.util.spec_from_file_location(name, ROOT / path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its dataclasses look themselves up there
+    sys.modules[name] = module  # its dataclasses look themselves up there
     spec.loader.exec_module(module)
     return module
+
+
+def benchmark(name: str) -> ModuleType:
+    return script(f"benchmarks/{name}.py")
 
 
 def run_command(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:

@@ -552,7 +552,7 @@ COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
         "--json": ("out.json", "."),
         "--no-figures": (),
     },
-    "view": {"--headless": (), "--fixed": ()},
+    "view": {"--headless": (), "--fixed-base": ()},
     "drop": {"--seconds": ("0", "-1", "nan", "x", "1e-9"), "--headless": (), "--kp": ("nan", "-1")},
 }
 

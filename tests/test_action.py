@@ -92,12 +92,14 @@ def test_the_action_is_one() -> None:
     assert not any("${{" in one["run"] for one in STEPS.values())
 
 
+@pytest.mark.slow
 def test_it_passes_on_the_sample(installed: Path) -> None:
     result = step("Check", installed)
     assert result.returncode == 0, result.stderr
     assert result.stdout == "passed: 0 to mend, 1 known\n"
 
 
+@pytest.mark.slow
 def test_it_fails_at_the_line_of_what_is_new(installed: Path) -> None:
     text = (installed / "hopper.urdf").read_text()
     (installed / "hopper.urdf").write_text(text.replace('upper="1.5"', 'upper="1.2"'))
@@ -107,6 +109,7 @@ def test_it_fails_at_the_line_of_what_is_new(installed: Path) -> None:
     assert f"::error file=hopper.urdf,line={line},title=upper limit of hip::" in result.stdout
 
 
+@pytest.mark.slow
 def test_its_inputs(installed: Path) -> None:
     (installed / "robots and more").mkdir()
     for name in ("hopper.urdf", "hopper.xml", "pupper-analysis.toml"):
@@ -122,7 +125,7 @@ def test_its_inputs(installed: Path) -> None:
     assert "none.toml" in result.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_it_installs_what_checking_needs(checkout: Path) -> None:
     """From the package index, as on GitHub; without PlaCo and Matplotlib."""
     result = step("Install", checkout)
@@ -171,6 +174,7 @@ main()
 V3 = [str(ROOT / "urdf" / "pupper_v3.urdf"), str(ROOT / "mjcf" / "pupper_v3.xml")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "more"),
     [
@@ -223,6 +227,7 @@ def test_pre_commit_takes_the_hook() -> None:
     assert [one["id"] for one in config["repos"][0]["hooks"]] == list(HOOKS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", ["0.22", "0.3"])
 def test_pre_commit_runs_the_hook(installed: Path, mass: str) -> None:
     """With the entry of the hook, in an environment that has it installed."""

@@ -57,6 +57,7 @@ def test_friction_of_any_kind_stays_inside(name: str) -> None:
     assert max(reached) - min(reached) > 0.2 * (high - low)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STANDING_V3)
 def test_robots_on_gripping_ground_end_inside_and_near_the_ends(name: str) -> None:
     robot, stand = sag.changed(load(name), sag.gripping), stand_of(name)

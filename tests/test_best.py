@@ -82,6 +82,7 @@ def check_kept(robot: pa.Robot, found: pa.BestStance) -> None:
     assert com_margin(robot, found.stand) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_least_utilisation(name: str) -> None:
     robot, found = load(name), best_stance(load(name))
@@ -100,6 +101,7 @@ def test_least_utilisation(name: str) -> None:
     assert peak == pytest.approx(found.value, rel=0.1)
 
 
+@pytest.mark.slow
 def test_largest_margin() -> None:
     """As long as it may be, and the com where the nearest edges are equally far."""
     robot, found = load("v3"), best_stance(load("v3"), Objective.MARGIN)
@@ -113,13 +115,14 @@ def test_largest_margin() -> None:
         assert abs(found.coordinates[f"{foot} x"]) > 0.04
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_the_same_every_time() -> None:
     robot = load("original")
     assert best_stance(robot).to_json() == best_stance(robot).to_json()
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_largest_payload_holds_in_mujoco(name: str) -> None:
     robot, found = load(name), best_stance(load(name), Objective.PAYLOAD)
@@ -134,6 +137,7 @@ def test_largest_payload_holds_in_mujoco(name: str) -> None:
     assert above.failure is found.payload.failure
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -> None:
     robot, point = load("v3"), (0.05, 0.0, 0.05)
@@ -158,7 +162,7 @@ def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -
     assert allowed >= 5
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("objective", [Objective.UTILISATION, Objective.PAYLOAD])
 def test_differential_evolution_finds_no_better_one(objective: Objective) -> None:
     """With 3000 stances; benchmarks/best.py does the same with 20,000."""
@@ -179,6 +183,7 @@ def test_differential_evolution_finds_no_better_one(objective: Objective) -> Non
     assert ours.best.level < theirs.best.level + 0.005 * abs(theirs.best.level)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
     """On three legs the com moves sideways: without that it would be outside the triangle."""
@@ -193,6 +198,7 @@ def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
     assert com_margin(robot, found.stand) >= 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_the_rest_of_the_task_stays() -> None:
     robot = load("v3")
@@ -214,6 +220,7 @@ def test_the_rest_of_the_task_stays() -> None:
     assert com_margin(robot, found.stand) >= 0.04
 
 
+@pytest.mark.slow
 def test_least_torque() -> None:
     robot, distribution = load("v3"), pa.ForceDistribution.MIN_TORQUE
     found = best_stance(robot, distribution=distribution)
@@ -222,6 +229,7 @@ def test_least_torque() -> None:
     assert found.value < 0.6 * found.nominal_value
 
 
+@pytest.mark.slow
 def test_wrong_requests() -> None:
     robot = load("v3")
     with pytest.raises(pa.ConfigurationError, match="objective"):
@@ -232,8 +240,9 @@ def test_wrong_requests() -> None:
         best_stance(robot, task=pa.StandTask(height=0.5))
     with pytest.raises(pa.ConfigurationError, match="robot"):
         best_stance(load("v3", fixed_base=True))
-    with pytest.raises(pa.NoEquilibriumError):
+    with pytest.raises(pa.NoEquilibriumError) as caught:
         best_stance(robot, Objective.PAYLOAD, kp=0.5)
+    assert caught.value.share is None  # no feed-forward was taken away
 
 
 @pytest.mark.parametrize(("limit", "words"), [(0.0, "leg_front_r_1"), (np.inf, "no motor")])

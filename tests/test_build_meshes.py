@@ -1,8 +1,6 @@
 """The drawn parts: closed solids of the right size, small, and the same as those committed."""
 
-import importlib.util
 from pathlib import Path
-from types import ModuleType
 
 import mujoco
 import numpy as np
@@ -14,6 +12,7 @@ pytest.importorskip("shapely", reason="the outlines of the STL parts are drawn w
 
 import trimesh
 from click.testing import CliRunner
+from conftest import script
 from trimesh import Trimesh
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -23,19 +22,7 @@ TORSO_TOLERANCE = 0.003  # [m] over the collision box
 STRETCH = 1.5  # of the long-leg variants
 
 
-def load_script() -> ModuleType:
-    """`scripts/build_meshes.py` as a module; it is not in the package."""
-    spec = importlib.util.spec_from_file_location(
-        "build_meshes", ROOT / "scripts" / "build_meshes.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-build_meshes = load_script()
+build_meshes = script("scripts/build_meshes.py")
 
 
 @pytest.fixture(scope="module")

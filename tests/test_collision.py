@@ -196,6 +196,7 @@ def test_ground_clearance(name: str) -> None:
                 pa.solve_stand(robot, task)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_self_clearance(name: str) -> None:
     robot = load(name)
@@ -225,6 +226,7 @@ def test_a_posture_with_its_links_apart_is_found() -> None:
     np.testing.assert_allclose(again.qpos, nearer.qpos, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_links_that_would_touch_are_kept_apart() -> None:
     """Two feet of one side on one spot."""
     robot = load("v3")

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from test_convert import _shape, compiled, converted, same_dynamics, standing_urdf
+from test_convert import _shape, compiled, converted, from_keyframe, same_dynamics, standing_urdf
 
 import pupper_analysis as pa
 
@@ -27,11 +27,7 @@ def _changed(folder: Path, *changes: tuple[str, str]) -> Path:
 def _drift(mjcf: Path, but: str = "") -> float:
     """How far joints but one (rad) and base (m) go in 3 s from the keyframe, in MuJoCo alone."""
     model = compiled(mjcf)
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-    start = data.qpos.copy()
-    for _ in range(round(3 / model.opt.timestep)):
-        mujoco.mj_step(model, data)
+    data, start = from_keyframe(model)
     gone = np.abs(data.qpos - start)
     gone[:2] = 0
     if but:
@@ -39,6 +35,7 @@ def _drift(mjcf: Path, but: str = "") -> float:
     return float(gone.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
@@ -54,6 +51,7 @@ def test_names_that_the_new_file_uses_itself(change: tuple[str, str], tmp_path: 
     assert same_dynamics(urdf, mjcf) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_material_and_a_shape_called_floor(tmp_path: Path) -> None:
     red = '<material name="floor"><color rgba="1 0 0 1"/></material>'
     shapes = _shape("visual", '<box size="0.1 0.1 0.1"/>', "0 0 0").replace(
@@ -70,6 +68,7 @@ def test_a_material_and_a_shape_called_floor(tmp_path: Path) -> None:
     np.testing.assert_allclose(model.material("floor_2").rgba, [1, 0, 0, 1])
 
 
+@pytest.mark.slow
 def test_a_fixed_joint_is_called_like_the_base(tmp_path: Path) -> None:
     """PlaCo asks for frames by their names alone."""
     head = (
@@ -111,6 +110,7 @@ def test_a_root_link_world_cannot_be_free(tmp_path: Path) -> None:
     assert any("<inertial> of link 'world'" in text for text in found.left)
 
 
+@pytest.mark.slow
 def test_meshes_of_one_name_stay_apart(tmp_path: Path) -> None:
     """Those that are written anew, too: one must not stand for the other."""
     for folder, size in (("a", 0.1), ("b", 0.3)):
@@ -147,6 +147,7 @@ def _with_arm(folder: Path, mimic: str) -> Path:
     return _changed(folder, ("</robot>", f"{arm}</robot>"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, -0.5])
 def test_the_keyframe_of_a_robot_with_a_mimic_stands(factor: float, tmp_path: Path) -> None:
     """The leader's servo holds what its follower needs as well, by virtual work."""
@@ -156,6 +157,7 @@ def test_the_keyframe_of_a_robot_with_a_mimic_stands(factor: float, tmp_path: Pa
     assert _drift(mjcf, but="arm2") < 1e-5  # MuJoCo's couplings are soft: it sags by 3 mrad
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("leader", ["nowhere", "arm2"])
 def test_a_mimic_that_leads_nowhere_is_left(leader: str, tmp_path: Path) -> None:
     mjcf, found = converted(_with_arm(tmp_path, f'<mimic joint="{leader}"/>'), "quad.xml")
@@ -165,6 +167,7 @@ def test_a_mimic_that_leads_nowhere_is_left(leader: str, tmp_path: Path) -> None
     assert _drift(mjcf) < 1e-4
 
 
+@pytest.mark.slow
 def test_what_an_mjcf_does_not_have_of_a_urdf_is_said(tmp_path: Path) -> None:
     urdf = _changed(tmp_path, ("</robot>", '<gazebo reference="trunk"/><transmission/></robot>'))
     _, found = converted(urdf, "quad.xml")
@@ -178,6 +181,7 @@ def test_an_armature_is_not_negative(tmp_path: Path) -> None:
         pa.convert_model(urdf, tmp_path / "new.xml", armature={"FR_knee": -1.0})
 
 
+@pytest.mark.slow
 def test_a_negative_effort_limit_is_left(tmp_path: Path) -> None:
     urdf = _changed(tmp_path, ('effort="80"', 'effort="-80"'))
     _, found = converted(urdf, "quad.xml")
@@ -218,9 +222,9 @@ def test_what_is_around_the_robot_is_said(tmp_path: Path) -> None:
     _, found = converted(source, "two.urdf")
     assert {
         "2 bodies that the robot does not carry: 'table', 'goal'",
-        "2 geoms of the world and of such bodies",
-        "1 cameras",
-        "1 actuators that are not at a joint",
+        "geoms of the world and of such bodies: 2",
+        "cameras: 1",
+        "actuators that are not at a joint: 1",
         "gravity (0, 0, -3) m/s^2",
     } <= {*found.left}
 
@@ -291,3 +295,13 @@ def test_a_mesh_of_an_attached_model_is_left_by_its_name(tmp_path: Path) -> None
     assert "mesh 'left_hand': its file 'hand.stl' is not in the MJCF's folder for meshes" in (
         found.left
     )
+
+
+def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
+    """Robots have boxes of size 0 as markers (Upkie's base), which MuJoCo refuses."""
+    path = standing_urdf(tmp_path)
+    marker = '<visual><geometry><box size="0 0 0"/></geometry></visual></link>'
+    path.write_text(path.read_text().replace("</link>", marker))
+    output, result = converted(path, "marked.xml")
+    compiled(output)
+    assert [note for note in (*result.notes, *result.left) if "size 0 0 0 was left out" in note]

@@ -126,6 +126,7 @@ def test_a_unit_is_doubted_where_fifty_times_too_much_is_asked() -> None:
     assert far_off(robot, pa.StandTask(height=19.0, roll=0.4), possible, ["height", "roll"])
 
 
+@pytest.mark.slow
 def test_limits_that_go_together_are_true_in_degrees_and_in_radians() -> None:
     """Pitch and slope: 5e-5 rad less of the one, by its digits, is as much more of the other."""
     robot = load("v3-heavy")
@@ -148,6 +149,7 @@ def test_limits_that_go_together_are_true_in_degrees_and_in_radians() -> None:
     assert tried >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "task",
     [

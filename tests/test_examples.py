@@ -95,6 +95,7 @@ def test_compare_legs(shown: Shown) -> None:
     assert torque == pytest.approx(2.07, abs=0.01)
 
 
+@pytest.mark.slow
 def test_push(shown: Shown) -> None:
     text = shown("push")
     rows = re.findall(r"(\d+) deg: ([\d.]+) N s \(([\d.]+) if rigid\), then: \S", text)
@@ -152,6 +153,7 @@ def test_cross_check(shown: Shown) -> None:
     assert "explained: 100%" in text
 
 
+@pytest.mark.slow
 def test_payload(shown: Shown) -> None:
     text = shown("payload")
     robot, mass = load("v3"), number("limit", text)

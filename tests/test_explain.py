@@ -15,10 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from robots import (
     FEET,
+    Part,
     Parts,
     all_changed,
     arm,
     changed,
+    compared,
     explained,
     found,
     matched,
@@ -220,6 +222,7 @@ def shaken(parts: Parts, seed: int) -> Parts:
     return result
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10**6), fixed=st.booleans())
 def test_all_differences_taken_away_nothing_is_left(
     tmp_path_factory: pytest.TempPathFactory, seed: int, fixed: bool
@@ -289,6 +292,7 @@ BY_TOLERANCE: dict[str, tuple[str, float, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strict", [False, True])
 @pytest.mark.parametrize("kind", BY_TOLERANCE)
 def test_each_tolerance_passes_just_below_and_fails_just_above(
@@ -444,6 +448,21 @@ def test_damping_of_the_free_joint(tmp_path: Path) -> None:
     assert set(difference.effects) == {"forward dynamics"}
 
 
+@pytest.mark.parametrize("base", ["base", "trunk"])
+@pytest.mark.parametrize(
+    ("word", "kind"), [("frictionloss", "dry friction"), ("stiffness", "spring")]
+)
+def test_what_holds_the_free_joint(word: str, kind: str, base: str, tmp_path: Path) -> None:
+    """It said AGREE, though MuJoCo holds the base; whatever the MJCF calls it."""
+    text = mjcf_text(quadruped()).replace("<freejoint/>", f'<joint type="free" {word}="1.5"/>')
+    text = text.replace('<body name="base"', f'<body name="{base}"')
+    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
+    assert not comparison.agree
+    (difference,) = comparison.differences
+    assert (difference.kind, difference.element) == (kind, base)
+    assert "1.5" in difference.message
+
+
 def test_armature_of_the_free_joint_is_given_to_both(tmp_path: Path) -> None:
     explanation = free_joint(tmp_path, 'armature="0.5"')
     assert explanation.differences == ()
@@ -488,3 +507,25 @@ def test_parts_without_damping_in_either_file(tmp_path: Path) -> None:
     assert found(explained(tmp_path, bare, changed(bare, "thigh0", damping=1e-6))) == [
         ("damping", "hip0")
     ]
+
+
+@pytest.mark.parametrize(("joints", "said"), [(["knee2"], 1), (["knee1", "knee3"], 0)])
+def test_armature_of_one_leg_is_unlike_the_others(
+    joints: list[str], said: int, tmp_path: Path
+) -> None:
+    """One value alone is a slip; one that a mirror image has too is meant."""
+    parts = {
+        name: replace(part, armature=0.05 if part.joint in joints else part.armature)
+        for name, part in quadruped().items()
+    }
+    explanation = explain(robot_of(tmp_path, parts, parts))
+    assert len([d for d in explanation.differences if d.kind == "armature"]) == said
+
+
+def test_armature_of_a_neck_is_no_legs(tmp_path: Path) -> None:
+    """Apollo's neck is as deep in its tree as a joint of an arm."""
+    neck = Part("head", "base", "neck", position=(0.3, 0.0, 0.4), mass=0.2, armature=0.5)
+    nod = Part("face", "head", "nod", position=(0.0, 0.0, 0.05), mass=0.1, armature=0.6)
+    parts = quadruped() | {"head": neck, "face": nod}
+    explanation = explain(robot_of(tmp_path, parts, parts))
+    assert not [d for d in explanation.differences if d.kind == "armature"]

@@ -117,14 +117,10 @@ def test_bad_arguments_and_what_no_time_helps() -> None:
     assert caught.value.reason is pa.Infeasibility.MOTOR
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [
-        ("v3", "squat"),
-        ("original", "sway"),
-        pytest.param("v3", "lift", marks=pytest.mark.slow),
-        pytest.param("original", "lift", marks=pytest.mark.slow),
-    ],
+    [("v3", "squat"), ("original", "sway"), ("v3", "lift"), ("original", "lift")],
 )
 def test_mujoco_confirms_the_least_time_and_not_less(name: str, kind: str) -> None:
     robot, tasks = load(name), stances(name, kind)
@@ -140,6 +136,7 @@ def test_mujoco_confirms_the_least_time_and_not_less(name: str, kind: str) -> No
     assert np.isfinite(faster.torque_error)
 
 
+@pytest.mark.slow
 def test_a_reserve_is_the_default() -> None:
     """What is stated without further ado is what MuJoCo follows."""
     robot, tasks = load("v3"), stances("v3", "squat")

@@ -182,7 +182,7 @@ def test_pose_figure_draws_slopes_steps_and_lifted_feet(monkeypatch: pytest.Monk
     assert min(corner @ ground.normal() for corner in step) == pytest.approx(0, abs=1e-9)
     figure = drawn(monkeypatch, pose_figure, robot, stand, pa.stand_statics(robot, stand))
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert "lifted" in labels
+    assert "swing foot" in labels
     figure.canvas.draw()
     boxes = [
         text.get_window_extent() for text in figure.axes[0].texts if text.get_text().endswith(" N")
@@ -242,6 +242,7 @@ def test_height_figure_draws_task_and_runs_in_mm(monkeypatch: pytest.MonkeyPatch
     np.testing.assert_allclose(sagging, 1e3 * analysis.sagging.height)
 
 
+@pytest.mark.slow
 def test_gain_figure_marks_what_fell_and_what_is_best(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

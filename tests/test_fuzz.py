@@ -17,11 +17,13 @@ from pupper_analysis import cli
 SEEDS = sorted((Path(__file__).parent / "fuzz_seeds").glob("*.json"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", SEEDS, ids=lambda path: path.stem)
 def test_what_was_mended(path: Path) -> None:
     assert fuzz.found_in(fuzz.Case.from_json(path.read_text())) == []
 
 
+@pytest.mark.slow
 @settings(max_examples=15, suppress_health_check=list(HealthCheck))
 @given(fuzz.on_files())
 def test_spoilt_files(case: fuzz.Case) -> None:

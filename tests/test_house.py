@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,11 @@ def test_a_module_has_one_subject(path: Path) -> None:
 @pytest.mark.parametrize("path", MODULES, ids=name)
 def test_a_function_fits_a_screen(path: Path) -> None:
     assert long_functions(path.read_text()) == []
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name)
+def test_no_banner_stands_where_a_file_is_missing(path: Path) -> None:
+    assert not re.findall(r"^ *# ?[-=#*]{4,}.*", path.read_text(), re.MULTILINE)
 
 
 def test_docstrings_do_not_count_and_bodies_do() -> None:

@@ -9,7 +9,7 @@ import math
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from string import Formatter
@@ -25,9 +25,20 @@ import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.checks.audit import RULES
 from pupper_analysis.pupper import comparison as variants
-from pupper_analysis.report.html import library, overlay, plots, scene, sources, tasks, words, write
+from pupper_analysis.report.html import (
+    library,
+    overlay,
+    plots,
+    scene,
+    sections,
+    sources,
+    tasks,
+    words,
+    write,
+)
 from pupper_analysis.report.html.document import Column, Name, Said, Section, Table, View, number
 from pupper_analysis.report.html.tasks import task_text
+from pupper_analysis.results import Result
 from pupper_analysis.simulation.push import PushRecovery
 from pupper_analysis.study import design
 from pupper_analysis.study.measures import MEASURES
@@ -148,6 +159,7 @@ def pushed() -> PushRecovery:
 # What the page is
 
 
+@pytest.mark.slow
 def test_it_is_well_formed_and_asks_for_nothing() -> None:
     page = page_of(analysis())
     assert page.text.startswith("<!doctype html>")
@@ -794,6 +806,7 @@ def test_a_report_goes_to_standard_output() -> None:
     assert "SOUND" in found.stderr
 
 
+@pytest.mark.slow
 def test_the_template_engine_is_loaded_when_a_report_is_written() -> None:
     code = (
         "import sys, pupper_analysis.cli, pupper_analysis.report.html.write, "
@@ -836,3 +849,13 @@ def test_a_task_is_said_in_both_languages() -> None:
 def test_a_com_is_said_in_both_languages(com: str | tuple[float, float]) -> None:
     task = pa.StandTask(height=0.1, com=com)
     assert ", ".join(part.en for part in tasks._parts(task)) == str(task)
+
+
+PUBLIC = [value for name in pa.__all__ if isinstance(value := getattr(pa, name), type)]
+
+
+@pytest.mark.parametrize("kind", [one for one in PUBLIC if issubclass(one, Result)])
+def test_every_field_of_a_public_result_says_what_it_means(kind: type[Result]) -> None:
+    """What it shares with other results, too: pages print it beside the value."""
+    meanings = sections._meanings(kind)
+    assert [field.name for field in fields(kind) if not meanings.get(field.name)] == []  # type: ignore[arg-type]

@@ -81,6 +81,7 @@ def stage(opened: Opened) -> Any:
     return canvas
 
 
+@pytest.mark.slow
 def test_the_robot_is_drawn_and_turns(opened: Opened) -> None:
     canvas = stage(opened)
     before = opened.pixels(canvas)
@@ -271,6 +272,7 @@ def test_it_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, scheme:
     one.context.close()
 
 
+@pytest.mark.slow
 def test_a_study_tells_its_cells_and_designs(browser: Any, tmp_path: Path) -> None:
     file = tmp_path / "study.html"
     pa.write_report(outcome(), file)
@@ -326,6 +328,7 @@ def test_without_webgl_it_says_so(browser: Any, file: Path) -> None:
     one.context.close()
 
 
+@pytest.mark.slow
 def test_no_name_acts(browser: Any, tmp_path: Path) -> None:
     file = tmp_path / "evil.html"
     pa.write_report(evil_analysis(), file, robots=())

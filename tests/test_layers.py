@@ -70,6 +70,7 @@ def test_only_pupper_and_the_command_line_know_pupper(path: Path) -> None:
         assert not [m for m in imported(path) if room(m) == "pupper"]
 
 
+@pytest.mark.slow
 def test_no_two_modules_import_each_other() -> None:
     graph = {}
     for path in MODULES:

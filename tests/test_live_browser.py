@@ -31,6 +31,8 @@ from pupper_analysis.pupper.live import Variants
 pytest.importorskip("viser", reason="viser is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
+pytestmark = pytest.mark.slow
+
 PATIENCE = 60.0
 """s: a machine without graphics, shared with other tests, draws a picture in one or two."""
 
@@ -153,6 +155,7 @@ def differs(one: np.ndarray, other: np.ndarray) -> float:  # type: ignore[type-a
     return float((np.abs(one - other).max(axis=-1) > 25).mean())
 
 
+@pytest.mark.slow
 def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     before = opened.pixels()
     yellow = (before[..., 0] > 150) & (before[..., 2] < 110)  # the torso
@@ -172,6 +175,7 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     opened.takes(pa.solve_stand(load("v3")))
 
 
+@pytest.mark.slow
 def test_a_slider_can_be_dragged(opened: Opened, served: Page) -> None:
     track = opened.row("pitch (°)").locator(".mantine-Slider-track").first
     box = track.bounding_box()
@@ -195,6 +199,7 @@ def test_a_slider_can_be_dragged(opened: Opened, served: Page) -> None:
     opened.takes(pa.solve_stand(load("v3"), state.task()))
 
 
+@pytest.mark.slow
 def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     solid = opened.pixels()
     opened.set("roll (°)", 35)
@@ -219,6 +224,7 @@ def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     opened.takes(pa.solve_stand(load("v3"), refused.value.nearest.task))
 
 
+@pytest.mark.slow
 def test_what_cannot_be_held_is_told(opened: Opened) -> None:
     opened.press(opened.row("what counts").locator("input").first)
     opened.press(opened.page.get_by_role("option", name="base at an offset"))
@@ -283,6 +289,7 @@ def test_two_browsers_play_on_their_own(
     assert other.complaints == []
 
 
+@pytest.mark.slow
 def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) -> None:  # noqa: F811
     state = State(height=122.0, lifts={"FL": 20.0}, place="inside", com_margin=5.0, payload=0.4)
     address = served.address.removeprefix("http://").removesuffix("/")
@@ -306,6 +313,7 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     assert one.complaints == []
 
 
+@pytest.mark.slow
 def test_it_goes_on_in_chinese_and_back(browser: Any, served: Page) -> None:  # noqa: F811
     address = served.address.removeprefix("http://").removesuffix("/")
     one = Opened(browser, link(address, State(roll=4.0), "zh"))
@@ -326,6 +334,7 @@ def test_it_goes_on_in_chinese_and_back(browser: Any, served: Page) -> None:  # 
     assert one.complaints == []
 
 
+@pytest.mark.slow
 def test_on_a_phone_the_robot_is_above_the_sliders(browser: Any, served: Page) -> None:  # noqa: F811
     one = Opened(browser, served.address, (390, 844))
     one.page.get_by_text("It stands, in balance. leg_").wait_for()
@@ -351,6 +360,7 @@ def test_on_a_phone_the_robot_is_above_the_sliders(browser: Any, served: Page) -
     assert one.complaints == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", ["nonsense", "lift:tail,20"])
 def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> None:  # noqa: F811
     address = served.address.removeprefix("http://")
@@ -364,6 +374,7 @@ def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> No
 README_PAGES = [command for command in commands(README) if command.split()[1] == "live"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", README_PAGES)
 def test_a_command_serves_until_it_is_interrupted(command: str, tmp_path: Path) -> None:
     arguments = [sys.executable, "-m", "pupper_analysis", *command.split()[1:], "--no-browser"]
@@ -374,6 +385,8 @@ def test_a_command_serves_until_it_is_interrupted(command: str, tmp_path: Path) 
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # A parent in the background of a shell ignores SIGINT, and its children would, too.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert process.stdout is not None
     said = process.stdout.readline()

@@ -17,6 +17,7 @@ from pupper_analysis.stance.sunk import loaded_stand
 POINT = (0.05, -0.02, 0.08)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_both_models_carry_the_same(name: str) -> None:
     loaded = with_payload(load(name), 2.5, POINT)

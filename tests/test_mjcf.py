@@ -13,9 +13,13 @@ from robots import Files, mjcf_text, quadruped, urdf_text
 
 from pupper_analysis.checks.audit import audit_model
 from pupper_analysis.checks.compare import compare_models
+from pupper_analysis.checks.versions.compare import diff_models
+from pupper_analysis.convert.model import convert_model
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf import compile_spec, no_number, to_xml
 from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.prepare.load import load_robot
+from pupper_analysis.sync.models import sync_models
 
 FRAMES = """<mujoco><worldbody>
 <geom size="0.111111111"/>
@@ -75,6 +79,37 @@ def test_what_is_no_number_is_refused(tmp_path: Path, old: str, new: str, said: 
         assert said in str(refusal.value)
     audit = audit_model(files.mjcf)
     assert any(said in finding.message for finding in audit.findings)
+
+
+@pytest.mark.parametrize("act", ["crosscheck", "diff", "sync", "convert", "load"])
+def test_a_joint_far_away_leaves_no_log(
+    act: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo warns of an inertia that is as good as singular, and writes MUJOCO_LOG.TXT.
+
+    Warnings are errors here, and the file would lie in the user's folder, who asked for none.
+    """
+    monkeypatch.chdir(tmp_path)
+    text = mjcf_text(quadruped()).replace('pos="0.0 0.08 -0.2"', 'pos="1e21 0.08 -0.2"', 1)
+    files = Files(tmp_path / "robot.urdf", tmp_path / "robot.xml")
+    files.urdf.write_text(urdf_text(quadruped()))
+    files.mjcf.write_text(text)
+    with pytest.warns(UserWarning, match="too close to singular"):
+        mujoco.MjSpec.from_string(text).compile()  # so there is something to warn of
+    log = tmp_path / "MUJOCO_LOG.TXT"
+    log.unlink(missing_ok=True)
+    if act == "crosscheck":
+        assert "1e+24 mm apart" in compare_models(*files).differences[0].message
+    elif act == "diff":
+        assert not diff_models(files.mjcf, files.mjcf).changes
+    elif act == "sync":
+        assert sync_models(*files, take="urdf").left
+    elif act == "convert":
+        assert not convert_model(files.mjcf, tmp_path / "other.urdf").agree
+    else:
+        with pytest.raises(ModelError, match="no feet"):
+            load_robot(urdf=files.urdf, mjcf=files.mjcf)
+    assert not log.exists()
 
 
 def test_large_numbers_that_robots_have_pass() -> None:

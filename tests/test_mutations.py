@@ -773,7 +773,7 @@ def test_the_unchanged_pairs_agree(tmp_path: Path) -> None:
         assert comparison.complete
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("kind", MUTATIONS)
 def test_a_change_is_found_named_first_and_explained(kind: str, tmp_path: Path) -> None:
     tried = 0
@@ -822,6 +822,7 @@ def test_a_joint_that_is_fixed_in_one_file_is_named(tmp_path: Path) -> None:
     assert comparison.complete
 
 
+@pytest.mark.slow
 def test_the_program_says_so_if_a_change_is_missed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

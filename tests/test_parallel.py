@@ -121,6 +121,7 @@ def assert_same_model(one: mujoco.MjModel, two: mujoco.MjModel, tolerance: float
         np.testing.assert_array_equal(getattr(one.opt, name), getattr(two.opt, name))
 
 
+@pytest.mark.slow
 @COPIES
 def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any]) -> None:
     robot = load(variant)
@@ -136,6 +137,7 @@ def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any])
     assert (back.description.urdf, back.feet) == (robot.description.urdf, robot.feet)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["v3-heavy", "long-leg"])
 def test_it_stands_the_same(variant: str) -> None:
     robot = load(variant)
@@ -227,6 +229,7 @@ def test_meshes_come_along(tmp_path: Path) -> None:
 # -------------------------------------------------------------------------------------- results
 
 
+@pytest.mark.slow
 @COPIES
 def test_results_come_back_the_same(copied: Callable[[Any], Any]) -> None:
     robot, stand = load("v3"), stand_of("v3")
@@ -260,6 +263,7 @@ def heights(robot: pa.Robot, height: float) -> list[float]:
     return [float(value) for value in stand.qpos]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", sorted({"spawn", "fork"} & {*multiprocessing.get_all_start_methods()})
 )
@@ -283,6 +287,7 @@ def test_twenty_threads_at_once() -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_twenty_threads_load_their_own() -> None:
     with ThreadPoolExecutor(20) as pool:
         robots = list(pool.map(lambda _: pa.load_variant("v3-heavy"), range(20)))

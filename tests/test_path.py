@@ -173,6 +173,7 @@ def test_finite_differences_shrink_with_the_step_at_a_stance() -> None:
     assert rates[1][1] == pytest.approx(rates[0][1] / 2, rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("v3", "circle"), ("original", "lift")])
 def test_velocity_and_acceleration_are_derivatives(name: str, kind: str) -> None:
     """Of a spline of order 7 through qpos, leg by leg: at the stances the jerk is not smooth."""
@@ -246,6 +247,7 @@ def test_a_foot_is_unloaded_before_it_lifts() -> None:
     assert loads[-1] == pytest.approx(loads[0], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
     robot, ground = load("v3"), pa.Ground(slope=0.05, uphill=0.5)
     moved = [
@@ -370,6 +372,7 @@ def test_refusals_name_the_moment() -> None:
         stance_path(robot, [Task(), Task(swing={"XX": 0.01})], 1.0)
 
 
+@pytest.mark.slow
 def test_a_path_keeps_its_clearances() -> None:
     """A knee that comes down to 30 mm, where 35 are asked for."""
     robot = load("v3")

@@ -199,6 +199,7 @@ def test_at_the_servos_limit_the_equilibrium_stops_being_stable() -> None:
     assert stiffness[0] > 0 > stiffness[1]
 
 
+@pytest.mark.slow
 def test_stiffer_servos_carry_more_until_the_motors_saturate() -> None:
     robot, stand = load("v3"), stand_of("v3")
     bounds = [servo_limit(robot, stand, ON_TOP, kp=kp) for kp in (4.0, 8.0, 60.0)]
@@ -221,7 +222,7 @@ def test_feet_that_sink_bring_the_calves_down() -> None:
     assert deepest == pytest.approx(stand.ground_clearance.distance, rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_surprise_is_carried_less_well() -> None:
     robot, stand = load("v3"), stand_of("v3")
     known = payload_limit(robot, stand)
@@ -232,6 +233,7 @@ def test_a_surprise_is_carried_less_well() -> None:
         payload_limit(robot, stand, command="shout")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3", "v3-long-leg"])
 def test_first_order_is_near_the_limit(name: str) -> None:
     robot, stand = load(name), stand_of(name)
@@ -272,24 +274,25 @@ def check_by_simulation(
     assert above.failure is limit.failure, (above.where, above.time)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_mujoco_agrees_on_the_limit(name: str) -> None:
     check_by_simulation(load(name), stand_of(name))
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("name", ["long-leg", "heavy", "v3-long-leg", "v3-heavy"])
 def test_mujoco_agrees_on_the_limit_of_the_others(name: str) -> None:
     check_by_simulation(load(name), stand_of(name))
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("name", ["original", "heavy"])
 def test_mujoco_agrees_on_tipping(name: str) -> None:
     check_by_simulation(load(name), stand_of(name), AHEAD)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_mujoco_agrees_where_motors_bind() -> None:
     """Stiff servos: then the motors are what gives way."""
     robot, stand = load("v3"), stand_of("v3")
@@ -302,6 +305,7 @@ def test_mujoco_agrees_where_motors_bind() -> None:
     assert above.failure is Failure.MOTOR
 
 
+@pytest.mark.slow
 def test_dry_friction_holds_up_what_is_not_stable() -> None:
     """So that a robot which nobody touches proves nothing."""
     robot, stand = load("v3"), stand_of("v3")

@@ -57,6 +57,7 @@ def test_servos_of_the_model_are_kept(tmp_path: Path) -> None:
     stands(robot)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keyframe", ["", "0 2.4 -2.6", "0 0.1 0.4"])
 def test_a_start_pose_is_found(keyframe: str, tmp_path: Path) -> None:
     """There is none, or it is one in which the robot lies, or one beyond the limits."""
@@ -74,6 +75,7 @@ def test_a_base_that_the_mjcf_holds_is_freed(tmp_path: Path) -> None:
     stands(robot)
 
 
+@pytest.mark.slow
 def test_a_base_that_was_fused_with_the_world_is_made_anew(tmp_path: Path) -> None:
     """MuJoCo's own conversion of a URDF has no body for the root link, and loses its mass."""
     whole = quadruped(tmp_path, keyframe="", floor=True)
@@ -111,6 +113,7 @@ def test_a_joint_that_only_one_file_has_is_held_and_named(tmp_path: Path) -> Non
     assert "8.400 kg" in found.failures[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "frame"),
     [("own", "own"), ("a geom", "toe"), ("a link and a body", ("FL_calf", "FL_calf"))],
@@ -151,6 +154,7 @@ def test_a_robot_whose_limbs_touch_nothing(tmp_path: Path) -> None:
 COUNTS = {"box": 4, "four spheres": 4, "two capsules": 4, "cylinder": 3}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", BIPED_FEET)
 def test_a_biped_stands_on_two_flat_feet(shape: str, tmp_path: Path) -> None:
     robot = load(biped(tmp_path, BIPED_FEET[shape]))
@@ -179,6 +183,7 @@ def test_the_contact_points_are_mujocos(tmp_path: Path) -> None:
     np.testing.assert_allclose(sorted(stand.depths.values()), depths, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> None:
     """By hand: force times lever, less the weight of the foot below the joint."""
     robot = load(biped(tmp_path))
@@ -196,6 +201,7 @@ def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> No
     assert held.joint_torques[ankle] == pytest.approx(-(about + foot)[1], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_sag_on_flat_feet_is_what_mujoco_settles_at(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     stand = pa.sunk_stand(robot)
@@ -206,6 +212,7 @@ def test_sag_on_flat_feet_is_what_mujoco_settles_at(tmp_path: Path) -> None:
     assert sag.height_loss > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ahead", "held"), [(0.088, True), (0.092, False)])
 def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_path: Path) -> None:
     """The soles, 0.18 m long, reach 0.09 m to either side of their middle."""
@@ -221,6 +228,7 @@ def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_pa
             pa.solve_stand(robot, task)
 
 
+@pytest.mark.slow
 def test_a_flat_foot_lies_flat_on_a_slope(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     ground = pa.Ground(slope=0.1, uphill=0.4)
@@ -231,6 +239,7 @@ def test_a_flat_foot_lies_flat_on_a_slope(tmp_path: Path) -> None:
     assert pa.verify_stand(robot, pa.sunk_stand(robot, stand.task)).passed
 
 
+@pytest.mark.slow
 def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     task = pa.StandTask(swing={"left_tilt_link": 0.03}, com="inside", com_margin=0.005)
@@ -243,6 +252,7 @@ def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
     assert held.contact_forces.keys() == set(robot.soles["right_tilt_link"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", sorted(BIPED_FEET.keys() - {"cylinder"}))  # its points turn
 def test_a_flat_foot_stands_on_a_step(shape: str, tmp_path: Path) -> None:
     robot = load(biped(tmp_path, BIPED_FEET[shape]))
@@ -258,6 +268,7 @@ def test_a_flat_foot_stands_on_a_step(shape: str, tmp_path: Path) -> None:
     assert max(found.torque_error, found.force_error) < 1e-4
 
 
+@pytest.mark.slow
 def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     heights = {"left_tilt_link": 0.02, "right_tilt_link": 0.045}
@@ -302,11 +313,13 @@ def test_the_margin_of_a_contact_counts(tmp_path: Path) -> None:
     stands(robot)
 
 
+@pytest.mark.slow
 def test_feet_of_a_robot_that_lies_are_found_all_the_same(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path, keyframe="0 2.4 -2.6"))
     assert len(robot.soles) == 4
 
 
+@pytest.mark.slow
 def test_a_base_frame_on_the_ground_between_the_feet(tmp_path: Path) -> None:
     """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been."""
     plain = load(biped(tmp_path))
@@ -322,6 +335,7 @@ def test_a_base_frame_on_the_ground_between_the_feet(tmp_path: Path) -> None:
     assert not [note for note in plain.notes if "below all limbs" in note]
 
 
+@pytest.mark.slow
 def test_preparing_changes_no_file(tmp_path: Path) -> None:
     pair = biped(tmp_path)
     before = pair.urdf.read_bytes(), pair.mjcf.read_bytes()
@@ -330,6 +344,7 @@ def test_preparing_changes_no_file(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_a_biped_squats_as_its_path_says(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     stances = [pa.StandTask(), pa.StandTask(height=robot.stand_height - 0.05), pa.StandTask()]
@@ -367,6 +382,7 @@ def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_pat
     stands(robot)
 
 
+@pytest.mark.slow
 def test_servos_that_let_it_fall_are_told_with_gains_that_would_not(tmp_path: Path) -> None:
     """As a Berkeley Humanoid's, of 1 to 15 N m/rad: they stay, and a line says what would hold."""
     pair = biped(tmp_path, damping=0.02)
@@ -413,6 +429,7 @@ def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) 
     stands(robot)
 
 
+@pytest.mark.slow
 def test_a_foot_that_is_a_lying_cylinder_in_the_urdf(tmp_path: Path) -> None:
     """As on a B2 or an M20: where the MJCF's foot is a sphere, the cylinder there is the same foot.
 
@@ -456,6 +473,7 @@ def test_bodies_that_overlap_are_kept_from_pushing(tmp_path: Path) -> None:
     stands(robot)
 
 
+@pytest.mark.slow
 def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     """The URDF counts one knee from 0.3 rad before the MJCF's zero: the same robot."""
     pair = quadruped(tmp_path)
@@ -495,6 +513,7 @@ def test_wrong_arguments_are_refused_by_name(wrong: dict[str, object], tmp_path:
         load(quadruped(tmp_path), **wrong)
 
 
+@pytest.mark.slow
 def test_a_prepared_robot_goes_to_another_process_and_is_the_same(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     again = pickle.loads(pickle.dumps(robot))
@@ -503,3 +522,17 @@ def test_a_prepared_robot_goes_to_another_process_and_is_the_same(tmp_path: Path
     one, two = (pa.sunk_stand(each) for each in (robot, again))
     np.testing.assert_array_equal(one.qpos, two.qpos)
     assert pa.verify_stand(again, two).torque_error < 1e-6
+
+
+def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
+    """Pi Plus' knees bend one way in the MJCF, and both in the URDF: it was thrown into the air."""
+    pair = quadruped(tmp_path, keyframe="")
+    assert 'range="-1.5 2.5"' in pair.mjcf.read_text()
+    pair.mjcf.write_text(pair.mjcf.read_text().replace('range="-1.5 2.5"', 'range="-1.5 0.6"'))
+    robot = load(pair)
+    assert "_pitch -1.5 to 0.6" in said(robot, "limits that are narrower in the MJCF")
+    names = [name for name in robot.joint_names if name.endswith("_pitch")]
+    found = dict(zip(robot.joint_names, robot.home[7:].tolist(), strict=True))
+    assert max(found[name] for name in names) <= 0.6
+    stands(robot)
+    assert not [note for note in load(quadruped(tmp_path)).notes if "limits" in note]

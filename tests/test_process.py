@@ -64,6 +64,7 @@ class Full(io.RawIOBase):
         raise OSError(self.number, os.strerror(self.number))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "status"), [(errno.ENOSPC, 2), (errno.EIO, 2), (errno.EPIPE, 0)]
 )
@@ -95,6 +96,7 @@ def test_a_stream_that_works_is_written_to() -> None:
     assert not stream.isatty()
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
     process = start(
         *COMMAND, "workspace", "v3", "--json", "out.json", "--figure", "out.png", cwd=tmp_path
@@ -109,6 +111,7 @@ def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
     assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
 def test_any_encoding_will_do(encoding: str, tmp_path: Path) -> None:
     process = start(
@@ -123,6 +126,7 @@ def test_any_encoding_will_do(encoding: str, tmp_path: Path) -> None:
     assert "\\u" in out or "≤" in out or "±" in out
 
 
+@pytest.mark.slow
 def test_closed_standard_output_is_no_error(tmp_path: Path) -> None:
     code = "import os, sys; os.close(1); os.close(2); os.execv(sys.executable, sys.argv[1:])"
     command = (sys.executable, "-c", code, *COMMAND, "workspace", "v3", "--json", "out.json")
@@ -135,6 +139,7 @@ def test_closed_standard_output_is_no_error(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- signals
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "status", "word"),
     [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
@@ -151,6 +156,7 @@ def test_a_signal_is_one_line(
     assert not (tmp_path / "out.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["click", "rich.console", "pupper_analysis.cli.stances"])
 def test_ctrl_c_while_it_is_loaded_is_one_line(module: str, tmp_path: Path) -> None:
     """A signal at a known moment of the start: while a module is imported."""

@@ -63,6 +63,7 @@ def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool
 # ------------------------------------------------------------------------------------- limits
 
 
+@pytest.mark.slow
 def test_every_variant_has_limits_in_every_direction(variant: str) -> None:
     robot, result = load(variant), pushed(variant)
     np.testing.assert_allclose(result.directions, np.radians([0, 90, 180, 270]))
@@ -80,6 +81,7 @@ def test_every_variant_has_limits_in_every_direction(variant: str) -> None:
     assert len(result.to_dict()["impulses"]) == 4
 
 
+@pytest.mark.slow
 def test_left_and_right_are_alike(variant: str) -> None:
     """v3's rear feet are not quite: 90 and 91 mm from its middle."""
     result = pushed(variant)
@@ -87,6 +89,7 @@ def test_left_and_right_are_alike(variant: str) -> None:
     assert result.tipping_estimate[1] == pytest.approx(result.tipping_estimate[3], rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "index"), [("original", 0), ("original", 1), ("v3", 2)])
 def test_limit_in_a_plain_loop(name: str, index: int) -> None:
     result = pushed(name)
@@ -96,6 +99,7 @@ def test_limit_in_a_plain_loop(name: str, index: int) -> None:
     assert not plain_push(name, angle, impulse + 1.02 * result.resolution, 3.0)
 
 
+@pytest.mark.slow
 def test_deterministic() -> None:
     arguments: dict[str, Any] = {**COARSE, "directions": 3, "resolution": 0.2}
     one, two = (push_recovery(load("v3"), stand_of("v3"), **arguments) for _ in range(2))
@@ -128,6 +132,7 @@ def rigid(friction: float) -> Callable[[mujoco.MjModel], None]:
     return change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
     """The limit goes to the closed form of a rigid body that rolls over two feet."""
@@ -142,6 +147,7 @@ def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
     np.testing.assert_allclose(result.impulses / result.tipping_estimate, 1.03, atol=0.05)
 
 
+@pytest.mark.slow
 def test_compliance_costs_what_stiffness_keeps() -> None:
     """v3's soft servos fold up long before it would tip."""
     soft = pushed("v3-long-leg")
@@ -156,6 +162,7 @@ def test_compliance_costs_what_stiffness_keeps() -> None:
     assert (stiff.impulses > 1.1 * soft.impulses).all()
 
 
+@pytest.mark.slow
 def test_slippery_floor_lets_it_slide_instead_of_tipping() -> None:
     def ice(model: mujoco.MjModel) -> None:
         model.geom_friction[:, 0] = 0.2

@@ -87,6 +87,7 @@ def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Pa
     assert "FL_foot lifted 10 mm" in out
 
 
+@pytest.mark.slow
 def test_a_variant_and_a_derived_one(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = tmp_path / "all.json"
     arguments = ("original", "--leg-scale", "1.2", "--json", str(file))

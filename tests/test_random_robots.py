@@ -36,6 +36,7 @@ def check(seed: int, folder: Path) -> None:
         assert found == "holds", (seed, drawn.said)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", QUICK)
 def test_a_random_robot_stands_as_published_or_says_why_not(seed: int, tmp_path: Path) -> None:
     check(seed, tmp_path)
@@ -48,7 +49,7 @@ def test_the_quick_ones_are_of_all_kinds() -> None:
     assert kinds | legs <= said
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("start", range(100, 140, 10))
 def test_random_robots_stand_as_published_or_say_why_not(start: int, tmp_path: Path) -> None:
     for seed in range(start, start + 10):

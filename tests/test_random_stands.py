@@ -78,6 +78,7 @@ def test_inside_is_found_where_a_joint_is_at_its_limit(name: str) -> None:
 # ------------------------------------------------------------------------------------- the checks
 
 
+@pytest.mark.slow
 def test_the_check_sees_a_stand_that_is_a_little_off() -> None:
     robot = load("v3")
     for task in (

@@ -21,6 +21,7 @@ PAGES = [*ROOT.glob("[!C]*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "exampl
 SNIPPETS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("snippet", SNIPPETS, ids=range(len(SNIPPETS)))
 def test_snippet_runs(snippet: str, tmp_path: Path) -> None:
     result = subprocess.run(
@@ -87,6 +88,7 @@ README_COMMANDS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", README_COMMANDS)
 def test_a_command_runs(command: str, tmp_path: Path) -> None:
     urdf, mjcf = pa.write_variant("heavy", tmp_path / "written")

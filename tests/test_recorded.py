@@ -11,7 +11,7 @@ import pytest
 from conftest import NAMES
 from recorded import COARSE, FILE, JOBS, computed, products, setting
 
-JOBS_AND_MARKS = [pytest.param(n, marks=pytest.mark.slow if JOBS[n].slow else ()) for n in JOBS]
+JOBS_AND_MARKS = [pytest.param(n, marks=pytest.mark.longest if JOBS[n].slow else ()) for n in JOBS]
 
 
 @cache

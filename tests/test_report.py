@@ -28,6 +28,7 @@ def printed(*analyses: pa.Analysis) -> str:
     return out.file.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3-heavy"])
 def test_nothing_is_cut_off(name: str) -> None:
     for line in printed(analysis(name)).splitlines():
@@ -58,6 +59,7 @@ def test_zeros_have_no_minus() -> None:
     assert "-0.0000" not in printed(analysis("original"))
 
 
+@pytest.mark.slow
 def test_ratios() -> None:
     base = pa.load_variant("original")
     one = analysis("original")

@@ -220,6 +220,7 @@ def test_slopes_steps_and_three_legs(name: str, what: str) -> None:
             np.testing.assert_allclose(pose.contact_forces[foot], force, atol=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["heavy", "v3"])
 def test_creep_in_time(name: str) -> None:
     """Sliding down a slope, and towards the sliding equilibrium on the level."""
@@ -242,6 +243,7 @@ def test_creep_in_time(name: str) -> None:
     assert away[2] < 0.05 * away[0] + 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "heavy"])
 def test_feet_slip_as_it_is_let_go_where_that_is_said(name: str) -> None:
     """Against simulations: with margin to spare the height is exact, and below zero it is not."""
@@ -286,6 +288,7 @@ LANDING = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "foot", "height", "kp"), LANDING)
 def test_a_lifted_foot_that_comes_down_carries(
     name: str, foot: str, height: float, kp: float
@@ -502,6 +505,7 @@ def test_a_search_that_goes_round_is_given_up(monkeypatch: pytest.MonkeyPatch) -
     assert sum(lost) < 10 * len(lost)  # all took 25 steps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("torso", [1.0, 3.0, 5.0])
 def test_a_search_that_finds_something_does_not_go_round(
     monkeypatch: pytest.MonkeyPatch, torso: float

@@ -106,6 +106,7 @@ def test_trees_that_differ_in_numbers_share_data(written: Written, workspaces: l
     assert len(workspaces) <= 3
 
 
+@pytest.mark.slow
 def test_a_large_robot_is_compared_without_pinocchios_data(
     written: Written, workspaces: list[int]
 ) -> None:
@@ -125,6 +126,7 @@ def test_a_large_robot_is_compared_without_pinocchios_data(
     assert set(edges) == {"models (MuJoCo)", "models (reader)", "readers (URDF)", "extras (MJCF)"}
 
 
+@pytest.mark.slow
 def test_a_large_robot_that_agrees(written: Written) -> None:
     urdf, mjcf = written(60, 4)
     result = pa.compare_models(urdf, mjcf)
@@ -185,6 +187,7 @@ def _calls(work: Callable[[], object]) -> int:
     return count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("heavier", [0, 5])
 def test_twice_the_robot_is_twice_the_work(written: Written, heavier: int) -> None:
     one, two = written(52, 4, heavier), written(104, 4, heavier)

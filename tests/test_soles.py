@@ -26,6 +26,7 @@ def holds(robot: Robot, task: pa.StandTask | None = None, *, within: float) -> p
     return stand
 
 
+@pytest.mark.slow
 def test_a_sole_of_a_mesh_has_balls_at_its_corners(tmp_path: Path) -> None:
     """MuJoCo's contacts of a mesh with many vertices jump as loads shift: by 1.4 % on an H1-2."""
     pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
@@ -49,6 +50,7 @@ def test_a_sole_of_a_mesh_has_balls_at_its_corners(tmp_path: Path) -> None:
     holds(robot, pa.StandTask(offset=(0.02, 0.015)), within=1e-3)
 
 
+@pytest.mark.slow
 def test_a_sole_of_a_mesh_with_four_corners_touches_itself(tmp_path: Path) -> None:
     """A box as a mesh has its four corners in contact, however it tilts."""
     box = " ".join(
@@ -77,6 +79,7 @@ def test_the_corners_of_a_hull_are_those_that_matter() -> None:
     assert corners(line, np.array([0.0, 0.0, 1.0]), 1e-3) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["box", "four spheres", "two capsules"])
 def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
     """Roll at the hip; pitch at hip, knee and ankle: as TRON 1's. The com is 2 um aside."""
@@ -90,6 +93,7 @@ def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
     holds(robot, pa.StandTask(height=0.95 * robot.stand_height), within=1e-2)
 
 
+@pytest.mark.slow
 def test_a_sole_that_is_not_quite_level_lies_as_the_leg_lays_it(tmp_path: Path) -> None:
     """By a mesh's last digits: no roll of the foot can mend it."""
     foot = BIPED_FEET["box"].replace("/>", ' euler="3e-6 0 0"/>')
@@ -97,6 +101,7 @@ def test_a_sole_that_is_not_quite_level_lies_as_the_leg_lays_it(tmp_path: Path) 
     holds(load(pair), within=1e-2)
 
 
+@pytest.mark.slow
 def test_what_legs_of_four_joints_cannot_do_is_refused(tmp_path: Path) -> None:
     robot = load(held(biped(tmp_path), "_yaw", "_tilt"))
     task = pa.StandTask(foot_offsets={"left_tilt_link": (0.0, 0.03)})

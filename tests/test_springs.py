@@ -81,10 +81,12 @@ def test_a_quadruped_with_springs_stands_as_predicted(joint: str, tmp_path: Path
     verified(robot)
 
 
+@pytest.mark.slow
 def test_a_biped_with_springs_stands_as_predicted(tmp_path: Path) -> None:
     verified(load(with_springs(biped(tmp_path), "_ankle")))
 
 
+@pytest.mark.slow
 def test_springs_of_tendons_count(tmp_path: Path) -> None:
     """A tendon of length a + 0.5 b pulls with k (rest - length): by 1 and 0.5 of that."""
     pair = quadruped(tmp_path)
@@ -102,6 +104,7 @@ def test_springs_of_tendons_count(tmp_path: Path) -> None:
     verified(robot)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motors", [False, True])
 def test_gravity_compensation_takes_weight_off_motors_and_feet(
     motors: bool, tmp_path: Path
@@ -121,6 +124,7 @@ def test_gravity_compensation_takes_weight_off_motors_and_feet(
     verified(robot, stand)
 
 
+@pytest.mark.slow
 def test_the_stiffness_of_springs_counts_in_the_sag(tmp_path: Path) -> None:
     robot = load(with_springs(quadruped(tmp_path), "_knee"))
     stand = pa.solve_stand(robot)
@@ -168,6 +172,7 @@ def test_many_states_at_once_are_the_same(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.joint_torques[1], torques_at(robot, qpos), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_closed_loop_is_named_where_a_stand_fails_by_it(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     couple = '<equality><joint name="tied" joint1="FL_knee" joint2="FR_pitch" polycoef="0.5 1"/>'

@@ -34,6 +34,7 @@ THREE_LEGS = ("--swing", "RR=0.01", "--com", "inside", "--com-margin", "0.01")
 OURS = ("stand", "workspace", "payload", "best", "path", "push")
 
 
+@pytest.mark.slow
 def test_workspace(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path, figure = tmp_path / "all.json", tmp_path / "workspace.png"
     output = ("--json", str(path), "--figure", str(figure))
@@ -51,6 +52,7 @@ def test_workspace(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
 
 
+@pytest.mark.slow
 def test_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     arguments = ("original", "--at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")
@@ -113,6 +115,7 @@ def test_best_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None
     assert "payload at (0, 0, 80) mm" in out
 
 
+@pytest.mark.slow
 def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     csv, npz, file = tmp_path / "way.csv", tmp_path / "way.npz", tmp_path / "all.json"
     output = ("--csv", str(csv), "--npz", str(npz), "--json", str(file))
@@ -134,6 +137,7 @@ def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path)
     np.testing.assert_allclose(arrays["qpos"][0], solve_stand(robot).qpos, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_fastest_path(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = tmp_path / "all.json"
     arguments = ("original", "--height", "0.14", "--fastest", "--json", str(file))
@@ -216,6 +220,7 @@ BAD = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_one_line_and_exit_status_2(
     case: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -27,6 +27,7 @@ from pupper_analysis.report import stance as stance_report
 from pupper_analysis.report.figures.pose import pose_figure
 
 
+@pytest.mark.slow
 def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     arguments = ("v3", "--swing", "FL=0.02", "--com", "inside", "--com-margin", "0.01")
@@ -191,6 +192,7 @@ BAD = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_one_line_and_exit_status_2(
     case: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -12,8 +12,9 @@ import pytest
 from conftest import NAMES, SKELETON_NAMES, load, mujoco_at
 
 import pupper_analysis as pa
-from pupper_analysis.robot.build import build_robot, floor_of
+from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.floor import floor_of
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.support_polygon import com_margin
@@ -90,6 +91,7 @@ def test_a_stance_is_what_was_asked(name: str, kind: str) -> None:
         assert statics.friction_utilisation[foot] <= 1 + 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_three_legs_hold_for_six_seconds(name: str) -> None:
     """Each foot in turn, 20 mm high, with the com 10 mm inside the triangle of the others."""
@@ -188,6 +190,7 @@ def test_another_branch_of_a_leg_reaches_it(task: pa.StandTask) -> None:
     assert pa.solve_stand(robot, replace(task, ik_seed=ik_seed)).solved
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "task", "demand", "degrees"),
     [
@@ -315,6 +318,7 @@ def test_a_stance_at_the_end_of_reach_is_found(name: str) -> None:
     assert com_margin(com, stand.contact_points) > task.com_margin - 1e-9
 
 
+@pytest.mark.slow
 def test_the_nearest_stance_keeps_what_is_left_of_the_com_margin() -> None:
     """On three legs with a foot lifted high, reach pulls the com to the edge: the margin binds."""
     robot = load("original")

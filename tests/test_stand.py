@@ -276,6 +276,7 @@ def test_refusals_carry_their_limits_as_numbers() -> None:
             pa.solve_stand(robot, replace(task, **{demand: beyond}), explain=False)
 
 
+@pytest.mark.slow
 def test_two_demands_that_are_each_too_much() -> None:
     """To give up one of them does not help; the smallest set that does is named."""
     robot = load("v3")

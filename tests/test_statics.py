@@ -14,6 +14,7 @@ from scipy import linalg, optimize
 
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.statics.cone_program import Balance
 from pupper_analysis.statics.support_polygon import com_margin
 
 GRAVITY = 9.81  # [m/s^2]
@@ -155,6 +156,7 @@ def joint_torques(
     return torques[6:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.15, 0.8])
 @settings(max_examples=30)
 @given(config=near_stands, seed=st.integers(0, 1000))
@@ -781,3 +783,20 @@ def test_a_fixed_base_has_no_contacts() -> None:
 def test_a_foot_given_as_a_string_is_not_taken_for_its_letters() -> None:
     with pytest.raises(pa.PupperAnalysisError):
         pa.gravity_compensation(at_stand("v3"), "FR")
+
+
+@pytest.mark.parametrize("torqueless", [0, 1, 2])
+@pytest.mark.parametrize("feet", [3, 4, 8])
+def test_least_torques_are_found_in_the_null_space(feet: int, torqueless: int) -> None:
+    """Also where some forces cost no torque: then they are the shortest that are found there."""
+    random = np.random.default_rng(feet)
+    base, joints = random.normal(size=(6, 3 * feet)), random.normal(size=(12, 3 * feet))
+    free = linalg.null_space(base)
+    idle = free[:, :torqueless]
+    joints -= joints @ idle @ idle.T
+    weight, torques = random.normal(size=6), random.normal(size=12)
+    problem = Balance(base, weight, joints, torques, np.tile(UP, (feet, 1)))
+    found = problem.solve(None, problem.joints, problem.torques)
+    particular = np.linalg.pinv(base) @ weight
+    best = np.linalg.pinv(joints @ free, rcond=1e-10) @ (torques - joints @ particular)
+    np.testing.assert_allclose(found, particular + free @ best, rtol=0, atol=1e-11)

@@ -100,6 +100,7 @@ def test_a_failure_map_has_the_reason_where_it_is(table: pd.DataFrame, tmp_path:
     assert bad[0] > bad[1] + 0.3  # red
 
 
+@pytest.mark.slow
 def test_the_other_figures_are_drawn(table: pd.DataFrame, tmp_path: Path) -> None:
     figures.parallel_coordinates(table, ["x", "y", "m"], "m", tmp_path / "parallel.png")
     figures.pareto_figure(table, {"x": "max", "m": "min"}, tmp_path / "front.png")
@@ -127,6 +128,7 @@ POINT = (0.05, 0.02, 0.03)
 TASKS = [pa.StandTask(), pa.StandTask(roll=0.1, pitch=0.08, height=0.12)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS, ids=["nominal", "tilted"])
 def test_derivatives_are_what_differences_say(task: pa.StandTask) -> None:
     """Central differences of whole designs, stand and equilibrium solved anew."""
@@ -172,6 +174,7 @@ def test_derivatives_that_are_not_there_are_refused() -> None:
 # ----------------------------------------------------------------------------- Sobol's indices
 
 
+@pytest.mark.slow
 def test_sobols_indices_of_a_known_function(tmp_path: Path, thread: Executor) -> None:
     """Of a product of independent factors, in closed form; together they make a share of it."""
     vary = {"kp": pa.uniform(2.0, 8.0), "kd": pa.uniform(0.1, 0.9)}
@@ -192,7 +195,7 @@ def test_sobols_indices_of_a_known_function(tmp_path: Path, thread: Executor) ->
     assert again == {"product_of_gains": found}
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_for_small_spreads_derivatives_say_the_same(tmp_path: Path, thread: Executor) -> None:
     """Within 5 % of the variance, and the deviation of the samples within 5 %."""
     vary = {
@@ -267,7 +270,7 @@ def test_spreads_are_narrowed_about_their_means() -> None:
     assert study.variables["slope"] == pa.values([0.0, 0.1])
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_the_tightest_tolerance_is_the_quantile(tmp_path: Path, thread: Executor) -> None:
     """Motors of a normal strength, and stiff servos: it stands above the least strength, k.
 
@@ -317,6 +320,7 @@ def searched() -> pa.Study:
     return pa.Study("v3", vary, ["servo_sag", "stands", study_measures.knee_bend], samples=1)
 
 
+@pytest.mark.slow
 def test_a_search_finds_what_a_grid_finds(tmp_path: Path, thread: Executor) -> None:
     """The longest legs that sag by 8 mm at most, with the stiffest servos: from a fine grid."""
     options = {"maximise": ["leg_scale"], "subject_to": {"servo_sag": (None, 8e-3)}, "trials": 48}
@@ -333,6 +337,7 @@ def test_a_search_finds_what_a_grid_finds(tmp_path: Path, thread: Executor) -> N
     assert len(pa.read_study(tmp_path / "search", everything=True)) == 48
 
 
+@pytest.mark.slow
 def test_a_search_of_two_measures_gives_a_front(tmp_path: Path, thread: Executor) -> None:
     found = optimise(
         searched(),

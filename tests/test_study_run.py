@@ -52,6 +52,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 # ----------------------------------------------------------------------------- the table
 
 
+@pytest.mark.slow
 def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
     assert len(undisturbed) == 12
     assert list(undisturbed.columns[:4]) == ["design", "leg_scale", "slope", "kp"]
@@ -77,6 +78,7 @@ def test_what_fails_is_a_row_with_its_reason(undisturbed: pd.DataFrame) -> None:
     assert others["servo_sag"].notna().all()
 
 
+@pytest.mark.slow
 def test_failures_of_all_kinds(threads: Executor, tmp_path: Path) -> None:
     vary = {"height": [0.12, 0.5], "slope": [0.0, 1.2], "mass:leg_*_3": pa.normal(1.0, 1e-3)}
     table = study(vary, "peak_utilisation", study_measures.fails, samples=32).run(
@@ -129,6 +131,7 @@ class Backwards(Executor):
         return future
 
 
+@pytest.mark.slow
 def test_threads_processes_and_any_order_give_the_same_bits(
     undisturbed: pd.DataFrame, tmp_path: Path, threads: Executor
 ) -> None:
@@ -141,7 +144,7 @@ def test_threads_processes_and_any_order_give_the_same_bits(
     same(ordered[undisturbed.columns], undisturbed)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_dask_gives_the_same_bits(undisturbed: pd.DataFrame, tmp_path: Path) -> None:
     from pupper_analysis.study.dask import cluster
 
@@ -168,6 +171,7 @@ def counted(seen: list[int]) -> Any:
     return lambda progress: seen.append(progress.done)
 
 
+@pytest.mark.slow
 def test_what_is_there_is_not_done_again(
     undisturbed: pd.DataFrame, tmp_path: Path, threads: Executor
 ) -> None:
@@ -207,6 +211,7 @@ def test_what_comes_twice_is_done_once(tmp_path: Path, threads: Executor) -> Non
     assert len(table) == table["design"].nunique()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sole", [False, True], ids=["spheres", "boxes"])
 def test_a_pair_of_files_as_published(sole: bool, tmp_path: Path, threads: Executor) -> None:
     """Joints of other names, torque motors, no floor: factors are in both of its models."""
@@ -268,7 +273,8 @@ def test_other_files_are_other_designs(tmp_path: Path) -> None:
 HEAVY = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs more than 4 kg
 
 
-@pytest.mark.parametrize("guilty", [pytest.param("crashes", marks=pytest.mark.slow), "hangs"])
+@pytest.mark.slow
+@pytest.mark.parametrize("guilty", [pytest.param("crashes", marks=pytest.mark.longest), "hangs"])
 def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) -> None:
     measure = getattr(study_measures, guilty)
     made = study(HEAVY, measure, time_limit=3.0)
@@ -279,7 +285,7 @@ def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) ->
     assert made.execute(tmp_path, workers=1).done == 0  # marked for good
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_worker_that_is_killed_once_costs_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -289,7 +295,7 @@ def test_a_worker_that_is_killed_once_costs_nothing(
     assert list(table["crashes_once"]) == [1.0] * 5
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_given_executor_that_breaks_loses_nothing_that_is_done(tmp_path: Path) -> None:
     made = study(HEAVY, study_measures.crashes)
     with (
@@ -369,7 +375,7 @@ def left_over(session: int) -> list[int]:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="it looks into /proc")
-@pytest.mark.slow
+@pytest.mark.longest
 def test_killed_at_any_moment_it_goes_on(tmp_path: Path) -> None:
     """The parent is killed after some rows, again and again; no row is lost, doubled or halved."""
     script = tmp_path / "script.py"
@@ -396,6 +402,7 @@ def test_killed_at_any_moment_it_goes_on(tmp_path: Path) -> None:
         same(pa.read_study(folder), slow_study().run(tmp_path / "other", executor=executor))
 
 
+@pytest.mark.slow
 def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
     """The second is refused, in this process and in another; a dead run does not hold it."""
     refusals = []
@@ -435,6 +442,7 @@ def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
     assert study({"kp": [5.0]}).execute(tmp_path, executor=threads).there == 1
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_whole_shards(
     tmp_path: Path, threads: Executor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -489,6 +497,7 @@ kp = [0.2, 10]
 """
 
 
+@pytest.mark.slow
 def test_the_command(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file, folder = tmp_path / "legs.toml", tmp_path / "legs"
     file.write_text(LEGS)
@@ -539,7 +548,7 @@ def test_the_command_refuses_before_anything_runs(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_ctrl_c_leaves_a_folder_to_go_on_with(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(
         'robot = "v3"\nmeasure = ["study_measures:slow"]\n[vary]\n'

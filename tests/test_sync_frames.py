@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from robots import (
     Files,
+    Parts,
     arm,
     changed,
     mjcf_text,
@@ -45,6 +47,7 @@ def agree(files: Files) -> bool:
     return compared.agree and max(compared.deviations.values()) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 @pytest.mark.parametrize(("link", "values"), CHANGES, ids=[str(i) for i in range(len(CHANGES))])
 def test_link_frames_that_are_turned(
@@ -71,6 +74,7 @@ def test_link_frames_that_are_turned(
                 assert numbers[0] == pytest.approx(numbers[1], rel=1e-11, abs=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 @pytest.mark.parametrize(
     ("link", "values"),
@@ -93,17 +97,18 @@ def test_an_arm_on_a_base_that_stands_somewhere(
         assert 1 <= len(result.edits) <= 2
 
 
+def another_zero(**more: Any) -> Parts:
+    """The robot with a knee's zero, and its limits with it, 0.4 rad elsewhere; and more changes."""
+    part = ROBOT["shank1"]
+    turned = turned_about(part, part.axis, 0.4)
+    limits = {"lower": part.lower - 0.4, "upper": part.upper - 0.4}
+    return changed(ROBOT, "shank1", quaternion=turned, **limits, **more)
+
+
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 def test_a_zero_that_is_elsewhere(tmp_path: Path, side: str) -> None:
     """The limits move along: it is one difference, and two or three attributes."""
-    part = ROBOT["shank1"]
-    moved = changed(
-        ROBOT,
-        "shank1",
-        quaternion=turned_about(part, part.axis, 0.4),
-        lower=part.lower - 0.4,
-        upper=part.upper - 0.4,
-    )
+    moved = another_zero()
     files = write(tmp_path, urdf_text(ROBOT), mjcf_text(moved))
     result = pa.sync_models(*files, take=side)
     assert [(d.kind, d.element) for d in result.differences] == [("zero", "knee1")]
@@ -115,15 +120,7 @@ def test_a_zero_that_is_elsewhere(tmp_path: Path, side: str) -> None:
 
 
 def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) -> None:
-    part = ROBOT["shank1"]
-    moved = changed(
-        ROBOT,
-        "shank1",
-        quaternion=turned_about(part, part.axis, 0.4),
-        lower=part.lower - 0.4,
-        upper=part.upper - 0.4,
-        position=(0.01, 0.08, -0.2),
-    )
+    part, moved = ROBOT["shank1"], another_zero(position=(0.01, 0.08, -0.2))
     for side in ("urdf", "mjcf"):
         files = write(tmp_path, urdf_text(ROBOT), mjcf_text(moved))
         result = pa.sync_models(*files, take=f"{side}:position")
@@ -134,6 +131,7 @@ def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) 
         assert [float(word) for word in edit.new.split()] == pytest.approx(list(there), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_another_frame_of_the_base_is_left(tmp_path: Path) -> None:
     """And what differs beside it is written in the file's own frame."""
     c, s = math.cos(0.15), math.sin(0.15)
@@ -165,6 +163,7 @@ def test_another_frame_of_the_base_is_left(tmp_path: Path) -> None:
         assert [edit.attribute for edit in result.edits] == ["mass" if side == "urdf" else "value"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 def test_frames_of_an_mjcf_count(tmp_path: Path, side: str) -> None:
     """Bodies, joints and sites in a <frame> state their places in that."""

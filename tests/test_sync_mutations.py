@@ -258,6 +258,7 @@ def restored(pair: Pair, seed: int) -> str | None:
             file.write_bytes(text.encode())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 def test_a_few_mutations_are_undone(model: str, folder: Path) -> None:
     pair = written(model, folder / model)
@@ -265,7 +266,7 @@ def test_a_few_mutations_are_undone(model: str, folder: Path) -> None:
     assert sum(one is not None for one in done) >= 1
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("model", MODELS)
 def test_many_mutations_are_undone(model: str, folder: Path) -> None:
     pair = written(model, folder / model)

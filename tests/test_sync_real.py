@@ -20,7 +20,7 @@ PAIRS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 @pytest.mark.parametrize("robot", PAIRS)
 def test_published_files_are_made_to_agree(robot: str, side: str, tmp_path: Path) -> None:

@@ -57,6 +57,7 @@ def test_feet_that_roll_are_where_the_path_has_them(kind: str) -> None:
     assert rolling.orientation_error < 0.9 * pinned.orientation_error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.4, 1.0, 4.0])
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_torques_in_motion_are_confirmed_at_any_speed(name: str, seconds: float) -> None:
@@ -72,6 +73,7 @@ def test_torques_in_motion_are_confirmed_at_any_speed(name: str, seconds: float)
         assert inertia > 4 * tracking.torque_error
 
 
+@pytest.mark.slow
 def test_an_integrators_own_error_is_kept_small() -> None:
     """The skeleton's 4 ms, implicit, are good for standing, and not for a fast path."""
     robot = load("original")
@@ -84,6 +86,7 @@ def test_an_integrators_own_error_is_kept_small() -> None:
     assert explicit.torque_error == pytest.approx(fine.torque_error, abs=0.02)
 
 
+@pytest.mark.slow
 def test_what_fails_is_said() -> None:
     robot = load("v3")
     path = path_of("v3", "lift")

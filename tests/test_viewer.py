@@ -198,8 +198,8 @@ def test_macos_is_told_of_mjpython(monkeypatch: pytest.MonkeyPatch) -> None:
     from mujoco import viewer as mujoco_viewer
 
     monkeypatch.setattr(sys, "platform", "darwin")
-    monkeypatch.setattr(sys, "argv", ["scripts/view_pupper.py", "--fixed"])
-    with pytest.raises(window.DisplayError, match=r"mjpython scripts/view_pupper\.py --fixed"):
+    monkeypatch.setattr(sys, "argv", ["scripts/view_pupper.py", "--fixed-base"])
+    with pytest.raises(window.DisplayError, match=r"mjpython scripts/view_pupper\.py --fixed-base"):
         window.check_display()
     monkeypatch.setattr(mujoco_viewer, "_MJPYTHON", object())
     window.check_display()

@@ -32,6 +32,7 @@ def test_the_highest_stand_has_straight_legs() -> None:
     assert not reached(robot, pa.StandTask(heights.high + 3e-4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "long-leg"])
 def test_limits_are_tight_in_every_direction(name: str) -> None:
     robot = load(name)
@@ -74,6 +75,7 @@ def test_the_task_is_where_it_begins() -> None:
     )
 
 
+@pytest.mark.slow
 def test_com_keeps_its_margin() -> None:
     """A shift ends where the com is as near to the polygon's edge as the task allows."""
     robot = load("original")
@@ -87,6 +89,7 @@ def test_com_keeps_its_margin() -> None:
         assert com_margin(com, stand.contact_points) == pytest.approx(0.07, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_com_anywhere_inside_stays_where_the_stand_has_it() -> None:
     robot = load("v3")
     task = pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)

@@ -14,6 +14,7 @@ from pupper_analysis.report.figures import style
 from pupper_analysis.report.figures import workspace as workspace_figure
 
 
+@pytest.mark.slow
 def test_every_direction_has_its_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
     save = style.save

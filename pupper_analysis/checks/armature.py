@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+
+import numpy as np
 
 from pupper_analysis.checks.behaviour import Behaviour
 from pupper_analysis.checks.differences import Armature, Difference, Judge
 from pupper_analysis.models.parameters import Parameters
+
+_ALIKE = 1.25
+"""Of two legs one carries no more than this of what the other does below a joint: front and hind
+legs differ by percents."""
+
+_AWAY = 0.01  # m: nor is the joint further from the one above it
 
 
 def armature_differences(
@@ -33,29 +41,51 @@ def armature_differences(
 def _unusual_armatures(values: Parameters) -> dict[str, float]:
     """Returns the joints whose armature differs from that of most at the same place of a leg.
 
-    Joints are at the same place if as many joints are above as below them.
+    Joints are at the same place if as many joints are above as below them, and they carry about as
+    much: a neck is no leg, nor is an arm.
 
     Returns:
         {joint: the usual armature there}.
     """
     places: dict[tuple[int, int], list[str]] = {}
     depth = {values.base: 0}
+    carried = {name: values.bodies[name].mass for name in values.joints}
     below = dict.fromkeys(values.joints, 0)
     for name, joint in values.joints.items():
         depth[name] = depth[joint.parent] + 1
         ancestor = joint.parent
         while ancestor != values.base:
             below[ancestor] += 1
+            carried[ancestor] += values.bodies[name].mass
             ancestor = values.joints[ancestor].parent
     for name in values.joints:
         places.setdefault((depth[name], below[name]), []).append(name)
     unusual: dict[str, float] = {}
-    for names in places.values():
+    for names in (group for place in places.values() for group in _alike(place, carried, values)):
         found = Counter(values.joints[name].armature for name in names)
         usual, count = found.most_common(1)[0]
         if 2 * count > len(names) >= 3:
-            unusual |= {n: usual for n in names if values.joints[n].armature != usual}
+            # A value that a mirror image has too is meant: thumbs among fingers.
+            odd = {armature for armature, times in found.items() if times == 1}
+            unusual |= {n: usual for n in names if values.joints[n].armature in odd}
     return unusual
+
+
+def _alike(
+    names: list[str], carried: Mapping[str, float], values: Parameters
+) -> Iterator[list[str]]:
+    """Yields joints in groups of those that carry about as much, as far from the joint above."""
+    left = sorted(names, key=carried.__getitem__)
+    away = {name: float(np.linalg.norm(values.joints[name].position)) for name in names}
+    while left:
+        group = [left.pop(0)]
+        for name in list(left):
+            if carried[name] > _ALIKE * carried[group[-1]]:
+                break
+            if abs(away[name] - away[group[0]]) < _AWAY:
+                group.append(name)
+                left.remove(name)
+        yield group
 
 
 def armature_of(

@@ -20,6 +20,7 @@ from pupper_analysis.checks.states import check_states
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import trees
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.results import Tabular
@@ -86,6 +87,7 @@ class Comparison(Tabular):
 
 
 @checked
+@quiet()
 def compare_models(
     urdf: str | Path,
     mjcf: str | Path,

@@ -155,9 +155,6 @@ def with_zero(values: Parameters, name: str, offset: float) -> Parameters:
     return replace(values, joints={**values.joints, name: moved})
 
 
-# ------------------------------------------------------------------------------------- the base
-
-
 def _base(
     first: Parameters, second: Parameters, tolerances: Tolerances, *, fixed: bool
 ) -> pin.SE3 | None:
@@ -263,9 +260,6 @@ def quarters() -> Iterator[Array]:
                 yield matrix
 
 
-# ------------------------------------------------------------------------------------- the URDF
-
-
 def rewrite(root: etree._Element, link: str, found: Conventions, first: Parameters) -> None:
     """Gives a URDF the MJCF's conventions, in place: another base frame, other zeros.
 
@@ -318,9 +312,6 @@ def _set_origin(element: etree._Element, pose: pin.SE3) -> None:
     rpy = Rotation.from_matrix(pose.rotation).as_euler("xyz")
     for key, values in (("xyz", pose.translation), ("rpy", rpy)):
         origin.set(key, " ".join(repr(float(value)) for value in values))
-
-
-# ------------------------------------------------------------------------------------- words
 
 
 def convention_changes(

@@ -34,6 +34,7 @@ ORDER = (
     "spring",
     "damping polynomial",
     "gravity compensation",
+    "dry friction",
     "tendon",
     "actuator",
     "motor",

@@ -35,6 +35,7 @@ from pupper_analysis.checks.size import affordable, is_large, size_notes, some_o
 from pupper_analysis.checks.states import States, check_states, random_states
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
+from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.parameters import from_pinocchio
 from pupper_analysis.models.xml import parse_text
@@ -139,6 +140,7 @@ class CrossCheck(Result):
 
 
 @checked
+@quiet()
 def cross_check(
     robot: Robot,
     *,

@@ -15,6 +15,7 @@ from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.robot.robot import Robot
 
 
@@ -68,8 +69,9 @@ def drop_other_objects(
     """Keeps the largest tree of joints: a scene may have loose objects besides the robot.
 
     Beside a robot on a fixed base, a table or a wall would count as part of that base, unless it
-    has the name of one of the URDF's links. So do limbs that stand in the world itself, because
-    the base was fused with it. (Without a URDF, of two versions of an MJCF, neither is known.)
+    has the name of one of the URDF's links; beside a free one, as part of its com. Limbs that stand
+    in the world itself, because the base was fused with it, are the robot's. (Without a URDF, of
+    two versions of an MJCF, neither is known.)
     """
     kinds = mujoco.mjtObj
     links, limbs = set[str](), set[str]()
@@ -83,12 +85,18 @@ def drop_other_objects(
     fixed = not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in robot.joints)
     for body in list(spec.worldbody.bodies):
         names = {body.name, *(below.name for below in body.find_all(kinds.mjOBJ_BODY))}
-        scenery = fixed and not body.mocap and not names & links
+        # Beside a free robot nothing that stands in the world is of it, but for its ground.
+        scenery = not body.mocap and not (names & links if fixed else _has_plane(body))
         if body.name in limbs and robot.name in limbs:
             continue
         if body.name != robot.name and (size[body.name] or scenery):
             notes.append(f"{source.name}: body {body.name!r} is not part of the robot: left out")
             spec.delete(body)
+
+
+def _has_plane(body: mujoco.MjsBody) -> bool:
+    geoms = body.find_all(mujoco.mjtObj.mjOBJ_GEOM)
+    return any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in geoms)
 
 
 def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco.MjsBody]:
@@ -157,11 +165,7 @@ def mjcf_tree(
     Raises:
         ModelError: If MuJoCo cannot compile it.
     """
-    try:
-        compiled = spec.copy().compile()
-    except (ValueError, RuntimeError) as error:
-        message = " ".join(str(error).split())
-        raise ModelError(source, f"MuJoCo cannot compile it: {message}") from error
+    compiled = compile_spec(spec.copy(), source)
     model = pinocchio_from_mujoco(compiled)
     names = [joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
     tree = parameters.from_pinocchio(model, base, names, {name: name for name in frames})

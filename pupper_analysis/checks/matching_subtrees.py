@@ -75,9 +75,6 @@ def best_parts(candidates: list[list[Part]], short: float) -> list[Part]:
     return best
 
 
-# ------------------------------------------------------------------------------------- the URDF
-
-
 def urdf_parts(root: etree._Element, extra: Collection[str]) -> dict[str, list[list[Part]]]:
     """Returns {carrier: ways to take off the joints of a URDF that the MJCF lacks}."""
     above = {end_link(joint, "child"): joint for joint in root.findall("joint")}
@@ -135,9 +132,6 @@ def take_off_urdf(root: etree._Element, link: str) -> None:
             root.remove(element)
 
 
-# ------------------------------------------------------------------------------------- the MJCF
-
-
 def mjcf_parts(
     spec: mujoco.MjSpec, model: mujoco.MjModel, extra: Collection[str]
 ) -> dict[str, list[list[Part]]]:
@@ -184,9 +178,6 @@ def take_off_mjcf(spec: mujoco.MjSpec, name: str) -> None:
         for joint in list(each.joints):
             delete_joint(spec, joint)
     spec.delete(body)
-
-
-# ------------------------------------------------------------------------------------- both
 
 
 def _ways(

@@ -145,8 +145,8 @@ def urdf_place(difference: Difference, matched: Match, file: UrdfFile) -> Place:
     if difference.kind in ("mass", "com", "inertia"):
         heaviest = max(urdf_members(matched, difference.element), key=lambda member: member[1])[0]
         return file.place("link", heaviest, child)
-    if difference.element == matched.robot.base:
-        return file.place("link", matched.urdf_link[difference.element], child)
+    if difference.element in (matched.robot.base, matched.reference.base):
+        return file.place("link", matched.urdf_link[matched.robot.base], child)
     if difference.kind == "frame":
         link = matched.robot.description.frames[difference.element][0]
         joint = next(
@@ -184,8 +184,8 @@ def mjcf_place(difference: Difference, matched: Match, file: MjcfFile) -> Place:
     if difference.kind in ("mass", "com", "inertia"):
         heaviest = max(mjcf_members(matched, element), key=lambda member: member[1])[0]
         return file.weighing(heaviest)
-    if element == matched.robot.base:
-        return file.place("body", matched.mjcf_body[element], "joint")
+    if element in (matched.robot.base, matched.reference.base):
+        return file.place("body", matched.mjcf_body[matched.robot.base], "joint")
     if difference.kind in ("zero", "position", "rotation", "parent"):
         return file.place("body", matched.mjcf_body[element])
     body = matched.mjcf_body.get(element, "")

@@ -7,25 +7,16 @@ from pathlib import Path
 
 import click
 
+from pupper_analysis.cli import shared
 from pupper_analysis.cli.models import package_folders, package_option
-from pupper_analysis.cli.shared import (
-    ANGLE,
-    CONTEXT,
-    MODEL_FILE,
-    assignment,
-    check_outputs,
-    file_option,
-    finish,
-    json_option,
-    number,
-    working,
-)
 from pupper_analysis.errors import ConfigurationError, OutputError
 
 
-@click.command("convert", context_settings=CONTEXT, short_help="Make an MJCF of a URDF, or back.")
-@click.argument("source", type=MODEL_FILE)
-@file_option(
+@click.command(
+    "convert", context_settings=shared.CONTEXT, short_help="Make an MJCF of a URDF, or back."
+)
+@click.argument("source", type=shared.MODEL_FILE)
+@shared.file_option(
     "-o",
     "--output",
     required=True,
@@ -52,10 +43,10 @@ from pupper_analysis.errors import ConfigurationError, OutputError
     metavar="[JOINTS=]KGM2",
     help="Rotor inertia (kg m^2), of all joints or by pattern: '*knee*=0.01'.",
 )
-@click.option("--sag", type=ANGLE, help="The joint that holds most gives way so far (rad).")
+@click.option("--sag", type=shared.ANGLE, help="The joint that holds most gives way so far (rad).")
 @click.option("--damping-ratio", type=float, help="Of the base's bounce on its servos.")
 @package_option
-@json_option
+@shared.json_option
 def convert_command(
     source: Path,
     output: Path,
@@ -93,15 +84,15 @@ def convert_command(
     if str(output) == "-":
         raise OutputError(output, "the new file names meshes beside it; give it a name")
     folders = package_folders(packages)
-    check_outputs(output, json_path)
-    named = dict(assignment("foot", foot) for foot in feet if "=" in foot)
+    shared.check_outputs(output, json_path)
+    named = dict(shared.assignment("foot", foot) for foot in feet if "=" in foot)
     named |= {foot: foot for foot in feet if "=" not in foot}
     rotors = {}
     if armature:
         joints = read_urdf(source, folders).root.findall("joint")
         moving = [str(joint.get("name")) for joint in joints if joint.get("type") != "fixed"]
         rotors = _by_pattern(armature, moving)
-    with working("converting, and standing it for 12 s"):
+    with shared.working("converting, and standing it for 12 s"):
         result = convert_model(
             source,
             output,
@@ -115,14 +106,14 @@ def convert_command(
             force=force,
         )
     report.print_conversion(console(), result)
-    finish(json_path, result, passed=result.passed)
+    shared.finish(json_path, result, passed=result.passed)
 
 
 def _by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
     """Returns {joint: value} of [JOINTS=]VALUE; the last that fits a joint counts."""
     values = {}
     for text in texts:
-        pattern, value = number("armature", text if "=" in text else f"*={text}")
+        pattern, value = shared.number("armature", text if "=" in text else f"*={text}")
         chosen = [name for name in joints if fnmatchcase(name, pattern)]
         if not chosen:
             problem = f"no joint is like {pattern!r}; there are: {', '.join(joints)}"

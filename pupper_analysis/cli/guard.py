@@ -6,27 +6,15 @@ from pathlib import Path
 
 import click
 
-from pupper_analysis.cli.models import (
-    fine_tolerance_option,
-    package_folders,
-    package_option,
-    with_changes,
-)
-from pupper_analysis.cli.shared import (
-    CONTEXT,
-    assignment,
-    check_outputs,
-    file_option,
-    finish,
-    format_option,
-    json_option,
-)
+from pupper_analysis.cli import models, shared
 
 
 @click.command(
-    "check", context_settings=CONTEXT, short_help="Check all models of a repository, as its CI."
+    "check",
+    context_settings=shared.CONTEXT,
+    short_help="Check all models of a repository, as its CI.",
 )
-@file_option(
+@shared.file_option(
     "--config",
     help="The pupper-analysis.toml; else that of this folder, or of one above it.",
 )
@@ -36,8 +24,8 @@ from pupper_analysis.cli.shared import (
     help="Take all that is found as known: write the baseline. Only what is new fails from then.",
 )
 @click.option("--all", "everything", is_flag=True, help="Print what does not fail, too.")
-@json_option
-@format_option
+@shared.json_option
+@shared.format_option
 def check_command(
     config: Path | None,
     update_baseline: bool,
@@ -73,7 +61,7 @@ def check_command(
     from pupper_analysis.report import guard as report
     from pupper_analysis.report.console import console
 
-    check_outputs(json_path)
+    shared.check_outputs(json_path)
     result = check_repository(config, update_baseline=update_baseline)
     if style == "text":
         report.print_check(console(), result, everything=everything)
@@ -86,11 +74,13 @@ def check_command(
         click.echo(text, nl=bool(text))
         if style == "github":
             click.echo(f"{'passed' if result.passed else 'failed'}: {report.summary(result)}")
-    finish(json_path, result, passed=result.passed)
+    shared.finish(json_path, result, passed=result.passed)
 
 
 @click.command(
-    "diff", context_settings=CONTEXT, short_help="What has changed between two versions of a model."
+    "diff",
+    context_settings=shared.CONTEXT,
+    short_help="What has changed between two versions of a model.",
 )
 @click.argument("old", type=click.Path())
 @click.argument("new", type=click.Path())
@@ -101,9 +91,9 @@ def check_command(
     metavar="OLD=NEW",
     help="A joint's old and new name, if neither name nor place tells. May be repeated.",
 )
-@package_option
-@fine_tolerance_option
-@json_option
+@models.package_option
+@models.fine_tolerance_option
+@shared.json_option
 def diff_command(
     old: str,
     new: str,
@@ -133,11 +123,11 @@ def diff_command(
     from pupper_analysis.report.console import console
     from pupper_analysis.report.versions import print_diff
 
-    names = dict(assignment("map", text) for text in pairs)
-    tolerances = with_changes(Tolerances.strict(), changes)
-    check_outputs(json_path)
+    names = dict(shared.assignment("map", text) for text in pairs)
+    tolerances = models.with_changes(Tolerances.strict(), changes)
+    shared.check_outputs(json_path)
     result = diff_models(
-        old, new, names=names, packages=package_folders(packages), tolerances=tolerances
+        old, new, names=names, packages=models.package_folders(packages), tolerances=tolerances
     )
     print_diff(console(), result)
-    finish(json_path, result, passed=result.same)
+    shared.finish(json_path, result, passed=result.same)

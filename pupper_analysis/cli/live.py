@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.cli.shared import CONTEXT, working
+from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_options import (
     OWN,
     VARIANT,
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pupper_analysis.live.source import Source
 
 
-@click.command("live", context_settings=CONTEXT, short_help="A page to play with stances.")
+@click.command("live", context_settings=shared.CONTEXT, short_help="A page to play with stances.")
 @name_argument
 @options(OWN, VARIANT)
 @click.option("--state", default="", metavar="STATE", help="How it begins; a page shows its own.")
@@ -86,7 +86,7 @@ def live_command(
             )
         from pupper_analysis.live.source import Pair
 
-        with working("preparing the robot: feet, start pose, servos"):
+        with shared.working("preparing the robot: feet, start pose, servos"):
             source = Pair.of(files_given(urdf, mjcf, feet, pairs, keyframe))
         print_notes(source.robot({}))
     else:
@@ -96,7 +96,7 @@ def live_command(
         if name is not None and derived is not None:
             raise ConfigurationError("NAME", "give a variant's name, or --base and its scales")
         source = Variants(derived if derived is not None else variant_spec(name or "v3"))
-    with working("making the page"):
+    with shared.working("making the page"):
         page = Page(source, begin, language=language, host=host, port=port)
     click.echo(f"{page.address}  (Ctrl-C ends it)")
     serve(page, browser=not no_browser, wait=threading.Event().wait)

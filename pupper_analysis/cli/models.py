@@ -7,19 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.cli.shared import (
-    CONTEXT,
-    MODEL_FILE,
-    assignment,
-    check_outputs,
-    file_option,
-    finish,
-    format_option,
-    json_option,
-    number,
-    report_option,
-    write_page,
-)
+from pupper_analysis.cli import shared
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -42,7 +30,7 @@ map_option = click.option(
     metavar="URDF=MJCF",
     help="A joint's or frame's name in the URDF, and in the MJCF. May be repeated.",
 )
-map_file_option = file_option(
+map_file_option = shared.file_option(
     "--map-file",
     help='TOML file of such names: a line "name in the URDF" = "name in the MJCF" each.',
 )
@@ -68,12 +56,14 @@ fine_tolerance_option = click.option(
 
 def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:
     """Returns tolerances with the changes of --tolerance KIND=VALUE."""
-    return tolerances.changed(dict(number("tolerance", text) for text in changes))
+    return tolerances.changed(dict(shared.number("tolerance", text) for text in changes))
 
 
-@click.command(context_settings=CONTEXT, short_help="Find what makes a URDF and an MJCF disagree.")
-@click.argument("urdf", type=MODEL_FILE)
-@click.argument("mjcf", type=MODEL_FILE)
+@click.command(
+    context_settings=shared.CONTEXT, short_help="Find what makes a URDF and an MJCF disagree."
+)
+@click.argument("urdf", type=shared.MODEL_FILE)
+@click.argument("mjcf", type=shared.MODEL_FILE)
 @map_option
 @map_file_option
 @package_option
@@ -97,9 +87,9 @@ def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances
     help="Let joints' zeros, and a free base's frame, be elsewhere: notes tell of them.",
 )
 @click.option("--all", "everything", is_flag=True, help="Print every difference.")
-@json_option
-@report_option
-@format_option
+@shared.json_option
+@shared.report_option
+@shared.format_option
 def crosscheck(
     urdf: Path,
     mjcf: Path,
@@ -145,7 +135,7 @@ def crosscheck(
     folders = package_folders(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()
     tolerances = with_changes(tolerances, changes)
-    check_outputs(json_path, report_path)
+    shared.check_outputs(json_path, report_path)
     comparison = compare_models(
         urdf,
         mjcf,
@@ -162,14 +152,14 @@ def crosscheck(
         suite = f"{urdf.name} against {mjcf.name}"
         remarks, cases = comparison_report.remarks, comparison_report.cases
         click.echo(formats.for_machines(style, suite, remarks(comparison), cases(comparison)))
-    write_page(report_path, comparison)
-    finish(json_path, comparison, passed=comparison.agree)
+    shared.write_page(report_path, comparison)
+    shared.finish(json_path, comparison, passed=comparison.agree)
 
 
 @click.command(
-    "audit", context_settings=CONTEXT, short_help="Find what is wrong in one URDF or MJCF."
+    "audit", context_settings=shared.CONTEXT, short_help="Find what is wrong in one URDF or MJCF."
 )
-@click.argument("file", required=False, type=MODEL_FILE)
+@click.argument("file", required=False, type=shared.MODEL_FILE)
 @package_option
 @click.option(
     "--disable", "disabled", multiple=True, metavar="RULE", help="Do not run this rule. Repeatable."
@@ -182,9 +172,9 @@ def crosscheck(
     show_default=True,
     help="The least severity that makes the exit status 1.",
 )
-@json_option
-@report_option
-@format_option
+@shared.json_option
+@shared.report_option
+@shared.format_option
 def audit_command(
     file: Path | None,
     packages: tuple[str, ...],
@@ -222,7 +212,7 @@ def audit_command(
     if file is None:
         raise ConfigurationError("FILE", "give the URDF or MJCF to audit")
     folders = package_folders(packages)
-    check_outputs(json_path, report_path)
+    shared.check_outputs(json_path, report_path)
     result = audit_model(file, packages=folders, disabled=disabled)
     if style == "text":
         audit_report.print_audit(console(), result)
@@ -231,8 +221,8 @@ def audit_command(
         remarks, cases = audit_report.remarks, audit_report.cases
         click.echo(formats.for_machines(style, suite, remarks(result), cases(result)))
     passed = audit_report.worst_rank(result) > audit_report.rank(fail_on)
-    write_page(report_path, result)
-    finish(json_path, result, passed=passed)
+    shared.write_page(report_path, result)
+    shared.finish(json_path, result, passed=passed)
 
 
 def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str]:
@@ -241,7 +231,7 @@ def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str
 
     names = matching.read_mapping(map_file) if map_file is not None else {}
     for text in pairs:
-        old, new = assignment("map", text)
+        old, new = shared.assignment("map", text)
         if names.setdefault(old, new) != new:
             raise ConfigurationError("map", f"{old!r} is mapped to both {names[old]!r} and {new!r}")
     return names
@@ -249,7 +239,9 @@ def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str
 
 def package_folders(packages: tuple[str, ...]) -> dict[str, Path]:
     """Returns {package: folder} of NAME=DIR."""
-    folders = {name: Path(value) for name, value in (assignment("package", p) for p in packages)}
+    folders = {
+        name: Path(value) for name, value in (shared.assignment("package", p) for p in packages)
+    }
     for name, folder in folders.items():
         if not folder.is_dir():
             raise ConfigurationError("package", f"{name}: {folder} is not a folder")

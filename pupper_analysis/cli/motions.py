@@ -6,33 +6,25 @@ from pathlib import Path
 
 import click
 
-from pupper_analysis.cli.shared import (
-    CONTEXT,
-    check_outputs,
-    figure_option,
-    file_option,
-    finish,
-    json_option,
-    report_option,
-    working,
-    write_page,
-)
+from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
 from pupper_analysis.errors import ConfigurationError
 
 
-@click.command(context_settings=CONTEXT, short_help="Move to a stance, in balance all the way.")
+@click.command(
+    context_settings=shared.CONTEXT, short_help="Move to a stance, in balance all the way."
+)
 @name_argument
 @click.option("--seconds", type=float, metavar="S", help="How long it takes (s).")
 @click.option("--fastest", is_flag=True, help="The least time that motors and contacts allow.")
-@file_option(
+@shared.file_option(
     "--csv",
     help="Write the path's commands here, or to -.",
 )
-@file_option("--npz", help="Write the path's arrays here.")
+@shared.file_option("--npz", help="Write the path's arrays here.")
 @robot_and_task
-@json_option
-@report_option
+@shared.json_option
+@shared.report_option
 def path(
     asked: RobotAndTask,
     name: str | None,
@@ -65,30 +57,30 @@ def path(
     if fastest != (seconds is None):
         raise ConfigurationError("--seconds, --fastest", "give one of them: how long it shall take")
     task = asked.task()
-    check_outputs(csv, npz, json_path, report_path)
+    shared.check_outputs(csv, npz, json_path, report_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    with working("solving the path, and simulating it"):
+    with shared.working("solving the path, and simulating it"):
         result = study_path(robot, task, seconds, kp=kp, kd=kd)
     print_path(console(), result)
     if csv is not None:
         result.path.to_csv(csv)
     if npz is not None:
         result.path.to_npz(npz)
-    write_page(report_path, result, [robot])
-    finish(json_path, result, passed=result.passed)
+    shared.write_page(report_path, result, [robot])
+    shared.finish(json_path, result, passed=result.passed)
 
 
-@click.command(context_settings=CONTEXT, short_help="Push robots over: how hard, which way?")
+@click.command(context_settings=shared.CONTEXT, short_help="Push robots over: how hard, which way?")
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--directions", default=12, show_default=True, help="How many, evenly spaced.")
 @click.option(
     "--resolution", default=0.02, show_default=True, metavar="NS", help="Of the impulses (N s)."
 )
 @robot_and_task
-@figure_option
-@json_option
-@report_option
+@shared.figure_option
+@shared.json_option
+@shared.report_option
 def push(
     asked: RobotAndTask,
     names: tuple[str, ...],
@@ -122,10 +114,12 @@ def push(
     from pupper_analysis.report.push import print_pushes
 
     task = asked.task()
-    check_outputs(figure, json_path, report_path)
+    shared.check_outputs(figure, json_path, report_path)
     robots = asked.robots(names, default=tuple(VARIANTS))
     kp, kd = asked.gains(robots[0])
-    with working(f"pushing {', '.join(robot.name for robot in robots)}: some ten seconds each"):
+    with shared.working(
+        f"pushing {', '.join(robot.name for robot in robots)}: some ten seconds each"
+    ):
         results = study_pushes(
             robots,
             task,
@@ -139,5 +133,5 @@ def push(
         from pupper_analysis.report.figures.push import push_figure
 
         push_figure({name: result.recovery for name, result in results.items()}, figure)
-    write_page(report_path, results, robots)
-    finish(json_path, results, passed=all(result.passed for result in results.values()))
+    shared.write_page(report_path, results, robots)
+    shared.finish(json_path, results, passed=all(result.passed for result in results.values()))

@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pupper_analysis.cli.shared import (
-    ANGLE,
-    LENGTH,
-    assignment,
-    file_option,
-    length,
-    number,
-    point,
-    working,
-)
+from pupper_analysis.cli import shared
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -39,8 +30,8 @@ VARIANT = (
     click.option("--torso-mass-scale", type=float, metavar="T", help="Its torso's mass, times T."),
 )
 OWN = (
-    file_option("--urdf", help="A robot of your own: its URDF,"),
-    file_option("--mjcf", help="and its MJCF."),
+    shared.file_option("--urdf", help="A robot of your own: its URDF,"),
+    shared.file_option("--mjcf", help="and its MJCF."),
     click.option(
         "--foot",
         "feet",
@@ -66,18 +57,20 @@ LOAD = (
     ),
 )
 BASE = (
-    click.option("--height", type=LENGTH, help="Base above the contact points (m)."),
-    click.option("--roll", type=ANGLE, default=0.0, help="Roll of the base (rad)."),
-    click.option("--pitch", type=ANGLE, default=0.0, help="Pitch of the base (rad)."),
-    click.option("--yaw", type=ANGLE, default=0.0, help="Yaw against the feet (rad)."),
+    click.option("--height", type=shared.LENGTH, help="Base above the contact points (m)."),
+    click.option("--roll", type=shared.ANGLE, default=0.0, help="Roll of the base (rad)."),
+    click.option("--pitch", type=shared.ANGLE, default=0.0, help="Pitch of the base (rad)."),
+    click.option("--yaw", type=shared.ANGLE, default=0.0, help="Yaw against the feet (rad)."),
 )
 TASK = (
     click.option("--offset", metavar="X,Y", help="Base from the centre of the feet (m)."),
     click.option("--com", default=None, metavar="X,Y", help="Com at (m), or: centre, inside."),
-    click.option("--com-margin", type=LENGTH, default=0.0, help="Inside the polygon (m)."),
-    click.option("--joint-margin", type=ANGLE, default=0.0, help="Off the limits (rad)."),
-    click.option("--ground-clearance", type=LENGTH, default=0.0, help="All but the feet (m)."),
-    click.option("--self-clearance", type=LENGTH, help="Between links (m)."),
+    click.option("--com-margin", type=shared.LENGTH, default=0.0, help="Inside the polygon (m)."),
+    click.option("--joint-margin", type=shared.ANGLE, default=0.0, help="Off the limits (rad)."),
+    click.option(
+        "--ground-clearance", type=shared.LENGTH, default=0.0, help="All but the feet (m)."
+    ),
+    click.option("--self-clearance", type=shared.LENGTH, help="Between links (m)."),
     click.option(
         "--move", "moves", multiple=True, metavar="FOOT=X,Y", help="Foot off its place (m)."
     ),
@@ -87,8 +80,8 @@ TASK = (
     click.option(
         "--step", "steps", multiple=True, metavar="FOOT=LENGTH", help="Step under it (m)."
     ),
-    click.option("--slope", type=ANGLE, default=0.0, help="Slope of the ground (rad)."),
-    click.option("--uphill", type=ANGLE, default=0.0, help="Where it rises (rad)."),
+    click.option("--slope", type=shared.ANGLE, default=0.0, help="Slope of the ground (rad)."),
+    click.option("--uphill", type=shared.ANGLE, default=0.0, help="Where it rises (rad)."),
 )
 SERVOS = (
     click.option(
@@ -170,7 +163,7 @@ class RobotAndTask:
         from pupper_analysis.robot.payload import with_payload
         from pupper_analysis.robot.servos import with_integrator
 
-        place = point("payload-at", self.payload_at, 3)
+        place = shared.point("payload-at", self.payload_at, 3)
         return with_integrator(with_payload(robot, self.payload, place), self.integrator)
 
     def _bare(self, names: tuple[str, ...], default: tuple[str, ...]) -> list[Robot]:
@@ -190,7 +183,7 @@ class RobotAndTask:
         from pupper_analysis.prepare.load import load_robot
 
         given = files_given(self.urdf, self.mjcf, self.feet, self.pairs, self.keyframe)
-        with working("preparing the robot: feet, start pose, servos"):
+        with shared.working("preparing the robot: feet, start pose, servos"):
             robot = load_robot(**given)
         print_notes(robot)
         return [robot]
@@ -222,11 +215,11 @@ class RobotAndTask:
             self_clearance=self.self_clearance,
             foot_offsets={
                 foot: _place("move", place)
-                for foot, place in (assignment("move", text) for text in self.moves)
+                for foot, place in (shared.assignment("move", text) for text in self.moves)
             },
-            swing=dict(length("swing", text) for text in self.swings),
+            swing=dict(shared.length("swing", text) for text in self.swings),
             ground=Ground(
-                self.slope, self.uphill, dict(length("step", text) for text in self.steps)
+                self.slope, self.uphill, dict(shared.length("step", text) for text in self.steps)
             ),
         )
 
@@ -247,14 +240,14 @@ def files_given(
         raise ConfigurationError("--urdf, --mjcf", "a robot of your own needs both")
     named = [foot if "=" in foot else f"{foot}={foot}" for foot in feet]
     frames: dict[str, str | tuple[str, str]] = {}
-    for foot, frame in (assignment("foot", text) for text in named):
+    for foot, frame in (shared.assignment("foot", text) for text in named):
         link, colon, place = frame.partition(":")
         frames[foot] = (link, place) if colon else frame
     return {
         "urdf": urdf,
         "mjcf": mjcf,
         "feet": frames or None,
-        "joints": dict(assignment("map", text) for text in pairs),
+        "joints": dict(shared.assignment("map", text) for text in pairs),
         "keyframe": keyframe,
     }
 
@@ -296,7 +289,7 @@ def derived_variant(
 
 
 def _place(option: str, text: str) -> tuple[float, float]:
-    x, y = point(option, text)
+    x, y = shared.point(option, text)
     return x, y
 
 
@@ -307,7 +300,7 @@ def _gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None
     from pupper_analysis.errors import UnknownNameError
     from pupper_analysis.robot.servos import servos
 
-    values = [number(option, text if "=" in text else f"*={text}") for text in texts]
+    values = [shared.number(option, text if "=" in text else f"*={text}") for text in texts]
     if not values:
         return None
     if values[-1][0] == "*":

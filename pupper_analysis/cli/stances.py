@@ -7,17 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.cli.shared import (
-    CONTEXT,
-    check_outputs,
-    figure_option,
-    finish,
-    json_option,
-    point,
-    report_option,
-    working,
-    write_page,
-)
+from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
 
 if TYPE_CHECKING:
@@ -29,13 +19,15 @@ at_option = click.option(
 )
 
 
-@click.command(context_settings=CONTEXT, short_help="Solve a stance: its cost, and if it holds.")
+@click.command(
+    context_settings=shared.CONTEXT, short_help="Solve a stance: its cost, and if it holds."
+)
 @name_argument
 @click.option("--minimum-stiffness", is_flag=True, help="Also the least kp that carries it.")
 @robot_and_task
-@figure_option
-@json_option
-@report_option
+@shared.figure_option
+@shared.json_option
+@shared.report_option
 def stand(
     asked: RobotAndTask,
     name: str | None,
@@ -78,22 +70,24 @@ def stand(
     from pupper_analysis.report.stance import print_stance
 
     task = asked.task()
-    check_outputs(figure, json_path, report_path)
+    shared.check_outputs(figure, json_path, report_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    with working("solving the stance, and simulating it"):
+    with shared.working("solving the stance, and simulating it"):
         result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)
     print_stance(console(), result)
     _draw(robot, result, figure)
-    write_page(report_path, result, [robot])
-    finish(json_path, result, passed=result.passed)
+    shared.write_page(report_path, result, [robot])
+    shared.finish(json_path, result, passed=result.passed)
 
 
-@click.command(context_settings=CONTEXT, short_help="How far can the base go, with feet planted?")
+@click.command(
+    context_settings=shared.CONTEXT, short_help="How far can the base go, with feet planted?"
+)
 @name_argument
 @robot_and_task
-@figure_option
-@json_option
+@shared.figure_option
+@shared.json_option
 def workspace(
     asked: RobotAndTask, name: str | None, figure: Path | None, json_path: Path | None
 ) -> None:
@@ -116,23 +110,25 @@ def workspace(
     from pupper_analysis.stance.workspace import base_workspace
 
     task = asked.task()
-    check_outputs(figure, json_path)
+    shared.check_outputs(figure, json_path)
     robot = asked.robot(name)
-    with working("searching how far the base can go"):
+    with shared.working("searching how far the base can go"):
         result = base_workspace(robot, task)
     print_workspace(console(), robot.name, result)
     if figure is not None:
         from pupper_analysis.report.figures.workspace import workspace_figure
 
         workspace_figure(robot, result, figure)
-    finish(json_path, result, passed=True)
+    shared.finish(json_path, result, passed=True)
 
 
-@click.command(context_settings=CONTEXT, short_help="How much can a stance carry, and what fails?")
+@click.command(
+    context_settings=shared.CONTEXT, short_help="How much can a stance carry, and what fails?"
+)
 @name_argument
 @at_option
 @robot_and_task
-@json_option
+@shared.json_option
 def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | None) -> None:
     """Find the greatest mass that a stance carries, and what gives way beyond it.
 
@@ -155,22 +151,22 @@ def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | No
     from pupper_analysis.report.stance import print_payload
 
     task, place = asked.task(), _at(at)
-    check_outputs(json_path)
+    shared.check_outputs(json_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    with working("searching for the payload, and simulating it"):
+    with shared.working("searching for the payload, and simulating it"):
         result = study_payload(robot, task, place, kp=kp, kd=kd)
     print_payload(console(), result)
-    finish(json_path, result, passed=result.passed)
+    shared.finish(json_path, result, passed=result.passed)
 
 
-@click.command(context_settings=CONTEXT, short_help="Search for the best stance.")
+@click.command(context_settings=shared.CONTEXT, short_help="Search for the best stance.")
 @click.argument("objective", type=click.Choice(["utilisation", "margin", "payload"]))
 @name_argument
 @at_option
 @robot_and_task
-@figure_option
-@json_option
+@shared.figure_option
+@shared.json_option
 def best(
     asked: RobotAndTask,
     objective: str,
@@ -202,14 +198,14 @@ def best(
     from pupper_analysis.stance.optimize.search import Objective
 
     task, place = asked.task(), _at(at)
-    check_outputs(figure, json_path)
+    shared.check_outputs(figure, json_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    with working("searching for the best stance, and simulating it"):
+    with shared.working("searching for the best stance, and simulating it"):
         result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)
     print_best(console(), result)
     _draw(robot, result.stance, figure)
-    finish(json_path, result, passed=result.passed)
+    shared.finish(json_path, result, passed=result.passed)
 
 
 def _draw(robot: Robot, stance: Stance, path: Path | None) -> None:
@@ -221,5 +217,5 @@ def _draw(robot: Robot, stance: Stance, path: Path | None) -> None:
 
 
 def _at(text: str) -> tuple[float, float, float]:
-    x, y, z = point("at", text, 3)
+    x, y, z = shared.point("at", text, 3)
     return x, y, z

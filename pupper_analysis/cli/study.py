@@ -10,24 +10,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.cli.shared import (
-    CONTEXT,
-    check_outputs,
-    file_option,
-    finish,
-    json_option,
-    report_option,
-    write_page,
-)
+from pupper_analysis.cli import shared
 
 if TYPE_CHECKING:
     from pupper_analysis.study.running import Progress
     from pupper_analysis.study.study import Study
 
 
-@click.command("study", context_settings=CONTEXT, short_help="Measure thousands of designs.")
+@click.command("study", context_settings=shared.CONTEXT, short_help="Measure thousands of designs.")
 @click.argument("file", type=click.Path(path_type=Path))
-@file_option(
+@shared.file_option(
     "-o",
     "--output",
     "folder",
@@ -43,8 +35,8 @@ if TYPE_CHECKING:
     "--minimise", multiple=True, metavar="NAME", help="Of the front: what is to be least."
 )
 @click.option("--maximise", multiple=True, metavar="NAME", help="Likewise greatest.")
-@report_option
-@json_option
+@shared.report_option
+@shared.json_option
 def study_command(
     file: Path,
     folder: Path,
@@ -89,14 +81,14 @@ def study_command(
     from pupper_analysis.study.estimate import estimate
     from pupper_analysis.study.outcome import check_objectives, study_outcome
 
-    check_outputs(json_path, report_path)
+    shared.check_outputs(json_path, report_path)
     check_folder(folder)
     study = Study.read(file)
     check_objectives(study, minimise, maximise)
     if dry_run:
         expected = estimate(study, folder)
         report.print_estimate(console(), expected, workers)
-        finish(json_path, expected, passed=True)
+        shared.finish(json_path, expected, passed=True)
         return
     with _executor(dask, scheduler, workers) as executor, report.bar() as show:
         _run(study, folder, executor, workers, show)
@@ -109,8 +101,8 @@ def study_command(
 
             for path in draw_study(table, tuple(study.variables), folder, outcome.objectives):
                 click.echo(f"drawn: {path}")
-        write_page(report_path, outcome)
-    finish(json_path, table.to_dict(orient="list"), passed=True)
+        shared.write_page(report_path, outcome)
+    shared.finish(json_path, table.to_dict(orient="list"), passed=True)
 
 
 def _run(

@@ -9,23 +9,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.cli.models import (
-    fine_tolerance_option,
-    frame_option,
-    map_file_option,
-    map_option,
-    mapped_names,
-    package_folders,
-    package_option,
-    with_changes,
-)
-from pupper_analysis.cli.shared import CONTEXT, check_outputs, finish, json_option
+from pupper_analysis.cli import models, shared
 
 if TYPE_CHECKING:
     from pupper_analysis.sync.models import Sync
 
 
-@click.command("sync", context_settings=CONTEXT, short_help="Make a URDF and an MJCF agree.")
+@click.command("sync", context_settings=shared.CONTEXT, short_help="Make a URDF and an MJCF agree.")
 @click.argument("urdf", type=click.Path(path_type=Path))
 @click.argument("mjcf", type=click.Path(path_type=Path))
 @click.option(
@@ -39,15 +29,15 @@ if TYPE_CHECKING:
 @click.option("--dry-run", is_flag=True, help="Write nothing; show what would change.")
 @click.option("--backup", is_flag=True, help="Keep the old files, as NAME.bak.")
 @click.option("--force", is_flag=True, help="Write to files with changes that are not committed.")
-@map_option
-@map_file_option
-@package_option
-@frame_option
+@models.map_option
+@models.map_file_option
+@models.package_option
+@models.frame_option
 @click.option(
     "--coarse", is_flag=True, help="Leave what crosscheck tolerates: 5 to 6 digits are the same."
 )
-@fine_tolerance_option
-@json_option
+@models.fine_tolerance_option
+@shared.json_option
 def sync_command(
     urdf: Path,
     mjcf: Path,
@@ -84,9 +74,9 @@ def sync_command(
     from pupper_analysis.report.console import console
     from pupper_analysis.sync.models import FINE, sync_models
 
-    names, folders = mapped_names(pairs, map_file), package_folders(packages)
-    tolerances = with_changes(Tolerances() if coarse else FINE, changes)
-    check_outputs(json_path)
+    names, folders = models.mapped_names(pairs, map_file), models.package_folders(packages)
+    tolerances = models.with_changes(Tolerances() if coarse else FINE, changes)
+    shared.check_outputs(json_path)
 
     def run(chosen: tuple[str, ...], dry: bool) -> Sync:
         return sync_models(
@@ -111,7 +101,7 @@ def sync_command(
         report.print_sync(console(), result, dry_run=dry_run)
     else:
         report.print_choices(console(), result)
-    finish(json_path, result, passed=result.agree)
+    shared.finish(json_path, result, passed=result.agree)
 
 
 def _is_terminal() -> bool:

@@ -7,15 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pupper_analysis.cli.shared import (
-    CONTEXT,
-    FAILED,
-    check_outputs,
-    json_option,
-    report_option,
-    write_json,
-    write_page,
-)
+from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_options import BASE, VARIANT, derived_variant, options
 from pupper_analysis.errors import ConfigurationError
 
@@ -27,20 +19,22 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    context_settings=CONTEXT, short_help="Take variants from two model files to a verified stand."
+    context_settings=shared.CONTEXT,
+    short_help="Take variants from two model files to a verified stand.",
 )
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--list", "list_only", is_flag=True, help="List the variants, and stop.")
 @options(VARIANT, BASE)
 @click.option(
+    "-o",
     "--output",
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("output"),
     show_default=True,
     help="Folder for the figures; made if need be.",
 )
-@json_option
-@report_option
+@shared.json_option
+@shared.report_option
 @click.option("--no-figures", is_flag=True, help="Print only.")
 @click.option("-v", "--verbose", is_flag=True, help="Print every table.")
 @click.option("-q", "--quiet", is_flag=True, help="Print the last verdict only.")
@@ -104,7 +98,9 @@ def analyze(
         _print_list(specs or list(VARIANTS.values()))
         return
     specs = specs or list(VARIANTS.values())
-    check_outputs(json_path, report_path, folders=(None if no_figures else output, write_folder))
+    shared.check_outputs(
+        json_path, report_path, folders=(None if no_figures else output, write_folder)
+    )
     task = StandTask(height=height, roll=roll, pitch=pitch, yaw=yaw)
     analyses, robots = _analyze_all(specs, task, verbose=verbose, quiet=quiet)
     folder = None if no_figures else output
@@ -116,7 +112,7 @@ def analyze(
             for path in write_variant(spec, write_folder):
                 click.echo(f"written: {path}")
     if not all(analysis.verified for analysis in analyses):
-        click.get_current_context().exit(FAILED)
+        click.get_current_context().exit(shared.FAILED)
 
 
 def _analyze_all(
@@ -181,11 +177,11 @@ def _finish(
             "variants": {analysis.name: analysis for analysis in analyses},
             "comparison": rows,
         }
-        write_json(json_path, content)
+        shared.write_json(json_path, content)
         if not quiet:
             out.print(escape(f"results: {json_path}"))
     if report_path is not None:
-        write_page(report_path, [*analyses, comparison.comparison_table(rows)], robots)
+        shared.write_page(report_path, [*analyses, comparison.comparison_table(rows)], robots)
         if not quiet:
             out.print(escape(f"report: {report_path}"))
     good = sum(analysis.verified for analysis in analyses)

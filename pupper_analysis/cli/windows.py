@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.cli.shared import CONTEXT, FAILED, check_outputs, file_option
+from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_options import VARIANT, derived_variant, name_argument, options
 from pupper_analysis.errors import ConfigurationError
 
@@ -15,17 +15,19 @@ if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
 
 
-@click.command(context_settings=CONTEXT, short_help="Show a variant in MuJoCo's viewer.")
+@click.command(context_settings=shared.CONTEXT, short_help="Show a variant in MuJoCo's viewer.")
 @name_argument
 @options(VARIANT)
-@click.option("--fixed", is_flag=True, help="Fix the base in the air; else it falls and lands.")
+@click.option(
+    "--fixed-base", is_flag=True, help="Fix the base in the air; else it falls and lands."
+)
 @click.option("--headless", is_flag=True, help="Open no window: print the model and its IMU.")
 def view(
     name: str | None,
     base: str | None,
     leg_scale: float | None,
     torso_mass_scale: float | None,
-    fixed: bool,
+    fixed_base: bool,
     headless: bool,
 ) -> None:
     """Show a variant in MuJoCo's viewer: v3, or NAME (on macOS, run this with mjpython).
@@ -33,22 +35,24 @@ def view(
     \b
     Examples:
       pupper-analysis view
-      pupper-analysis view long-leg --fixed
+      pupper-analysis view long-leg --fixed-base
       pupper-analysis view --base v3 --leg-scale 1.2 --headless
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper import viewer
 
     variant = _variant(name, base, leg_scale, torso_mass_scale)
-    viewer.view(variant, fixed=fixed, headless=headless)
+    viewer.view(variant, fixed=fixed_base, headless=headless)
 
 
-@click.command(context_settings=CONTEXT, short_help="Drop a variant, and see that it stands.")
+@click.command(
+    context_settings=shared.CONTEXT, short_help="Drop a variant, and see that it stands."
+)
 @name_argument
 @options(VARIANT)
 @click.option("--headless", is_flag=True, help="Open no window: simulate, and print the result.")
 @click.option("--seconds", type=float, help="Simulated time of the drop (s).  [default: 6]")
 @click.option("--demo", type=click.Choice(["squat", "sway", "lift"]), help="Let it move instead.")
-@file_option(
+@shared.file_option(
     "--csv",
     help="Write the path of a demo here, or to -.",
 )
@@ -84,10 +88,10 @@ def drop(
             raise ConfigurationError("--seconds", "a demo has its own duration")
         from pupper_analysis.pupper import demo as demos
 
-        check_outputs(csv)
+        shared.check_outputs(csv)
         good = demos.demo(demo, variant, headless=headless, csv=csv)
     if not good:
-        click.get_current_context().exit(FAILED)
+        click.get_current_context().exit(shared.FAILED)
 
 
 def _variant(

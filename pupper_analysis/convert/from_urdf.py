@@ -24,6 +24,14 @@ FLOOR = "floor"
 
 _ZERO = "0 0 0"
 
+_SIZES = {
+    "box": ("size",),
+    "sphere": ("radius",),
+    "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"),
+}
+"""The attributes of a URDF's shapes that are lengths."""
+
 
 @dataclass
 class UrdfBodies:
@@ -244,6 +252,11 @@ class UrdfBodies:
     def _geometry(self, geometry: etree._Element, kind: str) -> dict[str, str] | None:
         """Returns the attributes of a geom; None if there is none for it."""
         tag = str(geometry.tag)
+        sizes = " ".join(str(geometry.get(word)) for word in _SIZES.get(tag, ()))
+        if any(float(size) <= 0 for size in sizes.split()):
+            said = f"a shape <{tag}> of size {sizes} was left out: MuJoCo has no flat ones"
+            self.notes += [said] if said not in self.notes else []
+            return None
         if tag == "mesh":
             name = self.meshes.name(geometry, touches=kind == "collision")
             return None if name is None else {"type": "mesh", "mesh": name}

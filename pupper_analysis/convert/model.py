@@ -15,6 +15,7 @@ from pupper_analysis.convert.to_urdf import urdf_draft
 from pupper_analysis.errors import ConfigurationError, OutputError
 from pupper_analysis.files import check_writable, whole_file
 from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.load import Feet, load_robot
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
@@ -26,6 +27,7 @@ DURATION = 12.0
 
 
 @checked
+@quiet()
 def convert_model(
     source: str | Path,
     output: str | Path,

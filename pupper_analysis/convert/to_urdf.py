@@ -333,7 +333,7 @@ def _others(model: mujoco.MjModel) -> list[str]:
         (elsewhere, "actuators that are not at a joint"),
     ):
         if count:
-            some.append(f"{count} {what}")
+            some.append(f"{what}: {count}")
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     servos = int((model.actuator_biastype == affine).sum())
     if servos:
@@ -362,7 +362,7 @@ def _surroundings(model: mujoco.MjModel, robot: set[int]) -> list[str]:
         (model.nlight, "lights"),
     ):
         if count:
-            some.append(f"{count} {what}")
+            some.append(f"{what}: {count}")
     gravity = model.opt.gravity
     if not np.allclose(gravity, _GRAVITY):
         some.append(f"gravity ({', '.join(f'{value:g}' for value in gravity)}) m/s^2")

@@ -99,3 +99,14 @@ def _weigh(body: mujoco.MjsBody, inertial: Body, apart: Array) -> None:
     body.mass, body.explicitinertial = inertial.mass, True
     body.ipos = inertial.com + apart
     body.fullinertia = [tensor[place] for place in INERTIA_ENTRIES.values()]
+
+
+def free_of_friction(spec: mujoco.MjSpec, notes: list[str]) -> None:
+    """Takes dry friction off an MJCF's free joints, in place: it would hold what falls."""
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE and joint.frictionloss:
+            notes.append(
+                f"the MJCF's free joint has dry friction of {joint.frictionloss:g} N and N m, by "
+                "which the base would hang in the air: it was taken off"
+            )
+            joint.frictionloss = 0.0

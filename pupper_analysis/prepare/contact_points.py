@@ -44,6 +44,9 @@ _APEX = 1.0  # m above a sole's points: so that even coplanar ones have a hull i
 _END = 5e-3
 """A sphere that is no further above a foot's lowest point is the foot (m)."""
 
+_LYING = 0.1
+"""A cylinder whose axis has less of the vertical lies: it touches with a line of its side."""
+
 _FLAT = 1e-3  # m: facets of a mesh, and spheres, that are no further from a plane make up one sole
 
 
@@ -53,9 +56,9 @@ class ContactPoint:
 
     Attributes:
         geom: The id of the geom that touches there.
-        center: (3,) in the frame of the geom's body (m): of a sphere, or of a capsule's end; of
-            other shapes the point itself.
-        radius: Of that sphere, or of the capsule (m); otherwise 0.
+        center: (3,) in the frame of the geom's body (m): of a sphere, or of the end of a
+            capsule or of a cylinder that lies; of other shapes the point itself.
+        radius: Of that sphere, or of the capsule, or of a cylinder that lies (m); otherwise 0.
     """
 
     geom: int
@@ -125,13 +128,27 @@ def _outline(
         ]
         local = np.array(unit) * size
     elif kind == kinds.mjGEOM_MESH:
-        mesh = int(model.geom_dataid[geom])
-        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-        local = np.array(model.mesh_vert[first : first + count], dtype=float)
+        local = _hull_of(model, int(model.geom_dataid[geom]))
     else:
         return
     for point in local:
         yield place + turn @ point, radius
+
+
+def _hull_of(model: mujoco.MjModel, mesh: int) -> Array:
+    """Returns the vertices (n, 3) of a mesh's convex hull, which are what touches (m).
+
+    Meshes of published robots have up to 200,000 vertices; their hulls some thousand.
+    """
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    vertices = np.array(model.mesh_vert[first : first + count], dtype=float)
+    graph = int(model.mesh_graphadr[mesh])
+    if graph < 0:  # none that collides
+        return vertices
+    on = int(model.mesh_graph[graph])
+    begin = graph + 2 + on  # after two counts, and an address for each vertex
+    hull: Array = vertices[model.mesh_graph[begin : begin + on]]
+    return hull
 
 
 def _tip(
@@ -232,7 +249,8 @@ def _facets(surface: Array, down: Array) -> Iterator[Array]:
     """Yields the outward normals (3,) of a hull's nearly level facets, or of its edge."""
     middle = surface.mean(axis=0)
     spread = surface - middle
-    _, sizes, axes = np.linalg.svd(spread, full_matrices=True)
+    # All axes, also of one or two points; of many not their n x n matrix of the other side.
+    _, sizes, axes = np.linalg.svd(spread, full_matrices=len(spread) < 3)
     rank = int((sizes > 1e-6).sum())
     if rank == 1:  # points on a line: as level as the line can lie
         normal = down - (down @ axes[0]) * axes[0]
@@ -337,10 +355,20 @@ def _pressed(
                 (point for point, _ in _outline(model, data, geom)),
                 key=lambda point: float(np.linalg.norm(point - place)),
             )
+        elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER and _lies(data, geom):  # a wheel, which rolls
+            radius = float(model.geom_size[geom, 0])
+            half = model.geom_size[geom, 1] * data.geom_xmat[geom].reshape(3, 3)[:, 2]
+            ends = (data.geom_xpos[geom] - half, data.geom_xpos[geom] + half)
+            place = min(ends, key=lambda end: float(np.linalg.norm((end - place)[:2])))
         own = int(model.geom_bodyid[geom])
         center = data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own])
         found.append(ContactPoint(geom, center, radius))
     return tuple(found)
+
+
+def _lies(data: mujoco.MjData, geom: int) -> bool:
+    """Tells whether a cylinder touches the ground with its side."""
+    return bool(abs(data.geom_xmat[geom][8]) < _LYING)
 
 
 def _turning(one: Array, two: Array) -> Array:

@@ -48,6 +48,10 @@ the ground at 2 ms, and is at rest at 0.5 ms."""
 _UPRIGHT = 0.1
 """A robot that leans by more on its servos is not held up by them (rad)."""
 
+_FALL = 12.0
+"""Time in which a robot falls that leans by 0.003 rad after a few seconds (s): a biped on soft
+ankles, off its equilibrium by micrometres, leaves it at 1 to 4 per second."""
+
 _DAMPING_TIME = 0.05
 """kd / kp of the suggested servos (s): within the 0.02 to 0.1 s of robots' own controllers."""
 
@@ -83,7 +87,10 @@ def advice(robot: Robot, stand: Stand) -> str | None:
 
     They are the robot's, and so they stay as they are.
     """
-    if verify_stand(robot, stand).tilt < _UPRIGHT:
+    seen = verify_stand(robot, stand)
+    if seen.passed or not (
+        seen.tilt > _UPRIGHT or verify_stand(robot, stand, duration=_FALL).tilt > _UPRIGHT
+    ):
         return None
     own = np.array(list(own_servos(robot).values()))
     torques = stand_statics(robot, stand).joint_torques

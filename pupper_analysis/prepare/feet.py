@@ -15,10 +15,10 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest
-from pupper_analysis.robot.build import CONTACT_OF_GEOM
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.floor import CONTACT_OF_GEOM
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -259,8 +259,14 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
 
 def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
     """Tells whether a contact point is that of a sphere which fits to a mesh or another shape."""
+    kind = int(model.geom_type[point.geom])
+    if (
+        kind == mujoco.mjtGeom.mjGEOM_CYLINDER.value
+        and point.radius == model.geom_size[point.geom, 0]
+    ):
+        return False  # a wheel, which lies
     round_ones = (mujoco.mjtGeom.mjGEOM_SPHERE.value, mujoco.mjtGeom.mjGEOM_CAPSULE.value)
-    return point.radius > 0 and int(model.geom_type[point.geom]) not in round_ones
+    return point.radius > 0 and kind not in round_ones
 
 
 def _touching(

@@ -15,10 +15,11 @@ from pupper_analysis.checks.matching import Match, match
 from pupper_analysis.checks.matching_mjcf import name_all
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare import drives, start, touching
-from pupper_analysis.prepare.base import free_base
+from pupper_analysis.prepare.base import free_base, free_of_friction
 from pupper_analysis.prepare.base_frame import lift_base_frame
 from pupper_analysis.prepare.feet import (
     Foot,
@@ -28,10 +29,12 @@ from pupper_analysis.prepare.feet import (
     named_foot,
     with_feet,
 )
+from pupper_analysis.prepare.limits import within_both
 from pupper_analysis.prepare.soles import BALL
-from pupper_analysis.robot.build import add_floor, build_robot, floor_of, rebuilt
+from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.floor import NO_GROUND, level_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.com_reach import moves_com
@@ -45,6 +48,7 @@ Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
 
 
 @checked
+@quiet()
 def load_robot(
     *,
     urdf: str | Path,
@@ -132,7 +136,8 @@ def _as_it_is(
     places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
     hinges = {j.name for j in spec.joints if j.type != mujoco.mjtJoint.mjJNT_FREE}
     known = all(one in links and other in places for one, other in feet.values())
-    if moving != hinges or not known:
+    free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints)
+    if moving != hinges or not known or (free and not fixed_base and _ground_to_mend(spec)):
         return None
     description = Description(
         name=name or spec.modelname,
@@ -151,6 +156,18 @@ def _as_it_is(
             raise
         return None  # a body that is named for its sole, which is no sphere around its frame
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *robot.notes))
+
+
+def _ground_to_mend(spec: mujoco.MjSpec) -> bool:
+    """Tells whether there is a ground, but not a level one at z = 0 with nothing else on it.
+
+    Or a base that hangs by its free joint's friction.
+    """
+    changed: list[str] = []
+    mine = spec.copy()
+    level_ground(mine, changed)
+    free_of_friction(mine, changed)
+    return bool(set(changed) - {NO_GROUND})
 
 
 def _prepared(
@@ -183,12 +200,19 @@ def _prepared(
         robot = build_robot(description, fixed_base=fixed_base)
         return replace(robot, notes=(*notes, *robot.notes))
     ready = description.mjcf.copy()
-    if not floor_of(ready):
-        add_floor(ready)
-        notes.append("the MJCF has no ground: a plane with MuJoCo's default contact was added")
+    level_ground(ready, notes)
+    free_of_friction(ready, notes)
     bare = build_robot(replace(description, mjcf=ready))
+    narrower = within_both(bare, notes)
+    bare = bare if narrower is None else build_robot(narrower)
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
-    feet = _feet(bare, frames, poses)
+    try:
+        feet = _feet(bare, frames, poses)
+    except ModelError as error:
+        gone = next((note for note in mjcf.notes if "mesh file(s) missing" in note), None)
+        if gone is None:
+            raise
+        raise ModelError(mjcf.path, f"{error.problem}; {gone}: put them there") from error
     if not feet:
         return replace(bare, notes=(*notes, *bare.notes))
     notes.append(_named(bare, feet, given=frames is not None))

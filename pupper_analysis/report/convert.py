@@ -23,8 +23,10 @@ def print_conversion(out: Console, conversion: Conversion) -> None:
     compared = conversion.comparison
     worst = max(compared.deviations.values())
     verdict = "[bold green]AGREE[/]" if conversion.agree else "[bold red]DISAGREE[/]"
+    count = len(compared.differences)
+    differences = "1 difference" if count == 1 else f"{count} differences"
     out.print(
-        f"{verdict}: {len(compared.differences)} differences from {escape(conversion.source)}; the "
+        f"{verdict}: {differences} from {escape(conversion.source)}; the "
         f"dynamics deviate by {worst:.1e}",
         soft_wrap=True,
     )

@@ -23,6 +23,8 @@ from pupper_analysis.robot import contact
 from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
+from pupper_analysis.robot.floor import NO_GROUND, add_floor, floor_of
+from pupper_analysis.robot.options import options_in_words
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -53,7 +55,7 @@ def build_robot(
     mj_convention = MujocoConvention.of(mj_model, joint_names)
     pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
-    notes += _at_rest(mj_model)
+    notes += [*options_in_words(mj_model), *_at_rest(mj_model)]
     notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention)
     foot_frames = {foot: frames[0] for foot, frames in description.feet.items()}
     for frame in foot_frames.values():
@@ -202,7 +204,7 @@ def _mujoco_model(
             spec.delete(element)
     elif free and not floor_of(spec):
         add_floor(spec)
-        notes.append("the MJCF has no ground: a plane with MuJoCo's default contact was added")
+        notes.append(NO_GROUND)
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
     return model, keyframe if len(keyframe) else np.array(model.qpos0)
 
@@ -320,33 +322,3 @@ def _pinocchio_model(
 def _root_link(model: pin.Model) -> str:
     """Returns the name of the URDF's root link."""
     return str(next(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY))
-
-
-def floor_of(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
-    """Returns the plane that is fixed to the world."""
-    plane = mujoco.mjtGeom.mjGEOM_PLANE
-    return next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
-
-
-CONTACT_OF_GEOM = (
-    *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
-    *("margin", "gap", "group"),
-)
-"""What a geom of an MJCF has that makes its contacts, and in which group it is shown."""
-
-
-def add_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom:
-    """Adds a plane at z = 0 with MuJoCo's default contact, that all which touches anything touches.
-
-    Shapes whose bits only let them touch each other (left legs and right ones, say) are seen to
-    touch ground, too: scenes of such robots have a floor with those bits.
-    """
-    bits = 1
-    for geom in spec.geoms:
-        bits |= int(geom.contype)
-    floor = spec.worldbody.add_geom(name="floor")
-    plain = mujoco.MjSpec().default.geom  # the MJCF's own defaults are meant for the robot
-    for word in CONTACT_OF_GEOM:
-        setattr(floor, word, getattr(plain, word))
-    floor.type, floor.size, floor.conaffinity = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05), bits
-    return floor

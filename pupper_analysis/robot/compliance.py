@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
-import numpy as np
 
 from pupper_analysis.robot.robot import Robot
 
@@ -54,7 +54,9 @@ class GroundLaw:
         """Returns the law of one foot's contact with the ground, cone elliptic or pyramidal."""
         model, parameters = robot.mj_model, robot.contacts[foot]
         dmin, dmax, width, midpoint, power = parameters.solimp
-        dmin, dmax, midpoint = np.clip((dmin, dmax, midpoint), mujoco.mjMINIMP, mujoco.mjMAXIMP)
+        dmin, dmax, midpoint = (
+            min(max(value, mujoco.mjMINIMP), mujoco.mjMAXIMP) for value in (dmin, dmax, midpoint)
+        )
         first, second = parameters.solref
         if first > 0:
             if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE.value:
@@ -80,15 +82,22 @@ class GroundLaw:
 
     def impedance(self, depth: float) -> float:
         """Returns d at a penetration (m): from dmin at none to dmax at ``width``."""
+        return float(self._impeded(depth)[0])
+
+    def _impeded(self, depth: float) -> tuple[float, float]:
+        """Returns ``impedance`` and its derivative (1/m)."""
         dmin, dmax, width, midpoint, power = self.solimp
         if dmin == dmax or width <= mujoco.mjMINVAL:
-            return (dmin + dmax) / 2
-        x = min(abs(depth + self.margin) / width, 1.0)
+            return (dmin + dmax) / 2, 0.0
+        x, rise = min(abs(depth + self.margin) / width, 1.0), dmax - dmin
         if x <= midpoint:
-            y = midpoint * (x / midpoint) ** power
+            share = x / midpoint
+            y = midpoint * share**power
         else:
-            y = 1 - (1 - midpoint) * ((1 - x) / (1 - midpoint)) ** power
-        return float(dmin + y * (dmax - dmin))
+            share = (1 - x) / (1 - midpoint)
+            y = 1 - (1 - midpoint) * share**power
+        steeper = power * share ** (power - 1) * rise / width if x < 1 else 0.0
+        return dmin + y * rise, steeper
 
     def force(self, depth: float) -> float:
         """Returns the normal force (N) at a penetration (m) at rest."""
@@ -101,6 +110,11 @@ class GroundLaw:
         low, high = max(depth - 1e-8, start), max(depth, start) + 1e-8
         return (self.force(high) - self.force(low)) / (high - low)
 
+    @cached_property
+    def _first_rate(self) -> float:
+        """The normal stiffness (N/m) where the contact begins."""
+        return self.rate(-self.margin)
+
     def depth(self, force: float, near: float | None = None) -> float:
         """Returns the penetration (m) under a normal force (N); linear where the foot pulls.
 
@@ -109,7 +123,7 @@ class GroundLaw:
             near: A penetration that is not far from it (m), to begin with.
         """
         start = -self.margin
-        linear = force / self.rate(start)
+        linear = force / self._first_rate
         if force <= 0:
             return start + linear
         high = 2 * linear
@@ -135,14 +149,7 @@ class GroundLaw:
 
     def _pressed(self, depth: float) -> tuple[float, float]:
         """Returns ``force`` (N) and its derivative (N/m)."""
-        dmin, dmax, width, midpoint, power = self.solimp
-        d, x = self.impedance(depth), 1.0
-        if dmin != dmax and width > mujoco.mjMINVAL:
-            x = min(abs(depth + self.margin) / width, 1.0)
-        steeper = 0.0
-        if x < 1:
-            share = x / midpoint if x <= midpoint else (1 - x) / (1 - midpoint)
-            steeper = power * share ** (power - 1) * (dmax - dmin) / width
+        d, steeper = self._impeded(depth)
         deep = depth + self.margin
         changing = steeper * (2 - d) * d / (1 - d) ** 2 * deep
         force = self.stiffness * d**2 * deep / ((1 - d) * self.normal)

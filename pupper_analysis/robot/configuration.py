@@ -165,10 +165,10 @@ class Configuration:
         """
         return {foot: self._jacobian(at)[:3] for foot, at in self._structure.feet.items()}
 
-    def foot_rotations(self, feet: Iterable[str]) -> list[Array]:
-        """Returns the rotation (3, 3) of each of some feet's frames, to the world's axes."""
+    def foot_rotations(self, feet: Iterable[str]) -> Array:
+        """Returns the rotations (n, 3, 3) of some feet's frames, to the world's axes."""
         placements, numbers = self._data.oMf, self._structure.feet
-        return [np.array(placements[numbers[foot]].rotation) for foot in feet]
+        return np.array([placements[numbers[foot]].rotation for foot in feet]).reshape(-1, 3, 3)
 
     def foot_twists(self, feet: Sequence[str]) -> Array:
         """Returns the Jacobians (n, 6, nv) of some feet, of centre and rotation, in world axes."""
@@ -262,7 +262,7 @@ class Configuration:
 
     def load(self) -> Array:
         """Returns what motors and contacts hold at rest (nv,): gravity less ``passive``."""
-        return self.gravity() - self.passive()
+        return self.gravity() - self.passive() if self.robot.acts_at_rest else self.gravity()
 
     def static_rates(self, wrenches: Mapping[str, Array]) -> Array:
         """Returns the derivative (nv, nv) of ``load`` less wrenches on feet: of l - sum J^T w.
@@ -273,23 +273,20 @@ class Configuration:
             wrenches: {foot: (6,)} force (N), and moment about the foot's centre (N m), in world
                 axes, in which they do not change.
         """
-        model, data, structure = self._model, self._data, self._structure
-        external = pin.StdVec_Force(model.njoints, pin.Force.Zero())
-        turning = np.zeros((structure.nv, structure.nv))
-        if wrenches:
-            jacobians, pushes = self._jacobians(wrenches), np.array(list(wrenches.values()))
-            # Pinocchio's turn with their link: they would change by omega x w.
-            skews = crosses(pushes.reshape(-1, 3)).reshape(-1, 6, 3)
-            changes = (skews @ jacobians[:, 3:]).reshape(-1, structure.nv)
-            turning = jacobians.reshape(-1, structure.nv).T @ changes
-            centres = crosses(self.foot_places(wrenches))
-            pushes[:, 3:] += (centres @ pushes[:, :3, None])[:, :, 0]  # about the origin
-            for foot, wrench in zip(wrenches, pushes, strict=True):
-                joint = structure.parents[foot]
-                external[joint] += data.oMi[joint].actInv(pin.Force(wrench))
+        pushes = np.array(list(wrenches.values())).reshape(-1, 6)
+        return self.pushed_rates(self._jacobians(wrenches), pushes)
+
+    def pushed_rates(self, jacobians: Array, wrenches: Array) -> Array:
+        """Returns ``static_rates`` for feet's Jacobians (n, 6, nv) and wrenches (n, 6)."""
+        structure, n = self._structure, self._structure.nv
         held = structure.workspace()
-        rates = pin.computeStaticTorqueDerivatives(model, held.data, self._q, external)
-        changed: Array = structure.square(np.atleast_2d(rates)) - turning
+        rates = pin.computeGeneralizedGravityDerivatives(self._model, held.data, self._q)
+        changed = structure.square(np.atleast_2d(rates))
+        turned = crosses(wrenches.reshape(-1, 3)).reshape(-1, 6, 3) @ jacobians[:, 3:]
+        pushed = jacobians[:, :3].reshape(-1, n).T @ turned[:, :3].reshape(-1, n)
+        both = jacobians.reshape(-1, n).T @ turned.reshape(-1, n)
+        # What carries a joint turns its column of J; what it carries moves its foot.
+        changed -= np.where(structure.carried, both, pushed.T)
         if self.robot.acts_at_rest:
             springs = AtRest(self.robot.mj_model, self.robot.mj_convention)
             changed -= springs.rates(self.qpos)

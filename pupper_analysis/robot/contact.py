@@ -94,7 +94,7 @@ def ground_geom(model: mujoco.MjModel) -> int | None:
     """Returns the id of the plane that is fixed to the world, or None."""
     for geom in range(model.ngeom):
         plane = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE.value
-        if plane and model.geom_bodyid[geom] == 0:
+        if plane and model.body_weldid[model.geom_bodyid[geom]] == 0:
             return geom
     return None
 

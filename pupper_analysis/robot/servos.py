@@ -87,10 +87,7 @@ def servos(
         model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
         model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
         model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
-        model.actuator_gainprm[actuators, 0] = stiffness / gear**2
-        model.actuator_biasprm[actuators, 0] = 0.0
-        model.actuator_biasprm[actuators, 1] = -stiffness / gear**2
-        model.actuator_biasprm[actuators, 2] = -damping / gear**2
+        _put_gains(model, actuators, stiffness / gear**2, damping / gear**2)
         model.actuator_ctrllimited[actuators[~servo]] = 0
     if integrator is not None:
         if integrator not in INTEGRATORS:
@@ -103,6 +100,35 @@ def servos(
         mujoco.mjtIntegrator(int(model.opt.integrator)).name,
     )
     return Servos(model, stiffness, damping, gear, used)
+
+
+def retuned(robot: Robot, drive: Servos, kp: ArrayLike, kd: ArrayLike) -> Servos:
+    """Gives servos other gains, in their own model: a copy of it takes longer than its use.
+
+    Args:
+        robot: The robot.
+        drive: Its servos, made with a kp and a kd; the model's gains are not theirs any more.
+        kp: Stiffness at the joints (N m/rad), one or (nu,).
+        kd: Damping at the joints (N m s/rad), one or (nu,).
+
+    Raises:
+        ConfigurationError: As ``servos``.
+        ModelError: Likewise.
+    """
+    stiffness, damping, gear, _ = gains(robot, kp, kd)
+    actuators = robot.mj_convention.actuator_index
+    _put_gains(drive.model, actuators, stiffness / gear**2, damping / gear**2)
+    return replace(drive, kp=stiffness, kd=damping)
+
+
+def _put_gains(
+    model: mujoco.MjModel, actuators: NDArray[np.int64], gain: Array, damping: Array
+) -> None:
+    """Writes gains (n,) of actuators, which are affine, into a model."""
+    model.actuator_gainprm[actuators, 0] = gain
+    model.actuator_biasprm[actuators, 0] = 0.0
+    model.actuator_biasprm[actuators, 1] = -gain
+    model.actuator_biasprm[actuators, 2] = -damping
 
 
 STIFFEST = 1e9

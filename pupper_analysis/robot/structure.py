@@ -50,6 +50,8 @@ class Structure:
         feet: {foot: number of its frame}.
         parents: {foot: number of the joint that carries it}.
         rest: (nv,) a velocity of zero, which nobody can change.
+        carried: (nv, nv) whether a coordinate (row) turns with another one (column), as far as
+            one carries the other: what is before it does so, and a ball's three do all.
         total_mass: kg.
         fixed: Mass of what does not move, a fixed base's, in parts of the total.
         lever: (3,) its centre (m).
@@ -91,6 +93,9 @@ class Structure:
         columns = np.concatenate([np.arange(convention.base_nv), self._own.v_index])
         one, other = np.meshgrid(columns, columns, indexing="ij")
         self._upper = np.minimum(one, other) * self.nv + np.maximum(one, other)
+        self.carried = columns[:, None] >= columns
+        if self.floating:
+            self.carried[3:6, 3:6] = True
         in_order = bool((columns == np.arange(self.nv)).all())
         self._columns: IntArray | None = None if in_order else columns
         self._spare: list[pin.Data] = []

@@ -11,7 +11,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ModelError
-from pupper_analysis.robot.build import CONTACT_OF_GEOM, add_floor, floor_of, rebuilt
+from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.floor import CONTACT_OF_GEOM, add_floor, floor_of, turn_floor
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 
@@ -41,7 +42,7 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
     spec = robot.description.mjcf.copy()
     floor = floor_of(spec) or add_floor(spec)
     quat = pin.Quaternion(ground.rotation()).coeffs()[[3, 0, 1, 2]]
-    floor.quat = quat
+    turn_floor(floor, quat)
     steps = ground.steps(places)
     soles = [foot for foot in steps if len(robot.soles[foot]) > 1]
     contype, conaffinity = floor.contype, floor.conaffinity

@@ -7,7 +7,9 @@ import math
 import os
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from queue import SimpleQueue
 
 import mujoco
 import mujoco.rollout
@@ -18,7 +20,7 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import Servos, gains, retuned, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
@@ -187,27 +189,63 @@ class _Trial:
 
     def run(self, axes: Sequence[Sequence[float]]) -> None:
         """Simulates the cells of a grid that were not simulated yet."""
+        from rich.progress import Progress
+
         pairs = itertools.product(axes[0], axes[1])
         cells = [pair for pair in pairs if pair not in self.deviations]
         robot, stand = self.robot, self.stand
-        drives = [servos(robot, *cell, self.integrator) for cell in cells]
-        model = drives[0].model
-        ctrl = drives[0].command(robot, stand.joint_positions(robot))
+        for cell in cells:
+            gains(robot, *cell)  # refused before anything is simulated
+        workers = min(len(cells), os.cpu_count() or 1)
+        # Each worker has a model of its own, and gives it the gains of its next cell.
+        idle: SimpleQueue[tuple[Servos, mujoco.MjData]] = SimpleQueue()
+        for _ in range(workers):
+            drive = servos(robot, *cells[0], self.integrator)
+            idle.put((drive, mujoco.MjData(drive.model)))
+        model = drive.model
+        ctrl = drive.command(robot, stand.joint_positions(robot))
         control, force = forced_commands(robot, model, ctrl, 1, self.steps)
         phase = 2 * math.pi * self.frequency * self.timestep * np.arange(self.steps)
         force[0, :, 2] = self.amplitude * np.sin(phase)
-        for (kp, _), drive in zip(cells, drives, strict=True):
-            if kp not in self._starts:  # nothing moves yet that kd could damp
+
+        def place(kp: float) -> None:
+            drive, data = idle.get()
+            try:  # nothing moves yet that kd could damp
+                drive = retuned(robot, drive, kp, 0.0)
                 self._starts[kp] = place_on_ground(robot, drive, stand, self.torques)
-        starts = np.array([self._starts[kp] for kp, _ in cells])
-        models = [drive.model for drive in drives]
-        states = _rollout_in_chunks(models, starts, control, self.progress)
-        last = round(1.0 / self.timestep)
-        deviations = monitor.base_heights(robot, states)[:, -last:].std(axis=1)
+            finally:
+                idle.put((drive, data))
+
+        def simulate(cell: tuple[float, float]) -> Array:
+            drive, data = idle.get()
+            try:
+                model, start = retuned(robot, drive, *cell).model, self._starts[cell[0]]
+                states, _ = mujoco.rollout.rollout(model, data, start, control, control_spec=FORCED)
+            finally:
+                idle.put((drive, data))
+            return np.asarray(states[0])
+
         watcher = monitor.Watcher(robot, model)  # gains change no shapes
-        for cell, rows, deviation in zip(cells, states, deviations, strict=True):
-            fell = monitor.diverged(rows, self.timestep) or _lies(robot, watcher, stand, rows[-1])
-            self.deviations[cell] = math.inf if fell else float(deviation)
+        began = time.monotonic()
+        with (
+            ThreadPoolExecutor(workers) as pool,
+            Progress(transient=True, disable=not self.progress, auto_refresh=False) as bar,
+        ):
+            task = bar.add_task("gain sweep", total=len(cells), visible=False)
+            list(pool.map(place, dict.fromkeys(kp for kp, _ in cells) - self._starts.keys()))
+            for cell, states in zip(cells, pool.map(simulate, cells), strict=True):
+                self.deviations[cell] = self._deviation(watcher, states)
+                bar.update(task, advance=1, visible=time.monotonic() - began > 1.0)
+                bar.refresh()
+
+    def _deviation(self, watcher: monitor.Watcher, states: Array) -> float:
+        """Returns the deviation of the height in a rollout's last second; infinite if it fell."""
+        if monitor.diverged(states, self.timestep):
+            return math.inf
+        if _lies(self.robot, watcher, self.stand, states[-1]):
+            return math.inf
+        last = round(1.0 / self.timestep)
+        return float(monitor.base_heights(self.robot, states)[-last:].std())
 
     def grid(self, axes: Sequence[Sequence[float]]) -> Array:
         """Returns the deviations (n, m) of a grid."""
@@ -253,31 +291,3 @@ def _lies(robot: Robot, watcher: monitor.Watcher, stand: Stand, state: Array) ->
     """Tells whether a robot has fallen over, or rests on something else than its feet."""
     leaning = monitor.lean(robot, stand.task.rotation(), state)
     return leaning > monitor.FALLEN_TILT or bool(watcher.touching(state))
-
-
-def _rollout_in_chunks(
-    models: list[mujoco.MjModel], starts: Array, control: Array, progress: bool
-) -> Array:
-    """Runs one rollout per model, on all cores; a bar appears after the first second."""
-    from rich.progress import Progress
-
-    workers = min(len(models), os.cpu_count() or 1)
-    datas = [mujoco.MjData(models[0]) for _ in range(workers)]
-    # Whoever looks at a bar sees it move; otherwise no worker waits for another.
-    chunk = 2 * workers if progress else len(models)
-    states = []
-    began = time.monotonic()
-    with (
-        mujoco.rollout.Rollout(nthread=workers) as pool,
-        Progress(transient=True, disable=not progress, auto_refresh=False) as bar,
-    ):
-        task = bar.add_task("gain sweep", total=len(models), visible=False)
-        for first in range(0, len(models), chunk):
-            batch = models[first : first + chunk]
-            rows, _ = pool.rollout(
-                batch, datas, starts[first : first + chunk], control, control_spec=FORCED
-            )
-            states.append(rows)
-            bar.update(task, advance=len(batch), visible=time.monotonic() - began > 1.0)
-            bar.refresh()
-    return np.concatenate(states)

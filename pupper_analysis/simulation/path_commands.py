@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from numbers import Real
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from pupper_analysis.errors import ConfigurationError
@@ -61,13 +62,16 @@ class PathCommands:
 def path_commands(
     robot: Robot,
     path: StancePath,
-    *,
-    kp: ArrayLike | None = None,
-    kd: ArrayLike | None = None,
-    integrator: str | None = None,
+    drive_of: Callable[[Robot], Servos] = servos,
     timestep: float | None = None,
 ) -> PathCommands:
-    """Returns what the servos are told, step by step; the arguments are those of ``track_path``.
+    """Returns what the servos are told, step by step.
+
+    Args:
+        robot: The robot.
+        path: A path of this robot's.
+        drive_of: Returns the servos of the robot on the path's ground; the model's own by default.
+        timestep: As in ``track_path``.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the path is another robot's.
@@ -77,7 +81,7 @@ def path_commands(
         raise ConfigurationError("path", f"it is not a path of {robot.name}")
     first = path.stances[0]
     robot = on_ground(robot, first.task.ground, first.foot_targets)
-    drive = servos(robot, kp, kd, integrator)
+    drive = drive_of(robot)
     drive.model.opt.timestep = timestep = _timestep(drive.model, timestep)
     robot = replace(robot, mj_model=drive.model)  # a contact may depend on the time step
     times = timestep * np.arange(1, max(1, round(path.time[-1] / timestep)) + 1)

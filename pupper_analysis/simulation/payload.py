@@ -175,7 +175,7 @@ def _start(
     if none(found):
         found = pose(first_failing(lambda tried: none(pose(tried)), mass / 8, mass))
     if isinstance(found, Bound):
-        raise NoEquilibriumError(0.0, f"there is none without payload: {found.failure.value}")
+        raise NoEquilibriumError(None, f"there is none without payload: {found.failure.value}")
     return found
 
 

@@ -14,6 +14,7 @@ from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.path_commands import PathCommands, path_commands
 from pupper_analysis.simulation.rollout import run
@@ -101,7 +102,7 @@ def track_path(
     plus those that make the legs longer.
 
     A path is tracked if joints and torques stay within ``TRACKING_TOLERANCE`` and
-    ``TORQUE_TOLERANCE``, no motor is at its limit, feet that carry stay on the ground, lifted ones
+    ``TORQUE_TOLERANCE``, no motor is at its limit, stance feet stay on the ground, swing feet
     off it, and nothing else touches it.
 
     Args:
@@ -117,7 +118,7 @@ def track_path(
         ConfigurationError: If an argument is out of its range, or the path is another robot's.
         ModelError: If the model has no servos and no gains are given.
     """
-    plan = path_commands(robot, path, kp=kp, kd=kd, integrator=integrator, timestep=timestep)
+    plan = path_commands(robot, path, lambda there: servos(there, kp, kd, integrator), timestep)
     robot, model, joints = plan.robot, plan.drive.model, slice(robot.nq - robot.nu, None)
     states = run(model, plan.start, plan.ctrl)
     simulated = states[:, 1 + robot.mj_convention.qpos_index]

@@ -19,6 +19,10 @@ _POSES = 3
 _STILL = 1e-6
 """A com that moves by less against the base, per unit of joint rates, does not move (m/rad)."""
 
+_SIDEWAYS = 1e-3
+"""Nor does one that moves by less of how it moves the other way: soles that are a microradian off
+level let it."""
+
 
 @functools.lru_cache(maxsize=8)
 def moves_com(robot: Robot) -> bool:
@@ -29,6 +33,9 @@ def moves_com(robot: Robot) -> bool:
     """
     if not robot.feet:
         return True
+    if len(robot.soles) < len(robot.feet):
+        # Soles and wheels lie on the ground: in other poses other motions are free.
+        return any(_ways(robot, pose) == 2 for pose in (robot.nominal, robot.home[-robot.nu :]))
     random = np.random.default_rng(0)
     low, high = np.maximum(robot.lower_limits, -np.pi), np.minimum(robot.upper_limits, np.pi)
     return any(_ways(robot, random.uniform(low, np.maximum(low, high))) == 2 for _ in range(_POSES))
@@ -41,4 +48,5 @@ def _ways(robot: Robot, joints: Array) -> int:
     feet = np.vstack(list(config.foot_jacobians().values()))
     free = linalg.null_space(np.vstack([held, feet]), rcond=1e-9)
     moved = config.com_jacobian()[:2] @ free
-    return int((np.linalg.svd(moved, compute_uv=False) > _STILL).sum())
+    sizes = np.linalg.svd(moved, compute_uv=False)
+    return int((sizes > max(_STILL, _SIDEWAYS * float(sizes.max(initial=0.0)))).sum())

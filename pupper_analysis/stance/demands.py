@@ -28,7 +28,7 @@ _DOUBTFUL = 50.0
 
 _MOST_DIGITS = 12
 _LEAST_SHARE = 1e-9
-"""Of a lifted foot's height, as a foot that is not lifted would carry; and of the com's margin, as
+"""Of a swing foot's height, as a foot that is not lifted would carry; and of the com's margin, as
 with an offset none at all would let the com leave the support polygon."""
 
 

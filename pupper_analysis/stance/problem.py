@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,11 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]
+
+
+_LINE = 1e-3
+"""Contact points that are no further from a line, taken together, are on it (m): no polygon of that
+width holds anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +108,7 @@ def _goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float], like: G
         contacts = np.array(
             [targets[foot] - robot.foot_radius[foot] * normal for foot in stance_feet]
         )
+        _check_area(robot, contacts, stance_feet)
         targets = sunk_into(
             robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
         )
@@ -194,12 +200,31 @@ def _same_feet(one: StandTask, other: StandTask) -> bool:
     )
 
 
+def _check_area(robot: Robot, contacts: Array, stance_feet: Sequence[str]) -> None:
+    """Refuses contact points (n, 3) that are on one line, seen from above."""
+    seen = contacts[:, :2] - contacts[:, :2].mean(axis=0)
+    if np.linalg.svd(seen, compute_uv=False)[1] < _LINE:
+        raise ConfigurationError(
+            "swing" if len(stance_feet) < len(robot.feet) else "robot",
+            f"{robot.name} touches the ground along one line alone ({', '.join(stance_feet)}): the "
+            "support polygon needs an area, of 3 round feet or of a flat one; two wheels side by "
+            "side balance by rolling alone",
+        )
+
+
 def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> tuple[str, ...]:
     """Returns the contact points that carry, if the task is one for this robot; see ``goal_of``."""
     if not robot.floating:
         raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
     if not robot.feet:
         raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
+    if not robot.gravity[2] < 0:
+        numbers = ", ".join(f"{value:g}" for value in robot.gravity)
+        raise ConfigurationError(
+            "robot",
+            f"gravity of the MJCF is ({numbers}) m/s^2, which presses no foot down; give it "
+            '<option gravity="0 0 -9.81"/>, and no <flag gravity="disable"/>',
+        )
     for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights):
         robot.points_of(foot)
     for foot in depths:

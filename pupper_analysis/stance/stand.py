@@ -23,6 +23,8 @@ from pupper_analysis.statics.equilibrium import (
 
 __all__ = ["Stand", "solve_stand", "stand_statics"]
 
+_UP = [0.0, 0.0, 1.0]
+
 
 @checked
 def solve_stand(
@@ -98,10 +100,12 @@ def stand_statics(
         StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.
     """
     stand.check(robot)
+    # Of contacts on level, rigid ground all is known that depends on the robot alone.
+    level = all(normal.tolist() == _UP for normal in stand.normals.values())
     return gravity_compensation(
         Configuration(robot, stand.qpos),
         stand.stance_feet,
-        normals=stand.normals,
-        depths=stand.depths,
+        normals=None if level else stand.normals,
+        depths=stand.depths if any(stand.depths.values()) else None,
         distribution=distribution,
     )

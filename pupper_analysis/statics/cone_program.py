@@ -93,15 +93,9 @@ class Balance:
             target: (m,).
             peak: The least greatest element comes first.
         """
-        forces: Array
         if not peak or friction is None:
-            split = _orthogonal(self.base, self.weight) or self._by_singular_values
-            if not self._balances(split[0]):
-                return None
-            particular, free = split  # f = particular + free z
-            best = _least_squares(cost @ free, target - cost @ particular)
-            forces = particular + free @ best
-            if friction is None or self._violation(forces, friction) <= 0:
+            forces = self._without_cones(cost, target)
+            if forces is None or friction is None or self._violation(forces, friction) <= 0:
                 return forces
         particular, free = self._by_singular_values
         if not self._balances(particular):
@@ -110,6 +104,18 @@ class Balance:
         search = self._solve_peak if peak else self._solve_cones
         coordinates = search(particular, free, cost, target, friction)
         return None if coordinates is None else particular + free @ coordinates
+
+    def _without_cones(self, cost: Array | _Metric, target: Array) -> Array | None:
+        """Returns the f (3 n,) that balances with the least |cost f - target|; see ``solve``."""
+        if isinstance(cost, np.ndarray):
+            forces = _constrained(cost, target, self.base, self.weight)
+            if forces is not None and self._balances(forces):
+                return forces
+        particular, free = _orthogonal(self.base, self.weight) or self._by_singular_values
+        if not self._balances(particular):
+            return None
+        best = _least_squares(cost @ free, target - cost @ particular)
+        return particular + free @ best  # f = particular + free z
 
     @cached_property
     def _by_singular_values(self) -> tuple[Array, Array]:
@@ -328,6 +334,22 @@ def _along(normals: Array, forces: Array) -> Array:
     """Returns the parts (n,) along normals (n, 3) of forces (3 n,)."""
     parts: Array = (forces.reshape(-1, 3) * normals).sum(axis=1)
     return parts
+
+
+def _constrained(cost: Array, target: Array, rows: Array, right: Array) -> Array | None:
+    """Solves rows x = right for the x (n,) with the least |cost x - target|.
+
+    Returns:
+        x; None if there are several, or nearly so, or if the rows are dependent, or nearly so.
+    """
+    count, size = rows.shape
+    if not count < size <= count + len(cost):
+        return None
+    free, triangle, _, found, _ = lapack.dgglse(cost, rows, target, right)
+    left = size - count
+    conditions = lapack.dtrcon(triangle[:, left:])[0], lapack.dtrcon(free[:left, :left])[0]
+    x: Array = found
+    return x if min(conditions) > _INDEPENDENT else None
 
 
 def _orthogonal(rows: Array, right: Array) -> tuple[Array, Array] | None:

@@ -46,6 +46,16 @@ class Contacts:
         """Whether the ground is level under all feet."""
         return bool(np.abs(self.normals - UP).max(initial=0.0) < BALANCE_TOLERANCE)
 
+    @functools.cached_property
+    def directions(self) -> dict[str, Array]:
+        """{foot: its row of ``normals``}."""
+        return dict(zip(self.feet, self.normals, strict=True))
+
+    @functools.cached_property
+    def coefficients(self) -> dict[str, float]:
+        """{foot: its coefficient of friction}."""
+        return dict(zip(self.feet, self.friction.tolist(), strict=True))
+
     def points(self, config: Configuration) -> Array:
         """Returns where they are (n, 3) in a configuration, in the world (m)."""
         return config.foot_places(self.feet) + self.offsets

@@ -296,19 +296,13 @@ def _result(
     base_rows = robot.nv - robot.nu
     torques = left[base_rows:].copy()
     base_wrench = np.zeros(base_rows) if carrying.feet else load[:base_rows]
-    unbalanced = left[:base_rows] - base_wrench
+    unbalanced = (left[:base_rows] - base_wrench).tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
         utilisation = np.abs(torques) / robot.effort_limits
-    tiny = BALANCE_TOLERANCE * math.hypot(*load[:3])
-    per_foot, points, normals, friction = (
-        dict(zip(carrying.feet, values, strict=True))
-        for values in (
-            forces,
-            carrying.points(config),
-            carrying.normals,
-            carrying.friction.tolist(),
-        )
-    )
+    tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
+    per_foot = dict(zip(carrying.feet, forces, strict=True))
+    points = dict(zip(carrying.feet, carrying.points(config), strict=True))
+    normals, friction = carrying.directions, carrying.coefficients
     sliding = {
         foot: sliding_share(force, normals[foot], friction[foot], tiny)
         for foot, force in per_foot.items()

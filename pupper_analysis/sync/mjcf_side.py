@@ -84,12 +84,6 @@ class MjcfSide(Side):
                 "the others"
             )
 
-    # ----------------------------------------------------------------------------- places
-
-    def body_in_file(self, name: str) -> Element | None:
-        """Returns the element of a body."""
-        return self.elements.body(name)
-
     def _frame(self, key: Key) -> None:
         name = key[1]
         if not self.on_same_body(key):
@@ -164,8 +158,6 @@ class MjcfSide(Side):
         )
         for attribute, text in changes.items():
             element.rename_or_set("zaxis", attribute, text)
-
-    # ----------------------------------------------------------------------------- joints
 
     def joint_in_file(self, name: str) -> Element | None:
         """Returns the element of a joint."""

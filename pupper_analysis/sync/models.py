@@ -11,6 +11,7 @@ from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.results import Result
@@ -69,6 +70,7 @@ class Sync(Result):
 
 
 @checked
+@quiet()
 def sync_models(
     urdf: str | Path,
     mjcf: str | Path,

@@ -77,8 +77,6 @@ class UrdfSide(Side):
         for name in dict.fromkeys(e for k, e in taken if k in ("mass", "com", "inertia")):
             self._inertial(name, [key for key in taken if key[1] == name])
 
-    # ----------------------------------------------------------------------------- places
-
     def _pose(self, link: str) -> pin.SE3:
         """Returns where a link is in the frame of the link that moves it."""
         pose = pin.SE3.Identity()
@@ -114,8 +112,6 @@ class UrdfSide(Side):
         changes = origin_changes(element.child("origin"), pose, self.digits)
         for attribute, text in changes.items():
             element.ensure("origin").set(attribute, text)
-
-    # ----------------------------------------------------------------------------- joints
 
     def _joint(self, name: str) -> Element:
         return self._joints[self.sides.matched.urdf_joint[name]]
@@ -184,8 +180,6 @@ class UrdfSide(Side):
         text = self.digits.words((old or "").split(), np.array([value]), floor)
         if text is not None:
             element.ensure(tag).set(attribute, text)
-
-    # ----------------------------------------------------------------------------- inertials
 
     def _members(self, mover: str) -> list[str]:
         """Returns the links that move with a joint, or are the base; the moved one first."""

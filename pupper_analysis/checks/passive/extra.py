@@ -20,8 +20,9 @@ class Extra:
     """An element of an MJCF that a URDF cannot state.
 
     Attributes:
-        kind: ``spring``, ``damping polynomial``, ``gravity compensation``, ``tendon``, ``fluid``,
-            ``actuator``, ``equality``, ``flex``, ``plugin`` or ``flag``.
+        kind: ``spring``, ``damping polynomial``, ``gravity compensation``, ``dry friction`` (of the
+            free joint), ``tendon``, ``fluid``, ``actuator``, ``equality``, ``flex``, ``plugin`` or
+            ``flag``.
         element: The joint, body, tendon ... by name; ``#3`` where it has none.
         value: Its numbers.
         unit: Of the numbers, where they have one in common.

@@ -14,7 +14,12 @@ arrays are those of ``mjModel``.
 from __future__ import annotations
 
 from pupper_analysis.checks.passive.extra import Extra
-from pupper_analysis.checks.passive.joints import damping_polynomials, gravity_compensation, springs
+from pupper_analysis.checks.passive.joints import (
+    damping_polynomials,
+    free_joint_friction,
+    gravity_compensation,
+    springs,
+)
 from pupper_analysis.checks.passive.others import equalities, flags, flexes, fluid, plugins
 from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.passive.scene import Scene
@@ -28,6 +33,7 @@ def extras(reference: Reference) -> list[Extra]:
         *springs(scene),
         *damping_polynomials(scene),
         *gravity_compensation(scene),
+        *free_joint_friction(scene),
         *tendons(scene),
         *actuators(scene),
         *fluid(scene),

@@ -74,3 +74,17 @@ def gravity_compensation(scene: Scene) -> Iterator[Extra]:
             )
             slots = (("body_gravcomp", body),)
             yield Extra("gravity compensation", name, share, "", text, slots)
+
+
+def free_joint_friction(scene: Scene) -> Iterator[Extra]:
+    """Yields dry friction of the robot's free joint, which a default class may give it."""
+    model = scene.model
+    for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_FRICTIONLOSS) else ():
+        value = float(model.dof_frictionloss[model.jnt_dofadr[joint]])
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE.value and value:
+            name = scene.joint_name(joint)
+            text = (
+                f"free joint of {name}: no dry friction in the URDF, of {value:.6g} N and N m in "
+                "the MJCF (a default class reaches it; use <freejoint/>)"
+            )
+            yield Extra("dry friction", name, value, "", text)

@@ -22,6 +22,7 @@ from pupper_analysis.checks.versions.version import Version, version_of
 from pupper_analysis.checks.words import VERSIONS
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.parameters import Parameters, renamed, with_fixed
 from pupper_analysis.results import Result
 
@@ -86,6 +87,7 @@ class ModelDiff(Result):
 
 
 @checked
+@quiet()
 def diff_models(
     old: str | Path,
     new: str | Path,

@@ -51,7 +51,7 @@ _COM: dict[str, Any] = {
     "ms": 8,
 }
 
-_LIFTED: dict[str, Any] = {
+_SWING: dict[str, Any] = {
     "color": style.BLACK,
     "marker": "o",
     "ls": "",
@@ -86,7 +86,7 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
             [], [], color=_NEAR, lw=3, marker="o", mfc="white", mec=style.BLACK, ms=4, label="leg"
         ),
         Line2D([], [], color=style.BLACK, marker="o", ls="", ms=6, label="foot"),
-        *([Line2D([], [], **_LIFTED, label="lifted")] if stand.task.swing else []),
+        *([Line2D([], [], **_SWING, label="swing foot")] if stand.task.swing else []),
         Patch(facecolor=_BASE_FACE, edgecolor=_BASE_EDGE, label="base"),
         Line2D([], [], color=style.RED, marker=r"$\uparrow$", ls="", ms=9, label="contact force"),
         Line2D([], [], **_COM, label="com"),
@@ -124,7 +124,7 @@ def _draw_in_space(
         axes.plot(
             x[:-1], y[:-1], z[:-1], "o", color="white", mec=style.BLACK, mew=0.8, ms=4, zorder=order
         )
-        mark = _LIFTED if foot in stand.task.swing else {"color": style.BLACK, "marker": "o"}
+        mark = _SWING if foot in stand.task.swing else {"color": style.BLACK, "marker": "o"}
         axes.plot(x[-1:], y[-1:], z[-1:], **mark, ms=7 * _small(statics), zorder=order)
     for arm in lines.arms:
         axes.plot(*(1e3 * arm.T), color=_FAR, lw=2.5, solid_capstyle="round", zorder=2)
@@ -275,7 +275,7 @@ def _draw_from_above(
     for foot in stand.task.swing:
         for point in stand.foot_targets if foot not in stand.foot_targets else (foot,):
             x, y = 1e3 * stand.foot_targets[point][:2]
-            axes.plot(y, x, **_LIFTED, ms=6 * _small(statics), zorder=3)
+            axes.plot(y, x, **_SWING, ms=6 * _small(statics), zorder=3)
     middle = np.mean(list(points.values()), axis=0)
     for x, y in points.values():
         axes.plot(y, x, "o", color=style.BLACK, ms=6 * _small(statics), zorder=3)

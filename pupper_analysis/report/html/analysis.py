@@ -7,19 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from pupper_analysis.analysis.robot import Analysis
-from pupper_analysis.report.html.document import (
-    Block,
-    Cell,
-    Column,
-    Lines,
-    Name,
-    Number,
-    Section,
-    Table,
-    Words,
-    number,
-    vector,
-)
+from pupper_analysis.report.html import document as doc
 from pupper_analysis.report.html.loads import load_blocks, view_block
 from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.simulated import (
@@ -34,16 +22,16 @@ from pupper_analysis.report.html.words import text, word
 from pupper_analysis.robot.robot import Robot
 
 
-def analysis_section(analysis: Analysis, robot: Robot | None) -> Section:
+def analysis_section(analysis: Analysis, robot: Robot | None) -> doc.Section:
     """Returns all that was found out about one robot.
 
     Args:
         analysis: The analysis.
         robot: The robot, for its view and the lines of its files; None if it is not at hand.
     """
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     if analysis.failures:
-        blocks.append(Lines(tuple(map(said, analysis.failures)), "bad", text("What failed")))
+        blocks.append(doc.Lines(tuple(map(said, analysis.failures)), "bad", text("What failed")))
     runs = (analysis.verification, analysis.sagging)
     blocks.append(view_block(robot, analysis.stand, analysis.statics, motions_of(runs)))
     blocks += _structure(analysis, robot)
@@ -53,14 +41,14 @@ def analysis_section(analysis: Analysis, robot: Robot | None) -> Section:
         analysis.minimum_peak,
         analysis.verification,
         [joint.effort for joint in analysis.joints],
-        {Column(text("hanging"), "N m"): analysis.hanging_torques.tolist()},
+        {doc.Column(text("hanging"), "N m"): analysis.hanging_torques.tolist()},
     )
     blocks += simulation_blocks(analysis)
     blocks += sweep_blocks(analysis.sweep)
     blocks.append(_jacobians(analysis))
     blocks.append(_check(analysis))
-    return Section(
-        Name(analysis.name),
+    return doc.Section(
+        doc.Name(analysis.name),
         tuple(blocks),
         analysis.verified,
         text("VERIFIED") if analysis.verified else text("FAILED"),
@@ -68,13 +56,13 @@ def analysis_section(analysis: Analysis, robot: Robot | None) -> Section:
     )
 
 
-def _surprises(analysis: Analysis) -> Iterable[Words]:
+def _surprises(analysis: Analysis) -> Iterable[doc.Words]:
     """Says what a reader would not expect, each by the numbers of the analysis."""
     torques = np.abs(analysis.statics.joint_torques)
     most = int(np.argmax(torques))
     yield text(
         "Standing, {joint} holds {standing} N m; hanging by its base it would hold {hanging} N m.",
-        joint=Name(analysis.joints[most].name),
+        joint=doc.Name(analysis.joints[most].name),
         standing=f"{analysis.statics.joint_torques[most]:+.3f}",
         hanging=f"{analysis.hanging_torques[most]:+.3f}",
     )
@@ -95,8 +83,8 @@ def _surprises(analysis: Analysis) -> Iterable[Words]:
     yield from map(said, analysis.notes)
 
 
-def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[Block]:
-    yield Lines(
+def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
+    yield doc.Lines(
         (
             text(
                 "nq = {nq}, nv = {nv}, nu = {nu}; mass {mass} kg; com at zero angles, from the "
@@ -105,7 +93,7 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[Block]:
                 nv=analysis.nv,
                 nu=analysis.nu,
                 mass=f"{analysis.total_mass:.3f}",
-                com=vector(analysis.center_of_mass, "+.4f"),
+                com=doc.vector(analysis.center_of_mass, "+.4f"),
             ),
             text(
                 "thigh {thigh}, calf {calf}",
@@ -116,28 +104,33 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[Block]:
         )
     )
     yield _joints(analysis, robot)
-    yield Table(
+    yield doc.Table(
         text("Masses of the bodies"),
-        (Column(text("base, or joint that moves it"), left=True), Column(text("mass"), "kg")),
-        tuple((Name(name), number(mass, ".3f")) for name, mass in analysis.link_masses.items()),
+        (
+            doc.Column(text("base, or joint that moves it"), left=True),
+            doc.Column(text("mass"), "kg"),
+        ),
+        tuple(
+            (doc.Name(name), doc.number(mass, ".3f")) for name, mass in analysis.link_masses.items()
+        ),
         (text("Fixed links are counted with what they are fixed to."),),
         (files(robot), page("physics.md", "Scaling a robot")),
     )
 
 
-def _joints(analysis: Analysis, robot: Robot | None) -> Table:
+def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
     """Returns what each joint does and can, and where that stands in the files."""
     places = {} if robot is None else joint_places(robot)
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[doc.Cell, ...]] = []
     for joint in analysis.joints:
-        cells: list[Cell] = [
-            Name(joint.name),
+        cells: list[doc.Cell] = [
+            doc.Name(joint.name),
             word(joint.motion),
-            vector(joint.axis, "+.2f" if joint.motion.startswith("oblique") else "+.0f"),
-            number(joint.lower, "+.2f"),
-            number(joint.upper, "+.2f"),
+            doc.vector(joint.axis, "+.2f" if joint.motion.startswith("oblique") else "+.0f"),
+            doc.number(joint.lower, "+.2f"),
+            doc.number(joint.upper, "+.2f"),
             *(
-                number(value, "g")
+                doc.number(value, "g")
                 for value in (
                     joint.effort,
                     joint.velocity,
@@ -148,27 +141,27 @@ def _joints(analysis: Analysis, robot: Robot | None) -> Table:
             ),
         ]
         where = places.get(joint.name, ("", ""))
-        rows.append((*cells, *map(Name, where)) if places else tuple(cells))
+        rows.append((*cells, *map(doc.Name, where)) if places else tuple(cells))
     located = (
-        Column(text("line of the URDF"), left=True),
-        Column(text("line of the MJCF"), left=True),
+        doc.Column(text("line of the URDF"), left=True),
+        doc.Column(text("line of the MJCF"), left=True),
     )
-    notes: list[Words] = [text("Axes at zero angles, in the base's frame.")]
+    notes: list[doc.Words] = [text("Axes at zero angles, in the base's frame.")]
     if robot is not None and is_derived(robot):
         notes.append(text("The lines are those of the files, without the changes."))
-    return Table(
+    return doc.Table(
         text("Joints, in actuator order"),
         (
-            Column(text("joint"), left=True),
-            Column(text("motion"), left=True),
-            Column(text("axis"), "1", left=True),
-            Column(text("lower limit"), "rad"),
-            Column(text("upper limit"), "rad"),
-            Column(text("effort"), "N m"),
-            Column(text("velocity"), "rad/s"),
-            Column(text("armature"), "kg m²"),
-            Column(text("damping"), "N m s/rad"),
-            Column(text("friction"), "N m"),
+            doc.Column(text("joint"), left=True),
+            doc.Column(text("motion"), left=True),
+            doc.Column(text("axis"), "1", left=True),
+            doc.Column(text("lower limit"), "rad"),
+            doc.Column(text("upper limit"), "rad"),
+            doc.Column(text("effort"), "N m"),
+            doc.Column(text("velocity"), "rad/s"),
+            doc.Column(text("armature"), "kg m²"),
+            doc.Column(text("damping"), "N m s/rad"),
+            doc.Column(text("friction"), "N m"),
             *(located if places else ()),
         ),
         tuple(rows),
@@ -184,7 +177,7 @@ def _millimetres(length: float | None) -> str:
     return "-" if length is None else f"{1e3 * length:.1f} mm"
 
 
-def _stand(analysis: Analysis) -> Block:
+def _stand(analysis: Analysis) -> doc.Block:
     stand = analysis.stand
     rows = (
         ("feet off their targets, by Pinocchio", "m", stand.foot_error),
@@ -193,14 +186,14 @@ def _stand(analysis: Analysis) -> Block:
         ("height of the base", "m", stand.height_error),
         ("com", "m", stand.com_error),
     )
-    return Table(
+    return doc.Table(
         text("Errors of the solved stand (PlaCo, {count} iterations)", count=stand.iterations),
         (
-            Column(text("deviation"), left=True),
-            Column(text("value")),
-            Column(text("unit"), left=True),
+            doc.Column(text("deviation"), left=True),
+            doc.Column(text("value")),
+            doc.Column(text("unit"), left=True),
         ),
-        tuple((text(name), number(value, ".1e"), Name(unit)) for name, unit, value in rows),
+        tuple((text(name), doc.number(value, ".1e"), doc.Name(unit)) for name, unit, value in rows),
         (task_text(stand.task),),
         (
             text("Solved on Pinocchio's model of the URDF, and computed anew on MuJoCo's."),
@@ -209,23 +202,23 @@ def _stand(analysis: Analysis) -> Block:
     )
 
 
-def _jacobians(analysis: Analysis) -> Block:
-    rows: list[tuple[Cell, ...]] = [
+def _jacobians(analysis: Analysis) -> doc.Block:
+    rows: list[tuple[doc.Cell, ...]] = [
         (
-            Name(foot),
-            *(vector(row, "+.4f") for row in jacobian.matrix),
-            vector(jacobian.singular_values, ".4f"),
-            number(jacobian.condition, ".2f"),
+            doc.Name(foot),
+            *(doc.vector(row, "+.4f") for row in jacobian.matrix),
+            doc.vector(jacobian.singular_values, ".4f"),
+            doc.number(jacobian.condition, ".2f"),
         )
         for foot, jacobian in analysis.foot_jacobians.items()
     ]
-    return Table(
+    return doc.Table(
         text("Foot Jacobians, in world axes, by the joints of the leg"),
         (
-            Column(text("foot"), left=True),
-            *(Column(Name(f"v{axis}"), "m/rad", left=True) for axis in "xyz"),
-            Column(text("singular values"), "m/rad", left=True),
-            Column(text("condition"), "1"),
+            doc.Column(text("foot"), left=True),
+            *(doc.Column(doc.Name(f"v{axis}"), "m/rad", left=True) for axis in "xyz"),
+            doc.Column(text("singular values"), "m/rad", left=True),
+            doc.Column(text("condition"), "1"),
         ),
         tuple(rows),
         (),
@@ -236,24 +229,24 @@ def _jacobians(analysis: Analysis) -> Block:
     )
 
 
-def _check(analysis: Analysis) -> Block:
+def _check(analysis: Analysis) -> doc.Block:
     check = analysis.check
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[doc.Cell, ...]] = []
     for quantity in check.quantities:
         exact = quantity.deviation == 0
         rows.append(
             (
                 word(quantity.name),
-                Name("" if exact else quantity.where),
-                Name("" if exact else quantity.whose),
-                number(quantity.scale, ".3g"),
-                number(quantity.deviation, ".1e"),
-                Name(quantity.unit),
-                Number(f"{quantity.relative:.1e}", quantity.relative),
+                doc.Name("" if exact else quantity.where),
+                doc.Name("" if exact else quantity.whose),
+                doc.number(quantity.scale, ".3g"),
+                doc.number(quantity.deviation, ".1e"),
+                doc.Name(quantity.unit),
+                doc.Number(f"{quantity.relative:.1e}", quantity.relative),
                 text("ok") if quantity.passed else text("DIFFERS"),
             )
         )
-    return Table(
+    return doc.Table(
         text(
             "Cross-check: URDF and MJCF, each in Pinocchio and in MuJoCo, at {count} random "
             "configurations; tolerance {tolerance}",
@@ -261,14 +254,14 @@ def _check(analysis: Analysis) -> Block:
             tolerance=f"{check.tolerance:g}",
         ),
         (
-            Column(text("quantity"), left=True),
-            Column(text("worst at"), left=True),
-            Column(text("deviation of"), left=True),
-            Column(text("scale")),
-            Column(text("deviation")),
-            Column(text("unit"), left=True),
-            Column(text("relative"), "1"),
-            Column(text("verdict"), left=True),
+            doc.Column(text("quantity"), left=True),
+            doc.Column(text("worst at"), left=True),
+            doc.Column(text("deviation of"), left=True),
+            doc.Column(text("scale")),
+            doc.Column(text("deviation")),
+            doc.Column(text("unit"), left=True),
+            doc.Column(text("relative"), "1"),
+            doc.Column(text("verdict"), left=True),
         ),
         tuple(rows),
         tuple(map(said, check.notes)),

@@ -5,17 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
-from pupper_analysis.report.html.document import (
-    Block,
-    Cell,
-    Column,
-    Lines,
-    Name,
-    Number,
-    Section,
-    Table,
-    Text,
-)
+from pupper_analysis.report.html import document as doc
 from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.sources import page, quoted
 from pupper_analysis.report.html.words import text, word
@@ -23,13 +13,13 @@ from pupper_analysis.report.html.words import text, word
 _MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.INFO: ""}
 
 
-def audit_section(audit: Audit) -> Section:
+def audit_section(audit: Audit) -> doc.Section:
     """Returns what is wrong in one file."""
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     if audit.findings:
         blocks += [_findings(audit), _advice(audit.findings)]
     if audit.notes:
-        blocks.append(Lines(tuple(map(said, audit.notes)), "warn", text("Left out")))
+        blocks.append(doc.Lines(tuple(map(said, audit.notes)), "warn", text("Left out")))
     told = [
         text("{count} of severity {severity}", count=count, severity=word(severity))
         for severity, count in audit.counts.items()
@@ -39,8 +29,8 @@ def audit_section(audit: Audit) -> Section:
         text("{element}: {message}", element=said(one.element), message=said(one.message))
         for one in audit.findings[:3]
     ]
-    return Section(
-        Name(Path(audit.file).name),
+    return doc.Section(
+        doc.Name(Path(audit.file).name),
         tuple(blocks),
         audit.passed,
         _verdict(audit),
@@ -49,39 +39,39 @@ def audit_section(audit: Audit) -> Section:
     )
 
 
-def _verdict(audit: Audit) -> Text:
+def _verdict(audit: Audit) -> doc.Text:
     if not audit.passed:
         return text("UNSOUND")
     return text("SUSPECT") if audit.counts.get(Severity.WARNING) else text("SOUND")
 
 
-def _findings(audit: Audit) -> Table:
-    rows: list[tuple[Cell, ...]] = []
+def _findings(audit: Audit) -> doc.Table:
+    rows: list[tuple[doc.Cell, ...]] = []
     for order, one in enumerate(audit.findings, start=1):
         line = "" if one.line is None else f":{one.line}"
         rows.append(
             (
-                Number(str(order), order, _MARKS[one.severity]),
+                doc.Number(str(order), order, _MARKS[one.severity]),
                 word(str(one.severity)),
-                Name(one.rule),
-                word(RULES[one.rule].title) if one.rule in RULES else Name(""),
+                doc.Name(one.rule),
+                word(RULES[one.rule].title) if one.rule in RULES else doc.Name(""),
                 said(one.element),
                 said(one.message),
-                Name(f"{Path(one.file).name}{line}"),
-                Name(quoted(f"{one.file}{line}", audit.file)),
+                doc.Name(f"{Path(one.file).name}{line}"),
+                doc.Name(quoted(f"{one.file}{line}", audit.file)),
             )
         )
-    return Table(
+    return doc.Table(
         text("Findings, the worst first"),
         (
-            Column(text("no."), "1"),
-            Column(text("severity"), left=True),
-            Column(text("rule"), left=True),
-            Column(text("what the rule looks for"), left=True),
-            Column(text("of"), left=True),
-            Column(text("finding"), left=True),
-            Column(text("line"), left=True),
-            Column(text("what stands there"), left=True),
+            doc.Column(text("no."), "1"),
+            doc.Column(text("severity"), left=True),
+            doc.Column(text("rule"), left=True),
+            doc.Column(text("what the rule looks for"), left=True),
+            doc.Column(text("of"), left=True),
+            doc.Column(text("finding"), left=True),
+            doc.Column(text("line"), left=True),
+            doc.Column(text("what stands there"), left=True),
         ),
         tuple(rows),
         (),
@@ -89,11 +79,11 @@ def _findings(audit: Audit) -> Table:
     )
 
 
-def _advice(findings: tuple[Finding, ...]) -> Lines:
+def _advice(findings: tuple[Finding, ...]) -> doc.Lines:
     """Returns why each rule matters, and what to do, once per rule."""
     ruled = {one.rule: one for one in reversed(findings)}
     lines = tuple(
-        text("{rule}: {why} {todo}", rule=Name(rule), why=said(one.why), todo=said(one.todo))
+        text("{rule}: {why} {todo}", rule=doc.Name(rule), why=said(one.why), todo=said(one.todo))
         for rule, one in reversed(ruled.items())
     )
-    return Lines(lines, title=text("Why, and what to do"))
+    return doc.Lines(lines, title=text("Why, and what to do"))

@@ -14,20 +14,7 @@ from pupper_analysis.report.comparison import (
     first_to_mend,
     matching_notes,
 )
-from pupper_analysis.report.html.document import (
-    Block,
-    Cell,
-    Column,
-    Lines,
-    Name,
-    Number,
-    Section,
-    Sides,
-    Table,
-    View,
-    Words,
-    number,
-)
+from pupper_analysis.report.html import document as doc
 from pupper_analysis.report.html.overlay import overlay_of
 from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.sources import page, quoted
@@ -43,34 +30,36 @@ SHOWN = 40
 """Groups of differences whose lines are shown side by side; the table has them all."""
 
 
-def comparison_section(comparison: Comparison) -> Section:
+def comparison_section(comparison: Comparison) -> doc.Section:
     """Returns what makes two files disagree."""
     causes, groups = by_cause(comparison, everything=False)
-    blocks: list[Block] = [
-        Lines(
+    blocks: list[doc.Block] = [
+        doc.Lines(
             (text("URDF: {file}", file=comparison.urdf), text("MJCF: {file}", file=comparison.mjcf))
         )
     ]
     scene = overlay_of(comparison)
     if scene is not None:
-        blocks.append(View(text("The two files over each other"), scene, text(_OVERLAY)))
+        blocks.append(doc.View(text("The two files over each other"), scene, text(_OVERLAY)))
     for part in comparison.parts:
-        blocks.append(Lines((said(part),), "bad", text("Only in one file")))
+        blocks.append(doc.Lines((said(part),), "bad", text("Only in one file")))
     for cause in causes:
         first = comparison.differences[cause.differences[0]]
         made = text("This alone makes {count} differences.", count=len(cause.differences))
         blocks.append(_sides(comparison, first, said(cause.message), made))
     for group in groups[:SHOWN]:
-        more: list[Words] = []
+        more: list[doc.Words] = []
         if len(group) > 1:
             names = ", ".join(difference.element for difference in group[1:])
             more.append(
-                text("Likewise on {count} more: {names}", count=len(group) - 1, names=Name(names))
+                text(
+                    "Likewise on {count} more: {names}", count=len(group) - 1, names=doc.Name(names)
+                )
             )
         blocks.append(_sides(comparison, group[0], said(group[0].message), *more))
     if len(groups) > SHOWN:
         blocks.append(
-            Lines((text("{count} more are in the table alone.", count=len(groups) - SHOWN),))
+            doc.Lines((text("{count} more are in the table alone.", count=len(groups) - SHOWN),))
         )
     if comparison.differences:
         blocks.append(_differences(comparison))
@@ -78,10 +67,10 @@ def comparison_section(comparison: Comparison) -> Section:
     blocks.append(_quantities(comparison))
     notes = [*matching_notes(comparison), *comparison.check.notes, *comparison.engines]
     if notes:
-        blocks.append(Lines(tuple(map(said, notes)), title=text("Notes")))
+        blocks.append(doc.Lines(tuple(map(said, notes)), title=text("Notes")))
     agree = comparison.agree
-    return Section(
-        Name(f"{Path(comparison.urdf).name} ↔ {Path(comparison.mjcf).name}"),
+    return doc.Section(
+        doc.Name(f"{Path(comparison.urdf).name} ↔ {Path(comparison.mjcf).name}"),
         tuple(blocks),
         agree,
         text("AGREE") if agree else text("DISAGREE"),
@@ -92,7 +81,9 @@ def comparison_section(comparison: Comparison) -> Section:
     )
 
 
-def _sides(comparison: Comparison, difference: Difference, title: Words, *notes: Words) -> Sides:
+def _sides(
+    comparison: Comparison, difference: Difference, title: doc.Words, *notes: doc.Words
+) -> doc.Sides:
     paths = (comparison.urdf, comparison.mjcf)
     columns = []
     for place, value in (
@@ -100,44 +91,44 @@ def _sides(comparison: Comparison, difference: Difference, title: Words, *notes:
         (difference.mjcf_place, difference.mjcf),
     ):
         line = quoted(place, *paths)
-        shown: Words = Name(line) if line else Name(f"{short(value)} {difference.unit}")
-        columns.append((Name(_short(place)) if place else text("not in the file"), shown))
-    return Sides(
+        shown: doc.Words = doc.Name(line) if line else doc.Name(f"{short(value)} {difference.unit}")
+        columns.append((doc.Name(_short(place)) if place else text("not in the file"), shown))
+    return doc.Sides(
         title,
         tuple(columns),
         (*notes, *map(said, difference.made_of), said(effects_in_words(difference))),
     )
 
 
-def _differences(comparison: Comparison) -> Table:
-    rows: list[tuple[Cell, ...]] = []
+def _differences(comparison: Comparison) -> doc.Table:
+    rows: list[tuple[doc.Cell, ...]] = []
     for order, difference in enumerate(comparison.differences, start=1):
         effect = difference.weight[1]
         rows.append(
             (
-                number(order, "g"),
+                doc.number(order, "g"),
                 word(difference.kind),
-                Name(difference.element),
+                doc.Name(difference.element),
                 _value(difference.urdf),
                 _value(difference.mjcf),
-                Name(difference.unit),
-                Number(f"{effect:.1e}", effect),
-                Name(_short(difference.urdf_place)),
-                Name(_short(difference.mjcf_place)),
+                doc.Name(difference.unit),
+                doc.Number(f"{effect:.1e}", effect),
+                doc.Name(_short(difference.urdf_place)),
+                doc.Name(_short(difference.mjcf_place)),
             )
         )
-    return Table(
+    return doc.Table(
         text("All differences, what is to be mended first, first"),
         (
-            Column(text("no."), "1"),
-            Column(text("kind"), left=True),
-            Column(text("of"), left=True),
-            Column(text("in the URDF")),
-            Column(text("in the MJCF")),
-            Column(text("unit"), left=True),
-            Column(text("greatest relative effect"), "1"),
-            Column(text("line of the URDF"), left=True),
-            Column(text("line of the MJCF"), left=True),
+            doc.Column(text("no."), "1"),
+            doc.Column(text("kind"), left=True),
+            doc.Column(text("of"), left=True),
+            doc.Column(text("in the URDF")),
+            doc.Column(text("in the MJCF")),
+            doc.Column(text("unit"), left=True),
+            doc.Column(text("greatest relative effect"), "1"),
+            doc.Column(text("line of the URDF"), left=True),
+            doc.Column(text("line of the MJCF"), left=True),
         ),
         tuple(rows),
         (),
@@ -150,15 +141,15 @@ def _short(place: str | None) -> str:
     return "" if place is None else Path(place).name
 
 
-def _value(value: object) -> Cell:
+def _value(value: object) -> doc.Cell:
     if isinstance(value, float | int):
-        return number(float(value), ".6g")
-    return Name("-" if value is None else short(value))
+        return doc.number(float(value), ".6g")
+    return doc.Name("-" if value is None else short(value))
 
 
-def _explained(comparison: Comparison) -> Iterable[Block]:
+def _explained(comparison: Comparison) -> Iterable[doc.Block]:
     if comparison.differences:
-        yield Lines(
+        yield doc.Lines(
             (
                 text(
                     "Explained: {share} % of the deviation; with the MJCF's values in the URDF's "
@@ -169,29 +160,29 @@ def _explained(comparison: Comparison) -> Iterable[Block]:
             )
         )
     if comparison.objections:
-        yield Lines(tuple(map(said, comparison.objections)), "bad", text("Objections"))
+        yield doc.Lines(tuple(map(said, comparison.objections)), "bad", text("Objections"))
 
 
-def _quantities(comparison: Comparison) -> Table:
+def _quantities(comparison: Comparison) -> doc.Table:
     check = comparison.check
     sides = [side for side in EDGES.values() if any(side in q.edges for q in check.quantities)]
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[doc.Cell, ...]] = [
         (
             word(quantity.name),
-            *(number(quantity.edges.get(side), ".1e") for side in sides),
-            Name("" if quantity.passed else quantity.where),
+            *(doc.number(quantity.edges.get(side), ".1e") for side in sides),
+            doc.Name("" if quantity.passed else quantity.where),
         )
         for quantity in check.quantities
     ]
-    return Table(
+    return doc.Table(
         text(
             "Deviation relative to each quantity's scale, at {count} random configurations",
             count=check.configurations,
         ),
         (
-            Column(text("quantity"), left=True),
-            *(Column(word(side), "1") for side in sides),
-            Column(text("worst at"), left=True),
+            doc.Column(text("quantity"), left=True),
+            *(doc.Column(word(side), "1") for side in sides),
+            doc.Column(text("worst at"), left=True),
         ),
         tuple(rows),
         (),

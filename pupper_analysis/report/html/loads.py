@@ -4,21 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from pupper_analysis.report.html import document as doc
 from pupper_analysis.report.html import plots
-from pupper_analysis.report.html.document import (
-    Block,
-    Cell,
-    Column,
-    Lines,
-    Name,
-    Number,
-    Plot,
-    Table,
-    Text,
-    View,
-    number,
-    vector,
-)
 from pupper_analysis.report.html.scene import Motion, scene_of
 from pupper_analysis.report.html.sources import page
 from pupper_analysis.report.html.words import text
@@ -31,13 +18,13 @@ BUSY, FULL = 0.9, 1.0
 """Motor utilisation from which it is marked: little is left for a push, or nothing."""
 
 
-def utilisation(share: float) -> Number:
+def utilisation(share: float) -> doc.Number:
     """Returns a share of a motor's limit as a cell with a bar."""
     mark = "bad" if share > FULL else "warn" if share > BUSY else ""
-    return Number(f"{share:.1%}", 100 * share, mark, min(share, 1.0))
+    return doc.Number(f"{share:.1%}", 100 * share, mark, min(share, 1.0))
 
 
-def proof(verification: StandVerification) -> Text:
+def proof(verification: StandVerification) -> doc.Text:
     """Returns how predicted torques and forces are verified."""
     return text(
         "Verified by MuJoCo's simulation of {seconds} s: torques within {torque}, vertical foot "
@@ -53,8 +40,8 @@ def load_blocks(
     minimum_peak: GravityCompensation,
     verification: StandVerification,
     limits: Sequence[float],
-    more: Mapping[Column, Sequence[float]],
-) -> list[Block]:
+    more: Mapping[doc.Column, Sequence[float]],
+) -> list[doc.Block]:
     """Returns what motors and feet hold, predicted and simulated.
 
     Args:
@@ -69,27 +56,27 @@ def load_blocks(
         page("physics.md", "Standing is not hanging"),
         proof(verification),
     )
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[doc.Cell, ...]] = [
         (
-            Name(name),
-            number(statics.joint_torques[index], "+.4f"),
-            number(limits[index], "g"),
+            doc.Name(name),
+            doc.number(statics.joint_torques[index], "+.4f"),
+            doc.number(limits[index], "g"),
             utilisation(float(statics.motor_utilisation[index])),
-            number(verification.joint_torques[index], "+.4f"),
-            number(minimum_peak.joint_torques[index], "+.4f"),
-            *(number(values[index], "+.4f") for values in more.values()),
+            doc.number(verification.joint_torques[index], "+.4f"),
+            doc.number(minimum_peak.joint_torques[index], "+.4f"),
+            *(doc.number(values[index], "+.4f") for values in more.values()),
         )
         for index, name in enumerate(statics.joint_names)
     ]
-    torques = Table(
+    torques = doc.Table(
         text("Motor torques"),
         (
-            Column(text("joint"), left=True),
-            Column(text("torque"), "N m"),
-            Column(text("limit"), "N m"),
-            Column(text("utilisation"), "%"),
-            Column(text("simulated"), "N m"),
-            Column(text("minimum peak"), "N m"),
+            doc.Column(text("joint"), left=True),
+            doc.Column(text("torque"), "N m"),
+            doc.Column(text("limit"), "N m"),
+            doc.Column(text("utilisation"), "%"),
+            doc.Column(text("simulated"), "N m"),
+            doc.Column(text("minimum peak"), "N m"),
             *more,
         ),
         tuple(rows),
@@ -111,11 +98,11 @@ def load_blocks(
 
 def torque_plot(
     statics: GravityCompensation, verification: StandVerification, limits: Sequence[float]
-) -> Plot:
+) -> doc.Plot:
     """Draws each motor's torque, predicted and simulated, against its limit."""
     bars = [
         plots.Bar(
-            Name(name),
+            doc.Name(name),
             float(statics.joint_torques[index]),
             float(verification.joint_torques[index]),
             float(limits[index]),
@@ -134,23 +121,23 @@ def _contacts(
     statics: GravityCompensation,
     minimum_peak: GravityCompensation,
     verification: StandVerification,
-) -> list[Block]:
+) -> list[doc.Block]:
     flat = len(statics.foot_loads) < len(statics.contact_forces)
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[doc.Cell, ...]] = [
         (
-            Name(foot),
-            *(number(value, "+.3f") for value in load.force),
-            number(load.friction_utilisation, ".1f", scale=100),
-            *(number(value, "+.3f") for value in verification.foot_forces[foot]),
-            vector(minimum_peak.foot_loads[foot].force, "+.3f"),
+            doc.Name(foot),
+            *(doc.number(value, "+.3f") for value in load.force),
+            doc.number(load.friction_utilisation, ".1f", scale=100),
+            *(doc.number(value, "+.3f") for value in verification.foot_forces[foot]),
+            doc.vector(minimum_peak.foot_loads[foot].force, "+.3f"),
         )
         for foot, load in statics.foot_loads.items()
     ]
     notes = [
         text(
             "centre of pressure of {foot}: {place} m",
-            foot=Name(foot),
-            place=vector(load.centre_of_pressure, "+.4f"),
+            foot=doc.Name(foot),
+            place=doc.vector(load.centre_of_pressure, "+.4f"),
         )
         for foot, load in statics.foot_loads.items()
         if flat
@@ -166,16 +153,16 @@ def _contacts(
             margin=margin,
         )
     )
-    axes = [Column(text("force {axis}", axis=axis), "N") for axis in "xyz"]
-    simulated = [Column(text("simulated {axis}", axis=axis), "N") for axis in "xyz"]
-    table = Table(
+    axes = [doc.Column(text("force {axis}", axis=axis), "N") for axis in "xyz"]
+    simulated = [doc.Column(text("simulated {axis}", axis=axis), "N") for axis in "xyz"]
+    table = doc.Table(
         text("Contact forces on the feet, in world axes"),
         (
-            Column(text("foot"), left=True),
+            doc.Column(text("foot"), left=True),
             *axes,
-            Column(text("friction used"), "%"),
+            doc.Column(text("friction used"), "%"),
             *simulated,
-            Column(text("minimum peak, x y z"), "N", left=True),
+            doc.Column(text("minimum peak, x y z"), "N", left=True),
         ),
         tuple(rows),
         tuple(notes),
@@ -192,11 +179,11 @@ def view_block(
     stand: Stand,
     statics: GravityCompensation | None,
     motions: Sequence[Motion] = (),
-) -> Block:
+) -> doc.Block:
     """Returns the stand in three dimensions, or that it is left out; see ``scene_of``."""
     if robot is None:
-        return Lines((text("The view in three dimensions is left out: no robot was given."),))
-    return View(
+        return doc.Lines((text("The view in three dimensions is left out: no robot was given."),))
+    return doc.View(
         text("The stand in three dimensions"),
         scene_of(robot, stand, statics, motions),
         text(

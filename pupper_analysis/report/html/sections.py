@@ -14,20 +14,10 @@ from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.checks.audit import Audit
 from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.report.html import document as doc
 from pupper_analysis.report.html.analysis import analysis_section
 from pupper_analysis.report.html.audit import audit_section
 from pupper_analysis.report.html.comparison import comparison_section
-from pupper_analysis.report.html.document import (
-    Block,
-    Cell,
-    Column,
-    Name,
-    Said,
-    Section,
-    Table,
-    Words,
-    number,
-)
 from pupper_analysis.report.html.stance import (
     path_section,
     push_plot,
@@ -45,7 +35,7 @@ MOST_ROWS = 500
 """Of a table of which nothing is known: more than anyone reads."""
 
 
-def section_of(result: Result, name: str | None, robots: Mapping[str, Robot]) -> Section:
+def section_of(result: Result, name: str | None, robots: Mapping[str, Robot]) -> doc.Section:
     """Returns what is shown of a result.
 
     Args:
@@ -70,7 +60,7 @@ def section_of(result: Result, name: str | None, robots: Mapping[str, Robot]) ->
     return _any(result, name or type(result).__name__)
 
 
-def overview_of(results: Sequence[Result]) -> tuple[Block, ...]:
+def overview_of(results: Sequence[Result]) -> tuple[doc.Block, ...]:
     """Returns what compares several results."""
     pushes = [result for result in results if isinstance(result, PushedStance)]
     alike = {pushed.recovery.directions.tobytes() for pushed in pushes}
@@ -79,7 +69,7 @@ def overview_of(results: Sequence[Result]) -> tuple[Block, ...]:
     return ()
 
 
-def title_of(results: Sequence[object]) -> Words:
+def title_of(results: Sequence[object]) -> doc.Words:
     """Returns a page's title: what kind of result it shows."""
     titles = {
         Analysis: text("Analysis of robots"),
@@ -102,47 +92,53 @@ def title_of(results: Sequence[object]) -> Words:
     return text("Report of pupper_analysis")
 
 
-def _any(result: Result, name: str) -> Section:
+def _any(result: Result, name: str) -> doc.Section:
     """Returns the fields of a result that has no page of its own, with what they mean."""
     meanings = _meanings(type(result))
-    rows: list[tuple[Cell, ...]] = [
-        (Name(field.name), _value(getattr(result, field.name)), Said(meanings.get(field.name, "")))
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.Name(field.name),
+            _value(getattr(result, field.name)),
+            doc.Said(meanings.get(field.name, "")),
+        )
         for field in fields(result)  # type: ignore[arg-type]  # all results are dataclasses
     ]
-    table = Table(
-        Name(type(result).__name__),
+    table = doc.Table(
+        doc.Name(type(result).__name__),
         (
-            Column(text("field"), left=True),
-            Column(text("value")),
-            Column(text("meaning and unit"), left=True),
+            doc.Column(text("field"), left=True),
+            doc.Column(text("value")),
+            doc.Column(text("meaning and unit"), left=True),
         ),
         tuple(rows),
     )
-    blocks: list[Block] = [table]
+    blocks: list[doc.Block] = [table]
     if isinstance(result, Tabular):
         columns = {key: list(values) for key, values in result._columns().items()}  # type: ignore[arg-type]
         cells = list(zip(*columns.values(), strict=True))[:MOST_ROWS]
         blocks.append(
-            Table(
+            doc.Table(
                 text("As a table"),
-                tuple(Column(Name(key)) for key in columns),
+                tuple(doc.Column(doc.Name(key)) for key in columns),
                 tuple(tuple(map(_value, row)) for row in cells),
                 (text("Units are those of the fields."),),
             )
         )
     passed = getattr(result, "passed", None)
     verdict = None if passed is None else text("PASSED") if passed else text("FAILED")
-    return Section(Name(name), tuple(blocks), passed, verdict)
+    return doc.Section(doc.Name(name), tuple(blocks), passed, verdict)
 
 
-def _value(value: object) -> Cell:
+def _value(value: object) -> doc.Cell:
     if isinstance(value, bool) or not isinstance(value, float | int):
-        return Name(value if isinstance(value, str) else short(value))
-    return number(float(value), ".6g")
+        return doc.Name(value if isinstance(value, str) else short(value))
+    return doc.number(float(value), ".6g")
 
 
 def _meanings(kind: type) -> dict[str, str]:
-    """Returns {field: what its docstring says of it, unit included}."""
-    said = (inspect.getdoc(kind) or "").partition("Attributes:\n")[2]
-    entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", said, flags=re.MULTILINE)
+    """Returns {field: what the docstring of its class says of it, unit included}."""
+    entries: list[tuple[str, str]] = []
+    for one in reversed(kind.__mro__):
+        said = inspect.cleandoc(one.__doc__ or "").partition("Attributes:\n")[2]
+        entries += re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", said, flags=re.MULTILINE)
     return {name: re.sub(r"\s+", " ", meaning) for name, meaning in entries}

@@ -8,20 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from pupper_analysis.analysis.robot import Analysis
+from pupper_analysis.report.html import document as doc
 from pupper_analysis.report.html import plots
-from pupper_analysis.report.html.document import (
-    Array,
-    Block,
-    Cell,
-    Column,
-    Lines,
-    Name,
-    Plot,
-    Table,
-    Text,
-    Words,
-    number,
-)
 from pupper_analysis.report.html.loads import proof
 from pupper_analysis.report.html.scene import Motion
 from pupper_analysis.report.html.sentences import said
@@ -31,28 +19,28 @@ from pupper_analysis.simulation.gain_sweep import GainSweep
 from pupper_analysis.simulation.verify import StandVerification
 
 
-def simulation_blocks(analysis: Analysis) -> Iterable[Block]:
+def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
     """Returns what the simulations of a stand say, with feed-forward and without."""
     run = analysis.verification
     both = (run, analysis.sagging)
     verdicts = tuple(text("stands") if one.passed else text("FAILED") for one in both)
-    table = Table(
+    table = doc.Table(
         text(
             "MuJoCo, {seconds} s on the floating base ({integrator}, {step} ms; kp {kp} N m/rad, "
             "kd {kd} N m s/rad)",
             seconds=f"{run.duration:g}",
-            integrator=Name(run.integrator),
+            integrator=doc.Name(run.integrator),
             step=f"{1e3 * run.timestep:g}",
             kp=_interval(run.kp),
             kd=_interval(run.kd),
         ),
         (
-            Column(text("quantity"), left=True),
-            Column(text("with feed-forward")),
-            Column(text("without")),
-            Column(text("unit"), left=True),
+            doc.Column(text("quantity"), left=True),
+            doc.Column(text("with feed-forward")),
+            doc.Column(text("without")),
+            doc.Column(text("unit"), left=True),
         ),
-        (*run_rows(both), (text("verdict"), *verdicts, Name(""))),
+        (*run_rows(both), (text("verdict"), *verdicts, doc.Name(""))),
         (),
         (page("physics.md", "Position servos sag"), proof(run)),
     )
@@ -61,11 +49,11 @@ def simulation_blocks(analysis: Analysis) -> Iterable[Block]:
         both, ("with feed-forward it fails", "without feed-forward it fails"), strict=True
     ):
         if one.failures:
-            yield Lines(tuple(map(said, one.failures)), "warn", text(title))
+            yield doc.Lines(tuple(map(said, one.failures)), "warn", text(title))
     yield height_plot(both, float(analysis.stand.qpos[2]))
 
 
-def height_plot(runs: Sequence[StandVerification], task: float) -> Plot:
+def height_plot(runs: Sequence[StandVerification], task: float) -> doc.Plot:
     """Draws the base's height over the simulated time, with feed-forward and without.
 
     Args:
@@ -90,40 +78,42 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> Plot:
     )
 
 
-def _interval(values: Array) -> str:
+def _interval(values: doc.Array) -> str:
     low, high = float(values.min()), float(values.max())
     return f"{low:g}" if low == high else f"{low:g} … {high:g}"
 
 
-def sweep_blocks(sweep: GainSweep) -> Iterable[Block]:
+def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
     """Returns how steady a stand is, by servo gains."""
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[doc.Cell, ...]] = []
     for kp, row in zip(sweep.kp, sweep.height_deviation, strict=True):
-        cells: list[Cell] = [number(kp, "g")]
+        cells: list[doc.Cell] = [doc.number(kp, "g")]
         for kd, value in zip(sweep.kd, row, strict=True):
             best = kp == sweep.best_kp and kd == sweep.best_kd
             fell = text("fell")
             cells.append(
-                number(value, ".4f", "best" if best else "", 1e3) if np.isfinite(value) else fell
+                doc.number(value, ".4f", "best" if best else "", 1e3)
+                if np.isfinite(value)
+                else fell
             )
         rows.append(tuple(cells))
-    notes: list[Words] = [
+    notes: list[doc.Words] = [
         text(
             "Standard deviation of the base's height in the last of {seconds} s, under {force} N "
             "at {frequency} Hz ({integrator}); the least is marked.",
             seconds=f"{sweep.duration:g}",
             force=f"{sweep.amplitude:g}",
             frequency=f"{sweep.frequency:g}",
-            integrator=Name(sweep.integrator),
+            integrator=doc.Name(sweep.integrator),
         )
     ]
     if sweep.at_edge:
         notes.append(edge_note(sweep))
-    yield Table(
+    yield doc.Table(
         text("Height deviation by servo gains"),
         (
-            Column(text("kp \\ kd"), "N m/rad \\ N m s/rad", left=True),
-            *(Column(Name(f"kd {kd:g}"), "mm") for kd in sweep.kd),
+            doc.Column(text("kp \\ kd"), "N m/rad \\ N m s/rad", left=True),
+            *(doc.Column(doc.Name(f"kd {kd:g}"), "mm") for kd in sweep.kd),
         ),
         tuple(rows),
         tuple(notes),
@@ -141,19 +131,19 @@ def sweep_blocks(sweep: GainSweep) -> Iterable[Block]:
             plots.Axis(text("height deviation"), "mm", ".4f", log=True),
             [
                 plots.Series(
-                    Name(f"kp {kp:g} N m/rad"), sweep.kd, _positive(1e3 * row), points=True
+                    doc.Name(f"kp {kp:g} N m/rad"), sweep.kd, _positive(1e3 * row), points=True
                 )
                 for kp, row in finite
             ],
         )
 
 
-def _positive(values: Array) -> Array:
+def _positive(values: doc.Array) -> doc.Array:
     """Returns values without those that a logarithmic axis has no place for."""
     return np.where(values > 0, values, np.nan)
 
 
-def edge_note(sweep: GainSweep) -> Text:
+def edge_note(sweep: GainSweep) -> doc.Text:
     """Says where the best gains lie on the edge of what was tried."""
     return text(
         "The best gains lie on the edge of the grid ({edges}): better ones may be beyond.",
@@ -175,10 +165,10 @@ def motions_of(runs: Sequence[StandVerification]) -> list[Motion]:
     ]
 
 
-def run_rows(runs: Sequence[StandVerification]) -> tuple[tuple[Cell, ...], ...]:
+def run_rows(runs: Sequence[StandVerification]) -> tuple[tuple[doc.Cell, ...], ...]:
     """Returns what simulations made of a stand: a row per quantity, a column per run."""
     return tuple(
-        (text(name), *(number(of(run), format, scale=scale) for run in runs), Name(unit))
+        (text(name), *(doc.number(of(run), format, scale=scale) for run in runs), doc.Name(unit))
         for name, unit, of, format, scale in _QUANTITIES
     )
 

@@ -8,19 +8,8 @@ from collections.abc import Iterable, Sequence
 from pupper_analysis.analysis.path import PathThere
 from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.analysis.stance import Stance
+from pupper_analysis.report.html import document as doc
 from pupper_analysis.report.html import plots
-from pupper_analysis.report.html.document import (
-    Block,
-    Cell,
-    Column,
-    Lines,
-    Name,
-    Plot,
-    Section,
-    Table,
-    Words,
-    number,
-)
 from pupper_analysis.report.html.loads import load_blocks, proof, view_block
 from pupper_analysis.report.html.scene import Motion
 from pupper_analysis.report.html.sentences import said
@@ -31,28 +20,28 @@ from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
 
 
-def stance_section(stance: Stance, robot: Robot | None) -> Section:
+def stance_section(stance: Stance, robot: Robot | None) -> doc.Section:
     """Returns a stance, what it costs, and whether it holds."""
     run = stance.verification
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     if run.failures:
-        blocks.append(Lines(tuple(map(said, run.failures)), "bad", text("What failed")))
+        blocks.append(doc.Lines(tuple(map(said, run.failures)), "bad", text("What failed")))
     blocks.append(view_block(robot, stance.sunk or stance.stand, stance.statics, motions_of([run])))
-    blocks.append(Lines((task_text(stance.stand.task), *source_of(robot), *_told(stance))))
+    blocks.append(doc.Lines((task_text(stance.stand.task), *source_of(robot), *_told(stance))))
     blocks += load_blocks(
         stance.statics,
         stance.minimum_peak,
         run,
         stance.limits.tolist(),
-        {Column(text("position"), "rad"): stance.joint_positions.tolist()},
+        {doc.Column(text("position"), "rad"): stance.joint_positions.tolist()},
     )
     blocks.append(
-        Table(
+        doc.Table(
             text("MuJoCo, {seconds} s on the floating base", seconds=f"{run.duration:g}"),
             (
-                Column(text("quantity"), left=True),
-                Column(text("with feed-forward")),
-                Column(text("unit"), left=True),
+                doc.Column(text("quantity"), left=True),
+                doc.Column(text("with feed-forward")),
+                doc.Column(text("unit"), left=True),
             ),
             run_rows([run]),
             (),
@@ -60,8 +49,8 @@ def stance_section(stance: Stance, robot: Robot | None) -> Section:
         )
     )
     blocks.append(height_plot([run], float((stance.sunk or stance.stand).qpos[2])))
-    return Section(
-        Name(stance.name),
+    return doc.Section(
+        doc.Name(stance.name),
         tuple(blocks),
         stance.passed,
         text("HOLDS") if stance.passed else text("FAILS"),
@@ -69,11 +58,11 @@ def stance_section(stance: Stance, robot: Robot | None) -> Section:
     )
 
 
-def _told(stance: Stance) -> Iterable[Words]:
+def _told(stance: Stance) -> Iterable[doc.Words]:
     if stance.overloaded:
         yield text(
             "OVERLOADED: with the contact forces that last the motors cannot hold it: {joints}",
-            joints=Name(", ".join(stance.overloaded)),
+            joints=doc.Name(", ".join(stance.overloaded)),
         )
     settled = stance.settled
     if settled is None:
@@ -97,13 +86,13 @@ def _told(stance: Stance) -> Iterable[Words]:
     if near is not None:
         yield text(
             "Lowest part but the feet: {link}, {distance} mm",
-            link=Name(near.links[0]),
+            link=doc.Name(near.links[0]),
             distance=f"{1e3 * near.distance:.1f}",
         )
     if links is not None:
         yield text(
             "Nearest links: {links}, {distance} mm apart",
-            links=Name(" / ".join(links.links)),
+            links=doc.Name(" / ".join(links.links)),
             distance=f"{1e3 * links.distance:.1f}",
         )
     if stance.sunk is None:
@@ -113,15 +102,15 @@ def _told(stance: Stance) -> Iterable[Words]:
         )
 
 
-def push_section(pushed: PushedStance, robot: Robot | None) -> Section:
+def push_section(pushed: PushedStance, robot: Robot | None) -> doc.Section:
     """Returns how hard a stance can be pushed, each way."""
     recovery = pushed.recovery
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[doc.Cell, ...]] = [
         (
-            number(math.degrees(angle), ".0f"),
-            number(recovery.impulses[index], ".2f"),
-            number(recovery.velocity_steps[index], ".3f"),
-            number(recovery.tipping_estimate[index], ".2f"),
+            doc.number(math.degrees(angle), ".0f"),
+            doc.number(recovery.impulses[index], ".2f"),
+            doc.number(recovery.velocity_steps[index], ".3f"),
+            doc.number(recovery.tipping_estimate[index], ".2f"),
             said(recovery.failures[index]),
         )
         for index, angle in enumerate(recovery.directions)
@@ -133,14 +122,14 @@ def push_section(pushed: PushedStance, robot: Robot | None) -> Section:
         speed=f"{recovery.weakest_impulse / recovery.mass:.2f}",
         mass=f"{recovery.mass:.2f}",
     )
-    table = Table(
+    table = doc.Table(
         text("Largest push that the stand survives"),
         (
-            Column(text("direction"), "°"),
-            Column(text("impulse"), "N s"),
-            Column(text("step of velocity"), "m/s"),
-            Column(text("a rigid robot tips at"), "N s"),
-            Column(text("how it fails then"), left=True),
+            doc.Column(text("direction"), "°"),
+            doc.Column(text("impulse"), "N s"),
+            doc.Column(text("step of velocity"), "m/s"),
+            doc.Column(text("a rigid robot tips at"), "N s"),
+            doc.Column(text("how it fails then"), left=True),
         ),
         tuple(rows),
         (text("Directions about the vertical, of the base: forward 0°, left 90°."),),
@@ -154,11 +143,11 @@ def push_section(pushed: PushedStance, robot: Robot | None) -> Section:
             ),
         ),
     )
-    return Section(
-        Name(pushed.name),
+    return doc.Section(
+        doc.Name(pushed.name),
         (
             view_block(robot, pushed.stand, None),
-            Lines((task_text(pushed.stand.task), *source_of(robot))),
+            doc.Lines((task_text(pushed.stand.task), *source_of(robot))),
             table,
             push_plot([pushed]),
         ),
@@ -168,42 +157,45 @@ def push_section(pushed: PushedStance, robot: Robot | None) -> Section:
     )
 
 
-def push_plot(pushes: Sequence[PushedStance]) -> Plot:
+def push_plot(pushes: Sequence[PushedStance]) -> doc.Plot:
     """Draws the largest pushes by direction, of one robot or several."""
     return plots.direction_plot(
         text("Largest push that the stand survives, from above: forward is up"),
         plots.Axis(text("impulse"), "N s", ".2f"),
         [
-            plots.Series(Name(one.name), one.recovery.directions, one.recovery.impulses)
+            plots.Series(doc.Name(one.name), one.recovery.directions, one.recovery.impulses)
             for one in pushes
         ],
     )
 
 
-def push_table(pushes: Sequence[PushedStance]) -> Table:
+def push_table(pushes: Sequence[PushedStance]) -> doc.Table:
     """Returns the largest pushes of several robots, with the same directions, side by side."""
     directions = pushes[0].recovery.directions
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[doc.Cell, ...]] = [
         (
-            number(math.degrees(angle), ".0f"),
-            *(number(one.recovery.impulses[index], ".2f") for one in pushes),
+            doc.number(math.degrees(angle), ".0f"),
+            *(doc.number(one.recovery.impulses[index], ".2f") for one in pushes),
         )
         for index, angle in enumerate(directions)
     ]
-    return Table(
+    return doc.Table(
         text("Largest push that the stand survives"),
-        (Column(text("direction"), "°"), *(Column(Name(one.name), "N s") for one in pushes)),
+        (
+            doc.Column(text("direction"), "°"),
+            *(doc.Column(doc.Name(one.name), "N s") for one in pushes),
+        ),
         tuple(rows),
         (text("Directions about the vertical, of the base: forward 0°, left 90°."),),
     )
 
 
-def path_section(there: PathThere, robot: Robot | None) -> Section:
+def path_section(there: PathThere, robot: Robot | None) -> doc.Section:
     """Returns the path to a stance, which its view steps through, and how it is followed."""
     path, tracking = there.path, there.tracking
     time = plots.Axis(text("time"), "s", ".2f")
     feet = [
-        plots.Series(Name(foot), path.time, path.loads[:, index])
+        plots.Series(doc.Name(foot), path.time, path.loads[:, index])
         for index, foot in enumerate(path.feet)
     ]
     quantities = (
@@ -215,19 +207,20 @@ def path_section(there: PathThere, robot: Robot | None) -> Section:
         ("in MuJoCo: joint error", "rad", tracking.joint_error, ".3f"),
         ("in MuJoCo: error of height", "mm", 1e3 * tracking.height_error, ".1f"),
     )
-    table = Table(
+    table = doc.Table(
         text("The path, and how it is followed"),
         (
-            Column(text("quantity"), left=True),
-            Column(text("value")),
-            Column(text("unit"), left=True),
+            doc.Column(text("quantity"), left=True),
+            doc.Column(text("value")),
+            doc.Column(text("unit"), left=True),
         ),
         tuple(
-            (text(name), number(value, form), Name(unit)) for name, unit, value, form in quantities
+            (text(name), doc.number(value, form), doc.Name(unit))
+            for name, unit, value, form in quantities
         ),
     )
-    blocks: list[Block] = [
-        Lines((task_text(there.stand.task), *source_of(robot))),
+    blocks: list[doc.Block] = [
+        doc.Lines((task_text(there.stand.task), *source_of(robot))),
         table,
         plots.line_plot(
             text("Height of the base along the path"),
@@ -245,9 +238,9 @@ def path_section(there: PathThere, robot: Robot | None) -> Section:
     motion = Motion(text("the path"), path.time, path.qpos)
     blocks.insert(0, view_block(robot, there.stand, None, [motion]))
     if tracking.failures:
-        blocks.insert(0, Lines(tuple(map(said, tracking.failures)), "bad", text("What failed")))
-    return Section(
-        Name(there.name),
+        blocks.insert(0, doc.Lines(tuple(map(said, tracking.failures)), "bad", text("What failed")))
+    return doc.Section(
+        doc.Name(there.name),
         tuple(blocks),
         there.passed,
         text("TRACKED") if there.passed else text("FAILED"),

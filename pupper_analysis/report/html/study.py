@@ -6,19 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pupper_analysis.report.html.document import (
-    Block,
-    Cell,
-    Column,
-    Lines,
-    Name,
-    Number,
-    Section,
-    Table,
-    Text,
-    Words,
-    number,
-)
+from pupper_analysis.report.html import document as doc
 from pupper_analysis.report.html.maps import end_plot, front_plot, mean_plot, parallel_plot
 from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.sources import page
@@ -45,9 +33,9 @@ MOST_ROWS = 300
 """Of a table of designs: more than anyone reads, and pages stay small."""
 
 
-def study_section(outcome: StudyOutcome) -> Section:
+def study_section(outcome: StudyOutcome) -> doc.Section:
     """Returns what is shown of a study."""
-    blocks: list[Block] = [_variables(outcome), _measured(outcome)]
+    blocks: list[doc.Block] = [_variables(outcome), _measured(outcome)]
     blocks += _failures(outcome)
     blocks += _drawings(outcome)
     blocks += _front(outcome)
@@ -55,7 +43,7 @@ def study_section(outcome: StudyOutcome) -> Section:
     blocks += _sure(outcome)
     blocks.append(_designs(outcome))
     failed = sum(one.designs for one in outcome.failures)
-    told: list[Words] = [
+    told: list[doc.Words] = [
         text("{count} designs, of which {failed} failed", count=len(outcome.table), failed=failed)
     ]
     if len(outcome.table) < outcome.designs:
@@ -65,28 +53,28 @@ def study_section(outcome: StudyOutcome) -> Section:
         both = outcome.certainty.both
         told.append(text("It stands, with all motors under their limits, in {share} of designs",
                          share=f"{both.probability:.1%}"))  # fmt: skip
-    return Section(text("A study of {robot}", robot=Name(outcome.robot)), tuple(blocks),
+    return doc.Section(text("A study of {robot}", robot=doc.Name(outcome.robot)), tuple(blocks),
                    told=tuple(told))  # fmt: skip
 
 
-def _source() -> tuple[Words, ...]:
+def _source() -> tuple[doc.Words, ...]:
     return (page("studies.md", "Understand it"),)
 
 
-def _variables(outcome: StudyOutcome) -> Table:
-    rows: list[tuple[Cell, ...]] = []
+def _variables(outcome: StudyOutcome) -> doc.Table:
+    rows: list[tuple[doc.Cell, ...]] = []
     for name, asked in outcome.variables.items():
         ((kind, numbers),) = asked.items()
         listed = ", ".join(f"{value:g}" for value in numbers)
         count = outcome.table[name].nunique() if name in outcome.table else 0
-        rows.append((Name(name), text(kind), Name(listed), number(count, ".0f")))
-    return Table(
+        rows.append((doc.Name(name), text(kind), doc.Name(listed), doc.number(count, ".0f")))
+    return doc.Table(
         text("What varies"),
         (
-            Column(text("number"), left=True),
-            Column(text("how"), left=True),
-            Column(text("range or values"), left=True),
-            Column(text("different values"), "1"),
+            doc.Column(text("number"), left=True),
+            doc.Column(text("how"), left=True),
+            doc.Column(text("range or values"), left=True),
+            doc.Column(text("different values"), "1"),
         ),
         tuple(rows),
         (),
@@ -94,80 +82,80 @@ def _variables(outcome: StudyOutcome) -> Table:
     )
 
 
-def _measured(outcome: StudyOutcome) -> Table:
-    rows: list[tuple[Cell, ...]] = [
+def _measured(outcome: StudyOutcome) -> doc.Table:
+    rows: list[tuple[doc.Cell, ...]] = [
         (
-            Name(one.measure),
-            *(number(value, ".5g") for value in (one.least, one.median, one.greatest)),
-            number(one.designs, ".0f"),
+            doc.Name(one.measure),
+            *(doc.number(value, ".5g") for value in (one.least, one.median, one.greatest)),
+            doc.number(one.designs, ".0f"),
             said(one.meaning),
         )
         for one in outcome.measured
     ]
-    return Table(
+    return doc.Table(
         text("What was measured"),
         (
-            Column(text("measure"), left=True),
-            Column(text("least")),
-            Column(text("median")),
-            Column(text("greatest")),
-            Column(text("designs"), "1"),
-            Column(text("meaning and unit"), left=True),
+            doc.Column(text("measure"), left=True),
+            doc.Column(text("least")),
+            doc.Column(text("median")),
+            doc.Column(text("greatest")),
+            doc.Column(text("designs"), "1"),
+            doc.Column(text("meaning and unit"), left=True),
         ),
         tuple(rows),
     )
 
 
-def _failures(outcome: StudyOutcome) -> list[Block]:
+def _failures(outcome: StudyOutcome) -> list[doc.Block]:
     if not outcome.failures:
-        return [Lines((text("No design failed."),))]
-    rows: list[tuple[Cell, ...]] = [
+        return [doc.Lines((text("No design failed."),))]
+    rows: list[tuple[doc.Cell, ...]] = [
         (
             word(one.kind),
-            number(one.designs, ".0f"),
-            Number(f"{one.share:.1%}", 100 * one.share, share=one.share),
+            doc.number(one.designs, ".0f"),
+            doc.Number(f"{one.share:.1%}", 100 * one.share, share=one.share),
             said(one.reason),
         )
         for one in outcome.failures
     ]
     return [
-        Table(
+        doc.Table(
             text("What failed, by kind"),
             (
-                Column(text("failure"), left=True),
-                Column(text("designs"), "1"),
-                Column(text("share"), "1"),
-                Column(text("reason of the first"), left=True),
+                doc.Column(text("failure"), left=True),
+                doc.Column(text("designs"), "1"),
+                doc.Column(text("share"), "1"),
+                doc.Column(text("reason of the first"), left=True),
             ),
             tuple(rows),
         )
     ]
 
 
-def _drawings(outcome: StudyOutcome) -> list[Block]:
-    blocks: list[Block] = []
+def _drawings(outcome: StudyOutcome) -> list[doc.Block]:
+    blocks: list[doc.Block] = []
     table, names = outcome.table, [one.measure for one in outcome.measured]
     if outcome.axes:
         x, y = outcome.axes
-        title = text("What becomes of designs over {x} and {y}", x=Name(x), y=Name(y))
+        title = text("What becomes of designs over {x} and {y}", x=doc.Name(x), y=doc.Name(y))
         blocks.append(end_plot(title, end_map(table, x, y), x, y))
         for measure in names[:MAPS]:
-            named = text("{measure}, mean of the other numbers", measure=Name(measure))
+            named = text("{measure}, mean of the other numbers", measure=doc.Name(measure))
             blocks.append(mean_plot(named, mean_map(table, x, y, measure), x, y, measure))
     columns = [name for name in outcome.variables if table[name].nunique() > 1]
     if columns and names:
-        title = text("Designs as lines, coloured by {measure}", measure=Name(names[0]))
+        title = text("Designs as lines, coloured by {measure}", measure=doc.Name(names[0]))
         blocks.append(parallel_plot(title, table, [*columns, *names[:LINES]], names[0]))
     return blocks
 
 
-def _front(outcome: StudyOutcome) -> list[Block]:
+def _front(outcome: StudyOutcome) -> list[doc.Block]:
     front, objectives = outcome.front, outcome.objectives
     if not objectives or front.empty:
         return []
     ways = ", ".join(f"{name} ({sense})" for name, sense in objectives.items())
     title = text("Designs worth building: no other beats them in {objectives}", objectives=ways)
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     if len(objectives) == 2:
         drawn = text("Designs worth building: the front")
         blocks.append(front_plot(drawn, outcome.table, front, list(objectives)))
@@ -177,17 +165,17 @@ def _front(outcome: StudyOutcome) -> list[Block]:
     return blocks
 
 
-def _shares(outcome: StudyOutcome) -> list[Block]:
+def _shares(outcome: StudyOutcome) -> list[doc.Block]:
     linear = {one.measure: one for one in outcome.linear}
     sobol = {one.measure: one for one in outcome.sobol}
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[doc.Cell, ...]] = []
     for one in outcome.measured:
         for name, alone in one.alone.items():
             exact, sampled = linear.get(one.measure), sobol.get(one.measure)
             rows.append(
                 (
-                    Name(one.measure),
-                    Name(name),
+                    doc.Name(one.measure),
+                    doc.Name(name),
                     _share(alone),
                     *(
                         [_share(exact.shares.get(name)) if exact else _share(None)]
@@ -199,32 +187,32 @@ def _shares(outcome: StudyOutcome) -> list[Block]:
             )
     if not rows:
         return []
-    notes: list[Words] = [text(_ALONE)]
+    notes: list[doc.Words] = [text(_ALONE)]
     columns = [
-        Column(text("measure"), left=True),
-        Column(text("number"), left=True),
-        Column(text("alone"), "1"),
+        doc.Column(text("measure"), left=True),
+        doc.Column(text("number"), left=True),
+        doc.Column(text("alone"), "1"),
     ]
     if linear:
-        columns.append(Column(text("by derivatives"), "1"))
+        columns.append(doc.Column(text("by derivatives"), "1"))
         notes.append(text("By derivatives: for small spreads, without any sample."))
     if sobol:
         columns += [
-            Column(text("Sobol, alone"), "1"),
-            Column(text("Sobol, in all"), "1"),
-            Column(text("± 95 %"), "1"),
+            doc.Column(text("Sobol, alone"), "1"),
+            doc.Column(text("Sobol, in all"), "1"),
+            doc.Column(text("± 95 %"), "1"),
         ]
     title = text("Which number matters: shares of each measure's variance")
-    return [Table(title, tuple(columns), tuple(rows), tuple(notes), _source())]
+    return [doc.Table(title, tuple(columns), tuple(rows), tuple(notes), _source())]
 
 
-def _share(value: float | None) -> Number:
+def _share(value: float | None) -> doc.Number:
     if value is None or not math.isfinite(value):
-        return Number("-", math.nan)
-    return Number(f"{value:.1%}", 100 * value, share=min(max(value, 0.0), 1.0))
+        return doc.Number("-", math.nan)
+    return doc.Number(f"{value:.1%}", 100 * value, share=min(max(value, 0.0), 1.0))
 
 
-def _indices(sampled: Any, name: str) -> list[Cell]:
+def _indices(sampled: Any, name: str) -> list[doc.Cell]:
     if sampled is None:
         return [_share(None)] * 3
     return [
@@ -234,24 +222,24 @@ def _indices(sampled: Any, name: str) -> list[Cell]:
     ]
 
 
-def _sure(outcome: StudyOutcome) -> list[Block]:
-    blocks: list[Block] = []
+def _sure(outcome: StudyOutcome) -> list[doc.Block]:
+    blocks: list[doc.Block] = []
     found = outcome.certainty
     if found is not None:
-        rows: list[tuple[Text | Name, Chance]] = [
+        rows: list[tuple[doc.Text | doc.Name, Chance]] = [
             (text("It stays up on its servos"), found.stands),
             (text("All motors are under their limits"), found.all_motors),
             (text("Both"), found.both),
-            *((Name(joint), one) for joint, one in found.motors.items()),
+            *((doc.Name(joint), one) for joint, one in found.motors.items()),
         ]
         blocks.append(
-            Table(
+            doc.Table(
                 text("How sure the stand is"),
                 (
-                    Column(text("what"), left=True),
-                    Column(text("probability"), "1"),
-                    Column(text("at least (95 %)"), "1"),
-                    Column(text("at most (95 %)"), "1"),
+                    doc.Column(text("what"), left=True),
+                    doc.Column(text("probability"), "1"),
+                    doc.Column(text("at least (95 %)"), "1"),
+                    doc.Column(text("at most (95 %)"), "1"),
                 ),
                 tuple(_chance(name, one) for name, one in rows),
                 (),
@@ -263,18 +251,23 @@ def _sure(outcome: StudyOutcome) -> list[Block]:
     return blocks
 
 
-def _chance(name: Text | Name, one: Chance) -> tuple[Cell, ...]:
-    likely = Number(f"{one.probability:.2%}", 100 * one.probability, share=one.probability)
-    return name, likely, number(one.low, ".2%", scale=1.0), number(one.high, ".2%", scale=1.0)
+def _chance(name: doc.Text | doc.Name, one: Chance) -> tuple[doc.Cell, ...]:
+    likely = doc.Number(f"{one.probability:.2%}", 100 * one.probability, share=one.probability)
+    return (
+        name,
+        likely,
+        doc.number(one.low, ".2%", scale=1.0),
+        doc.number(one.high, ".2%", scale=1.0),
+    )
 
 
-def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) -> Table:
+def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) -> doc.Table:
     assert outcome.tolerance is not None
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[doc.Cell, ...]] = []
     for name, given in spreads.items():
         ((kind, numbers),) = given.items()
         listed = ", ".join(f"{value:.5g}" for value in numbers)
-        rows.append((Name(name), text(kind), Name(listed)))
+        rows.append((doc.Name(name), text(kind), doc.Name(listed)))
     sure = text(
         "With {scale} of the study's spreads it stands, with all motors under their limits, in "
         "{share} of {count} designs.",
@@ -282,12 +275,12 @@ def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) 
         share=f"{outcome.tolerance.chance.probability:.1%}",
         count=outcome.tolerance.chance.designs,
     )
-    return Table(
+    return doc.Table(
         text("The tightest tolerance that is needed"),
         (
-            Column(text("number"), left=True),
-            Column(text("how"), left=True),
-            Column(text("range or values"), left=True),
+            doc.Column(text("number"), left=True),
+            doc.Column(text("how"), left=True),
+            doc.Column(text("range or values"), left=True),
         ),
         tuple(rows),
         (sure,),
@@ -295,31 +288,31 @@ def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) 
     )
 
 
-def _designs(outcome: StudyOutcome) -> Table:
+def _designs(outcome: StudyOutcome) -> doc.Table:
     measured = [one.measure for one in outcome.measured]
     return _table(text("Designs"), outcome.table, [*outcome.variables, *measured])
 
 
-def _table(title: Words, table: pd.DataFrame, columns: Sequence[str]) -> Table:
+def _table(title: doc.Words, table: pd.DataFrame, columns: Sequence[str]) -> doc.Table:
     """Returns rows of a study's table, with their numbers in its order."""
     places = [name for name in columns if name in table]
     failed = "failure" in table and table["failure"].notna().any()
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[doc.Cell, ...]] = []
     shown = table if len(table) <= MOST_ROWS else table.head(MOST_ROWS)
     for order, (_, row) in enumerate(shown.iterrows(), start=1):
-        cells: list[Cell] = [number(order, "g")]
+        cells: list[doc.Cell] = [doc.number(order, "g")]
         for name in places:
             value = float(row[name])
-            cells.append(number(value if math.isfinite(value) else None, ".5g"))
+            cells.append(doc.number(value if math.isfinite(value) else None, ".5g"))
         if failed:
             kind = row["failure"]
-            cells.append(word(kind) if isinstance(kind, str) else Name(""))
+            cells.append(word(kind) if isinstance(kind, str) else doc.Name(""))
         rows.append(tuple(cells))
-    heads = [Column(text("no."), "1"), *(Column(Name(name)) for name in places)]
+    heads = [doc.Column(text("no."), "1"), *(doc.Column(doc.Name(name)) for name in places)]
     if failed:
-        heads.append(Column(text("failure"), left=True))
-    notes: tuple[Words, ...] = ()
+        heads.append(doc.Column(text("failure"), left=True))
+    notes: tuple[doc.Words, ...] = ()
     if len(table) > MOST_ROWS:
         left = len(table) - MOST_ROWS
         notes = (text("{count} more are in the study's folder: read_study reads all.", count=left),)
-    return Table(title, tuple(heads), tuple(rows), notes)
+    return doc.Table(title, tuple(heads), tuple(rows), notes)

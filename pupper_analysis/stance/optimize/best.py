@@ -67,7 +67,7 @@ def best_stance(
 ) -> BestStance:
     """Searches for the best stance: the base's height, place and turn, and where each foot is.
 
-    All else is the task's: its ground, lifted feet, margins and ik_seed; ``feet`` that it places
+    All else is the task's: its ground, swing feet, margins and ik_seed; ``feet`` that it places
     stay there. The com is where the base takes it, inside the support polygon with at least
     ``com_margin``.
 

@@ -174,7 +174,7 @@ class StanceSearch:
         """Returns the same for a payload, of mass -scale * level."""
         first = FirstOrder.of(self.robot, self.loaded, stand, self.kp)
         if first is None:
-            raise NoEquilibriumError(0.0, "the servos are too soft for the stand without payload")
+            raise NoEquilibriumError(None, "the servos are too soft for the stand without payload")
         loads, limits = first.loads, self.limits[self.bears]
         torque, rate = loads.torques[self.bears] / limits, loads.torque_rates[self.bears] / limits
         weight = self.mass * float(np.linalg.norm(self.robot.gravity))

@@ -125,7 +125,7 @@ def fastest_path(
     The contact forces are the minimum-tangential ones. Others can need less of the motors,
     so where a motor's torque binds, the time is that of this choice. Where friction, tipping or
     lifting bind it is that of all choices, since these forces exist where any do; but for legs
-    beside a lifted foot, on which the load must pass to the others.
+    beside a swing foot, on which the load must pass to the others.
 
     Args:
         robot: A robot with a floating base and a ground.

@@ -215,7 +215,7 @@ def _derivatives(
     d2q/ds2. (With more joints than constraints, the least motion.)
 
     The constraints: points of carrying feet that touch the ground stay (rolling), or their centres;
-    lifted feet, the base's height, and the com or the base's place move evenly; the base turns as
+    swing feet, the base's height, and the com or the base's place move evenly; the base turns as
     roll, pitch and yaw change evenly.
     """
     one, two = leg.start, leg.end

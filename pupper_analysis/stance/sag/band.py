@@ -101,7 +101,7 @@ def steady_state_band(
         way.rub(lift)
         with contextlib.suppress(NoEquilibriumError):
             way.follow(0.0 if feedforward else 1.0)
-            return way if way.system.stiffness(way.solution) > 0 else None
+            return way if way.look(way.solution)[1] > 0 else None
         return None
 
     way, frictionless, lowest = begin(0.0), None, None

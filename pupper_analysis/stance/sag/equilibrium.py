@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg
+from scipy.linalg import lapack
 
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -25,6 +25,9 @@ Feet = Literal["pinned", "sliding"]
 RESIDUAL_TOLERANCE = 1e-10
 """What the equations of an equilibrium may leave over (N, N m, m)."""
 
+_ROUNDING = 1e-14
+"""What of that is no more than the rounding of the weight of a robot (N, N m, m)."""
+
 TOUCHING = 1e-9
 """A foot this deep in the ground, or less, does not touch it yet (m): 1e-6 N on soft ground."""
 
@@ -33,6 +36,7 @@ _TRUST = 0.5  # rad, m: a longer Newton step has left the branch
 _WEAK = 1e-3  # N/m: holds a sliding robot in its place as creep does, with 1e-5 N
 _HEIGHT_TOLERANCE = 1e-8  # m: by less than this the base is at the end of friction's range
 _RHO = 1e3  # N/m: weighs slip against force in telling which way a foot slips; any would do
+_NOWHERE = np.zeros(2)  # m: where a foot sticks that has not crept
 _MAX_ROUNDS = 40  # of friction and pose, each by the other; 4 to 8 do
 
 
@@ -81,7 +85,8 @@ class Equilibrium:
             for foot in stand.stance_feet
         }
         self._pliancy, self._give = sole_pliancy(robot), foot_pliancy(robot)
-        self._touch: tuple[tuple[tuple[str, Anchor], ...], Array, Touch] | None = None
+        self._giving = any(self._give.values())
+        self._touch: tuple[object, Touch] | None = None
         self._sunk: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
         self.yielding: dict[str, float] = {}  # m/N: creep in this step per force
@@ -102,9 +107,12 @@ class Equilibrium:
         """Returns how deep the feet that touch sink (n,) under forces (n, 3)."""
         asked = tuple(zip(self.anchors, forces[:, 2].tolist(), strict=True))
         if asked != self._sunk[0]:
-            # By the last step, or the last place, they are known nearly.
+            # By the last step, or the last place, or another foot's, they are known nearly.
             known = {foot: depth for (foot, _), depth in zip(*self._sunk, strict=True)}
-            depths = [self.laws[foot].depth(force, known.get(foot)) for foot, force in asked]
+            depth, depths = None, []
+            for foot, force in asked:
+                depth = self.laws[foot].depth(force, known.get(foot, depth))
+                depths.append(depth)
             self._sunk = asked, np.array(depths)
         return self._sunk[1].copy()
 
@@ -114,19 +122,19 @@ class Equilibrium:
 
     def touch(self, qpos: Array) -> Touch:
         """Looks at the feet that touch, or has looked at them just now."""
-        held, seen = tuple(self.anchors.items()), self._touch
-        if seen is None or seen[0] != held or not np.array_equal(seen[1], qpos):
+        key, seen = (tuple(self.anchors.items()), qpos.tobytes()), self._touch
+        if seen is None or seen[0] != key:
             config = Configuration(self.robot, qpos)
-            touch = Touch(config, self.anchors, self.frame, self.depths(config))
-            seen = self._touch = held, qpos.copy(), touch
-        return seen[2]
+            seen = self._touch = key, Touch(config, self.anchors, self.frame, self.depths(config))
+        return seen[1]
 
-    def terms(self, qpos: Array, forces: Array) -> tuple[Array, Array, Array]:
-        """Returns the balance (nv,), slips and depths (n, 3), and the Jacobian (3 n, nv)."""
-        touch = self.touch(qpos)
-        balance = touch.config.load() - touch.push(forces, self._turning())
-        balance[6:] -= self.torques(qpos) + self.joint_friction
-        return balance, touch.places.copy(), touch.jacobians.reshape(-1, len(balance))
+    def slips(self, qpos: Array, forces: Array) -> Array:
+        """Returns slips from where feet stick, less what they give, and depths (n, 3)."""
+        places: Array = self.touch(qpos).places.copy()
+        if self.feet == "pinned" and (self.crept or self.yielding or self._giving):
+            begun = [self.crept.get(foot, _NOWHERE) for foot in self.anchors]
+            places[:, :2] += self._yields()[:, None] * forces[:, :2] - begun
+        return places
 
     def _turning(self) -> Array:
         """Returns the moments (n, 3) on the feet that touch."""
@@ -137,14 +145,14 @@ class Equilibrium:
 
     def residual(self, qpos: Array, forces: Array) -> Array:
         """Returns the equations (nv + 3 n,): balance, and per foot two of slip, one of depth."""
-        balance, places, _ = self.terms(qpos, forces)
+        touch, places = self.touch(qpos), self.slips(qpos, forces)
+        balance = touch.config.load() - touch.push(forces, self._turning())
+        balance[6:] -= self.torques(qpos) + self.joint_friction
         if self.feet == "sliding":
             places[:, :2] = forces[:, :2] + _WEAK * places[:, :2]
-        else:
-            places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
-            for row, mu, tried in self._slipping(forces, places):
-                along = tried / np.linalg.norm(tried)
-                places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
+        for row, mu, tried in self._slipping(forces, places):
+            along = tried / np.linalg.norm(tried)
+            places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
         sole, depths = self._in_sole(), places[:, 2].copy()
         places[:, 2] -= self.sunk(forces)
         if sole.any():
@@ -172,48 +180,41 @@ class Equilibrium:
 
     def derivative(self, qpos: Array, forces: Array) -> Array:
         """Returns the residual's derivative, in closed form."""
-        n, touch = self.robot.nv, self.touch(qpos)
-        places, jacobian = touch.places.copy(), touch.jacobians.reshape(-1, n)
-        by_qpos = np.zeros((n + forces.size, n))
+        n, touch, size = self.robot.nv, self.touch(qpos), len(forces)
+        whole = np.zeros((n + 3 * size, n + 3 * size))
+        by_qpos, by_force = whole[:, :n], whole[n:, n:]
+        whole[:n, n:] = -touch.jacobians.reshape(-1, n).T
         by_qpos[:n] = touch.balance_rates(forces, self._turning())
         servos = self.kp * (self.target - qpos[7:])
         moving = (servos > self.lower) & (servos < self.upper)
         by_qpos[self._joints, self._joints] += np.where(moving, self.kp, 0.0)
-        by_qpos[n:] = touch.place_rates().reshape(-1, n)
+        rates = by_qpos[n:].reshape(size, 3, n)  # a view
+        rates[:] = touch.place_rates()
         if self.feet == "sliding":
-            by_qpos[n:].reshape(-1, 3, n)[:, :2] *= _WEAK
-        diagonal = np.zeros((len(forces), 3))
+            rates[:, :2] *= _WEAK
+        diagonal = np.zeros((size, 3))
         diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._yields()[:, None]
         diagonal[:, 2] = [
             -1 / self.laws[foot].rate(depth)
             for foot, depth in zip(self.anchors, self.sunk(forces).tolist(), strict=True)
         ]
         if (sole := self._in_sole()).any():
-            rates, scales = self._pressed(places[:, 2])[:, 1], self._scales()
-            by_qpos[n:].reshape(-1, 3, n)[sole, 2] *= (rates / scales)[sole, None]
+            harder, scales = self._pressed(touch.places[:, 2])[:, 1], self._scales()
+            rates[sole, 2] *= (harder / scales)[sole, None]
             diagonal[sole, 2] = -1 / scales[sole]
-        by_force = np.diag(diagonal.ravel())
-        if self.feet == "pinned":
-            places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
-        for row, mu, tried in self._slipping(forces, places):
+        np.fill_diagonal(by_force, diagonal)
+        for row, mu, tried in self._slipping(forces, self.slips(qpos, forces)):
             length = float(np.linalg.norm(tried))
             along, tangents = tried / length, slice(3 * row, 3 * row + 2)
             turn = mu * forces[row, 2] / length * (np.eye(2) - np.outer(along, along))
-            by_qpos[n:][tangents] = _RHO * turn @ by_qpos[n:][tangents]
+            rates[row, :2] = _RHO * turn @ rates[row, :2]
             kept = 1 - _RHO * diagonal[row, 0]
             by_force[tangents, tangents] = np.eye(2) - kept * turn
             by_force[tangents, 3 * row + 2] = -mu * along
-        return np.hstack([by_qpos, np.vstack([-jacobian.T, by_force])])
+        return whole
 
     def _yields(self) -> Array:
         return np.array([self.yielding.get(foot, 0.0) + self._give[foot] for foot in self.anchors])
-
-    def _begun(self) -> Array:
-        """Returns the slips (n, 2) from which the feet that touch stick, or slip on (m)."""
-        if not self.crept:
-            return np.zeros((len(self.anchors), 2))
-        begun = [self.crept.get(foot, np.zeros(2)) for foot in self.anchors]
-        return np.array(begun).reshape(-1, 2)
 
     def _slipping(self, forces: Array, places: Array) -> list[tuple[int, float, Array]]:
         """Returns number, mu and f_t - rho s (2,) of the pinned feet that slip.
@@ -281,7 +282,7 @@ class Equilibrium:
 
     def _newton(self, guess: Solution) -> Solution | None:
         qpos, n = guess.qpos, self.robot.nv
-        forces = self.stacked(guess)
+        forces, derivative = self.stacked(guess), None
         residuals: list[float] = []
         for _ in range(_MAX_ITERATIONS):
             residual = self.residual(qpos, forces)
@@ -289,11 +290,11 @@ class Equilibrium:
             if residuals[-1] < RESIDUAL_TOLERANCE:
                 named = dict(zip(self.anchors, forces, strict=True))
                 return Solution(qpos, named, tuple(residuals))
-            try:
-                step = np.array(np.linalg.solve(self.derivative(qpos, forces), -residual), float)
-            except np.linalg.LinAlgError:
-                return None
-            if not np.abs(step[:n]).max() < _TRUST or goes_round(residuals):
+            if derivative is None or residuals[-1] ** 2 > _ROUNDING * residuals[-2]:
+                derivative = self.derivative(qpos, forces)
+            # Otherwise the last one leaves nothing: it errs by twice the share that its step left.
+            *_, step, singular = lapack.dgesv(derivative, -residual)
+            if singular or not np.abs(step[:n]).max() < _TRUST or goes_round(residuals):
                 return None
             qpos, forces = move(qpos, step[:n]), forces + step[n:].reshape(-1, 3)
         return None
@@ -303,19 +304,16 @@ class Equilibrium:
 
         They pull (N), or are in the ground without touching it (m).
         """
-        depths = self.depths(Configuration(self.robot, solution.qpos))
-        return {
-            foot: amount for foot in depths if (amount := self.wrong(foot, solution, depths)) > 0
-        }
+        feet = self.robot.feet
+        return {foot: amount for foot in feet if (amount := self.wrong(foot, solution)) > 0}
 
-    def wrong(self, foot: str, solution: Solution, depths: dict[str, float] | None = None) -> float:
+    def wrong(self, foot: str, solution: Solution) -> float:
         """Returns with how much a touching foot pulls (N), or how deep another one is (m)."""
         if foot in self.anchors:
             # A flat foot's points let go of the ground in their own equations.
             return 0.0 if self._pliancy[foot] else -float(solution.forces[foot][2])
-        if depths is None:
-            depths = self.depths(Configuration(self.robot, solution.qpos))
-        return depths[foot] + self.laws[foot].margin - TOUCHING
+        depth = self.touch(solution.qpos).depths[foot]
+        return depth + self.laws[foot].margin - TOUCHING
 
     def switch(self, foot: str, solution: Solution) -> Solution:
         """Lets go of a foot that touches, or lets another one touch where it is.
@@ -327,11 +325,11 @@ class Equilibrium:
         if foot in self.anchors:
             del self.anchors[foot], forces[foot]
         else:
-            config = Configuration(self.robot, solution.qpos)
-            frame = self.robot.foot_frames[foot]
+            touch, frame = self.touch(solution.qpos), self.robot.foot_frames[foot]
+            config = touch.config
             self.anchors[foot] = Anchor(config.frame_position(frame), config.frame_rotation(frame))
             law = self.laws[foot]
-            pressed = law.force(max(-law.margin, self.depths(config)[foot]))
+            pressed = law.force(max(-law.margin, touch.depths[foot]))
             forces[foot] = np.array([0.0, 0.0, pressed])
         for kept in (self.crept, self.yielding, self.moments):
             kept.pop(foot, None)
@@ -339,15 +337,13 @@ class Equilibrium:
 
     def slipping(self, solution: Solution) -> tuple[str, ...]:
         """Returns the pinned feet that slip."""
-        forces = self.stacked(solution)
-        _, places, _ = self.terms(solution.qpos, forces)
-        places[:, :2] += self._yields()[:, None] * forces[:, :2] - self._begun()
-        names = tuple(self.anchors)
+        forces, names = self.stacked(solution), tuple(self.anchors)
+        places = self.slips(solution.qpos, forces)
         return tuple(names[row] for row, *_ in self._slipping(forces, places))
 
     def begin_creep(self, solution: Solution, seconds: float) -> None:
         """Begins a step of creep, with the viscosities of where it begins."""
-        _, places, _ = self.terms(solution.qpos, self.stacked(solution))
+        places = self.touch(solution.qpos).places
         self.crept = dict(zip(self.anchors, places[:, :2], strict=True))
         self.yielding = {
             foot: seconds / self.viscosity(foot, depth)
@@ -359,10 +355,14 @@ class Equilibrium:
         law = self.laws[foot]
         return law.viscosity(depth) if depth > -law.margin else math.inf
 
-    def stiffness(self, solution: Solution) -> float:
-        """Returns the least eigenvalue of the Hessian where the feet allow it to move."""
-        n, forces = self.robot.nv, self.stacked(solution)
-        derivative = self.derivative(solution.qpos, forces)
+    def stiffness(self, solution: Solution, derivative: Array) -> float:
+        """Returns the least eigenvalue of the Hessian where the feet allow it to move.
+
+        Args:
+            solution: The solution.
+            derivative: See ``derivative``; it is the solution's.
+        """
+        n = self.robot.nv
         touch = self.touch(solution.qpos)
         config, places, jacobian = touch.config, touch.places, touch.jacobians.reshape(-1, n)
         normal = jacobian[2::3]
@@ -388,6 +388,9 @@ class Equilibrium:
         if self.feet == "sliding":  # as a whole it may be anywhere, turned anyhow about z
             held = np.eye(3, n)
             held[2] = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
-        free = linalg.null_space(held)
+        _, lengths, rows = np.linalg.svd(held)
+        least = max(held.shape) * np.finfo(float).eps * lengths.max(initial=0.0)
+        free = rows[np.count_nonzero(lengths > least) :].T  # what nothing of it is held of
         reduced = free.T @ hessian @ free, free.T @ config.mass_matrix() @ free
-        return float(linalg.eigvals(*reduced).real.min())
+        real, _, scale, *_ = lapack.dggev(*reduced, compute_vl=0, compute_vr=0)
+        return float(np.divide(real, scale, out=np.full(len(real), np.inf), where=scale != 0).min())

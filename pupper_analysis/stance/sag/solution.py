@@ -46,9 +46,11 @@ class Solution:
 
 def move(qpos: Array, step: Array) -> Array:
     """Returns the qpos (nq,) after a step (nv,) in the directions of qvel."""
-    w, x, y, z = qpos[3:7]
-    x, y, z, w = (pin.Quaternion(w, x, y, z) * pin.Quaternion(pin.exp3(step[3:6]))).coeffs()
-    moved: Array = np.concatenate([qpos[:3] + step[:3], (w, x, y, z), qpos[7:] + step[6:]])
+    moved = qpos.copy()
+    moved[:3] += step[:3]
+    moved[7:] += step[6:]
+    turned = pin.Quaternion(*qpos[3:7].tolist()) * pin.Quaternion(pin.exp3(step[3:6]))
+    moved[3:7] = turned.coeffs()[[3, 0, 1, 2]]
     return moved
 
 

@@ -14,7 +14,6 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
@@ -45,7 +44,7 @@ class SteadyState(Result):
         contact_sag: The part lost in the softness of feet and ground (m).
         joint_torques: (nu,) of the motors (N m).
         saturated: The joints whose servo is at its force limit.
-        stance_feet: The feet that carry: lifted ones that came down to the ground too, and without
+        stance_feet: The feet that carry: swing feet that came down to the ground too, and without
             those of the stand that the ground would have to pull.
         contact_forces: {foot: (3,)} of the ground on every foot, in world axes (N); zero for those
             that do not touch.
@@ -112,7 +111,7 @@ def steady_state(
     rolls on it), or creeps with -f_t / c as MuJoCo's friction has it, if ``seconds`` are given;
     sliding, its tangential force is zero. Newton's iteration follows the equilibrium from the stand
     itself, which full feed-forward holds, while feed-forward is taken away. Where on that way a
-    lifted foot touches the ground it is pinned there and carries from then on; where a foot would
+    swing foot touches the ground it is pinned there and carries from then on; where a foot would
     have to pull it lets go. Then backward Euler steps follow the creep.
 
     Dry friction, of joints and of rolling feet, is left out; ``steady_state_band`` has it.
@@ -209,7 +208,7 @@ def minimum_stiffness(
 ) -> float:
     """Finds the least uniform kp with which a robot stands without feed-forward, by bisection.
 
-    It stands if ``steady_state`` has no failures (so a lifted foot that comes down to the ground
+    It stands if ``steady_state`` has no failures (so a swing foot that comes down to the ground
     is none of its standing) and keeps half of the stand's height.
 
     Args:
@@ -256,17 +255,15 @@ def pose_at(way: Way, margin: float) -> SteadyState:
     system, solution = way.system, way.solution
     robot, stand, qpos = system.robot, system.stand, solution.qpos
     forces = np.array(list(solution.forces.values())).reshape(-1, 3)
-    derivative = system.derivative(qpos, forces)
-    stiffness = way.stiffness(solution)
-    depths = system.depths(Configuration(robot, qpos))
+    derivative, stiffness = way.look(solution)
+    touch = system.touch(qpos)
     creep, flow = np.zeros((len(forces), 2)), np.zeros(len(derivative))
     if system.feet == "pinned":
-        viscosities = [system.viscosity(foot, depths[foot]) for foot in system.anchors]
+        viscosities = [system.viscosity(foot, touch.depths[foot]) for foot in system.anchors]
         creep = -forces[:, :2] / np.array(viscosities)[:, None]
     flow[robot.nv :].reshape(-1, 3)[:, :2] = creep
     targets = np.array([stand.foot_targets[foot] for foot in stand.stance_feet])
-    centres = Configuration(robot, qpos).foot_positions()
-    reached = np.array([centres[foot] for foot in stand.stance_feet])
+    reached = touch.config.foot_places(stand.stance_feet)
     loss = float(stand.qpos[2] - qpos[2])
     contact_sag = drop_at(stand.qpos[:2], targets, (targets - reached)[:, 2])
     torques = system.torques(qpos)

@@ -22,10 +22,11 @@ class Touch:
         config: The configuration.
         anchors: {foot that touches: where it did so first}.
         frame: (3, 3) rotation from the world to the ground's frame, whose z is out of the ground.
-        depths: {foot: how deep it is in the ground (m)}.
+        depths: {foot: how deep it is in the ground (m)}, of those that do not touch as well.
 
     Attributes:
         config: The configuration.
+        depths: As given.
         places: (n, 3) slips along the ground's two tangents, less what the sphere has rolled, and
             depths (m).
         jacobians: (n, 3, nv) of the material point at each contact, in the ground's frame.
@@ -39,37 +40,31 @@ class Touch:
         frame: Array,
         depths: Mapping[str, float],
     ) -> None:
-        self.config, self._frame, self._normal = config, frame, frame[2]
-        feet = self._feet = tuple(anchors)
-        radius, size = config.robot.foot_radius, config.robot.nv
+        self.config, self._frame, self._normal, self.depths = config, frame, frame[2], depths
+        radius, feet, held = config.robot.foot_radius, tuple(anchors), anchors.values()
         deep = np.array([depths[foot] for foot in feet])
         # MuJoCo has the contact half way into the penetration.
         reach = np.array([radius[foot] for foot in feet]) - deep / 2
-        self._arms = reach[:, None] * self._normal  # from the contact to the centre
-        both = config.foot_twists(feet)
-        self._centre, self.turning = both[:, :3], both[:, 3:]
-        offsets = crosses(self._arms)
-        self.jacobians = frame @ (self._centre + offsets @ self.turning)
-        self._turned = [
-            rotation @ anchor.turned.T
-            for rotation, anchor in zip(config.foot_rotations(feet), anchors.values(), strict=True)
-        ]
+        arms = reach[:, None] * self._normal  # from the contact to the centre
+        self._offsets = crosses(arms)
+        self._twists = config.foot_twists(feet)
+        self._centre, self.turning = self._twists[:, :3], self._twists[:, 3:]
+        self.jacobians = frame @ (self._centre + self._offsets @ self.turning)
+        before = np.array([anchor.turned for anchor in held]).reshape(-1, 3, 3)
+        self._turned = config.foot_rotations(feet) @ before.transpose(0, 2, 1)
         self._turns = np.array([pin.log3(turned) for turned in self._turned]).reshape(-1, 3)
-        begun = np.array([anchor.place for anchor in anchors.values()]).reshape(-1, 3)
-        moved = config.foot_places(feet) - begun + (offsets @ self._turns[:, :, None])[:, :, 0]
-        self.places = moved @ frame.T
+        begun = np.array([anchor.place for anchor in held]).reshape(-1, 3)
+        rolled = (self._offsets @ self._turns[:, :, None])[:, :, 0]
+        self.places = (config.foot_places(feet) - begun + rolled) @ frame.T
         self.places[:, 2] = deep
-        self._offsets, self._size = offsets, size
 
     def place_rates(self) -> Array:
         """Returns the derivative (n, 3, nv) of ``places`` by a step in the directions of qvel."""
         deeper = self._deeper()
         # What rotates a foot changes its rotation vector by the inverse of the left Jacobian.
-        turns = [
-            pin.Jlog3(turned).T @ omega
-            for turned, omega in zip(self._turned, self.turning, strict=True)
-        ]
-        rates: Array = self._centre + self._offsets @ np.array(turns).reshape(-1, 3, self._size)
+        logs = np.array([pin.Jlog3(turned) for turned in self._turned]).reshape(-1, 3, 3)
+        turns = logs.transpose(0, 2, 1) @ self.turning
+        rates: Array = self._centre + self._offsets @ turns
         # The arm gets shorter by half of what the foot goes deeper.
         sideways = crosses(self._turns) @ (self._normal / 2)
         rates += sideways[:, :, None] * deeper[:, None, :]
@@ -97,12 +92,13 @@ class Touch:
             moments: (n, 3) likewise (N m).
         """
         pushing = forces @ self._frame
-        offsets = self._offsets
-        about = (pushing[:, None, :] @ offsets)[:, 0] + moments @ self._frame  # pushing x arm
-        wrenches = np.concatenate([pushing, about], axis=1)
-        rates = self.config.static_rates(dict(zip(self._feet, wrenches, strict=True)))
+        wrenches = np.empty((len(forces), 6))
+        wrenches[:, :3] = pushing
+        wrenches[:, 3:] = (pushing[:, None] @ self._offsets)[:, 0]  # pushing x arm
+        wrenches[:, 3:] += moments @ self._frame
+        rates = self.config.pushed_rates(self._twists, wrenches)
         # As a foot goes deeper its contact comes nearer to the centre.
         nearer = pushing @ (crosses(self._normal[None])[0].T / 2)
-        moved = (nearer[:, None, :] @ self.turning)[:, 0]
+        moved = (nearer[:, None] @ self.turning)[:, 0]
         change: Array = rates - moved.T @ self._deeper()
         return change

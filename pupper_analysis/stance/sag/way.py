@@ -46,7 +46,7 @@ class Way:
 
     def __init__(self, system: Equilibrium, end: Array | None = None) -> None:
         self.system, stand = system, system.stand
-        self._looked_at: tuple[Solution, float] | None = None
+        self._looked_at: tuple[Solution, Array, float] | None = None
         self.end: Array = stand.qpos[7:] if end is None else end
         self.balance: GravityCompensation = stand_statics(
             system.robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
@@ -69,7 +69,7 @@ class Way:
         while self.share < goal:
             wanted = min(self.share + step, goal)
             found = self._at(wanted)
-            if found is not None and step > _CAREFUL and self.stiffness(found) <= 0:
+            if found is not None and step > _CAREFUL and self.look(found)[1] <= 0:
                 # A long step may end on another branch, beyond where this one is stable.
                 found = None
             if found is not None:
@@ -88,11 +88,13 @@ class Way:
                     f"{self._about_to_slide()}",
                 )
 
-    def stiffness(self, solution: Solution) -> float:
-        """Returns the system's stiffness at a solution: the way and its end ask for the same."""
-        if self._looked_at is None or self._looked_at[0] is not solution:
-            self._looked_at = solution, self.system.stiffness(solution)
-        return self._looked_at[1]
+    def look(self, solution: Solution) -> tuple[Array, float]:
+        """Returns derivative and stiffness at a solution: the way and its end ask for the same."""
+        system, seen = self.system, self._looked_at
+        if seen is None or seen[0] is not solution:
+            derivative = system.derivative(solution.qpos, system.stacked(solution))
+            seen = self._looked_at = solution, derivative, system.stiffness(solution, derivative)
+        return seen[1:]
 
     def creep(self, seconds: float) -> None:
         """Lets pinned feet creep.
@@ -118,7 +120,7 @@ class Way:
             system.lift = system.lift + step if abs(goal - system.lift) > abs(step) else goal
             try:
                 self.solution = self._settled(self.solution, "with friction")
-                stable = system.stiffness(self.solution) > 0
+                stable = self.look(self.solution)[1] > 0
             except NoEquilibriumError:
                 stable = False
             if not stable:

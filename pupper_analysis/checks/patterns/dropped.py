@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.checks.patterns.case import Case, Found, Key
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.models.parameters import Parameters
 
 Array = NDArray[np.float64]
-Key = tuple[str, str]
 
 _MANY = 4  # bodies that have their coms in their links' origins by no accident
 
@@ -24,7 +24,7 @@ def dropped_products(
     two: Parameters,
     keys: Sequence[Key],
     tolerances: Tolerances,
-) -> Iterator[tuple[str, str, set[Key]]]:
+) -> Found:
     """Finds that one file has no products of inertia at all.
 
     Args:
@@ -61,9 +61,7 @@ def _is_diagonal(inertia: Array) -> bool:
     return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
 
 
-def dropped_coms(
-    words: str, one: Parameters, keys: Sequence[Key]
-) -> Iterator[tuple[str, str, set[Key]]]:
+def dropped_coms(words: str, one: Parameters, keys: Sequence[Key]) -> Found:
     """Finds that one file has the coms of many bodies where their links' origins are.
 
     Args:
@@ -84,3 +82,11 @@ def dropped_coms(
             f"{' …' if len(names) > _MANY else ''} (was the inertials' origin left out?)",
             {("com", name) for name in names},
         )
+
+
+def dropped(case: Case) -> Found:
+    """Finds what one file has left out of its inertials."""
+    trees_of = (("URDF", case.first, case.first), ("MJCF", case.raw, case.second))
+    for (words, own, one), (_, _, two) in (trees_of, trees_of[::-1]):
+        yield from dropped_products(words, one, two, case.keys, case.tolerances)
+        yield from dropped_coms(words, own, case.keys)

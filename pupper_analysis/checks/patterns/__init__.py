@@ -1,0 +1,67 @@
+"""One slip that explains many differences: units, an Euler sequence, left for right, a lost tensor.
+
+Each is tried out: the slip is undone, and what is gone of the differences is what it explains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from pupper_analysis.checks.differences import Difference
+from pupper_analysis.checks.patterns.angles import other_angles
+from pupper_analysis.checks.patterns.case import Case
+from pupper_analysis.checks.patterns.dropped import dropped
+from pupper_analysis.checks.patterns.exchanged import exchanged
+from pupper_analysis.checks.patterns.inertials import other_inertials
+from pupper_analysis.checks.patterns.units import other_units
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.checks.trees import trees
+from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.results import Result
+from pupper_analysis.robot.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Cause(Result):
+    """One slip that explains several differences.
+
+    Attributes:
+        kind: ``units``, ``angles``, ``exchanged``, ``products`` or ``inertial``.
+        message: What it is, in plain words.
+        differences: Which of the differences it explains, by number, from 0.
+    """
+
+    kind: str
+    message: str
+    differences: tuple[int, ...]
+
+
+def causes(
+    robot: Robot,
+    second: Parameters,
+    differences: Sequence[Difference],
+    tolerances: Tolerances,
+) -> tuple[Cause, ...]:
+    """Finds slips that explain several differences each.
+
+    Args:
+        robot: The robot.
+        second: The MJCF's tree, in the URDF's link frames.
+        differences: All differences.
+        tolerances: What counts as one.
+    """
+    if len(differences) < 2:
+        return ()
+    first, raw = trees(robot)
+    keys = [(each.kind, each.element) for each in differences]
+    case = Case(robot, first, replace(raw, gravity=first.gravity), second, keys, tolerances)
+    found: list[Cause] = []
+    taken: set[int] = set()
+    for look in (other_angles, exchanged, other_units, dropped, other_inertials):
+        for kind, message, explained in look(case):
+            numbers = tuple(n for n, key in enumerate(keys) if key in explained and n not in taken)
+            if len(numbers) > 1:
+                taken |= set(numbers)
+                found.append(Cause(kind, message, numbers))
+    return tuple(sorted(found, key=lambda cause: cause.differences))

@@ -1,0 +1,73 @@
+"""Angles that one file reads in another unit, or Euler angles in another sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import mujoco
+
+from pupper_analysis.checks.patterns.case import Case, Found, Key
+from pupper_analysis.checks.trees import trees
+
+_SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
+
+
+def other_angles(case: Case) -> Found:
+    """Finds another eulerseq, or degrees for radians, that ends differences."""
+    if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
+        kind for kind, _ in case.keys
+    }:
+        return
+    spec = case.robot.description.mjcf
+    said = "".join(
+        chr(letter) if isinstance(letter, int) else letter for letter in (spec.compiler.eulerseq)
+    )
+    tries: list[tuple[str, Callable[[mujoco.MjSpec], None]]] = []
+    if _has_euler(spec):
+        for order in (*_SEQUENCES, *(sequence.upper() for sequence in _SEQUENCES)):
+            if order != said:
+                message = f'eulerseq="{order}" in place of "{said}"'
+                tries.append((message, partial(_set_sequence, order=order)))
+    degree = bool(spec.compiler.degree)
+    unit, other_unit = ("degree", "radian") if degree else ("radian", "degree")
+    message = f'angle="{other_unit}" in place of "{unit}"'
+    if _has_euler(spec) or {"lower limit", "upper limit"} & {kind for kind, _ in case.keys}:
+        tries.append((message, partial(_set_degree, degree=not degree)))
+    best: tuple[int, str, set[Key]] = (0, "", set())
+    for message, change in tries:
+        other = spec.copy()
+        change(other)
+        try:
+            model = other.compile()
+        except (ValueError, RuntimeError):
+            continue
+        tree = trees(replace(case.robot, mj_model=model))[1]
+        gone = case.gone(replace(tree, gravity=case.first.gravity))
+        if len(gone) > best[0]:
+            best = (len(gone), message, gone)
+    count, message, gone = best
+    turned = [key for key in case.keys if key[0] in ("rotation", "axis")]
+    limits = [key for key in case.keys if key[0] in ("lower limit", "upper limit")]
+    concerned = turned or limits
+    if concerned and sum(key in gone for key in concerned) >= 0.6 * len(concerned):
+        yield (
+            "angles",
+            f"the MJCF's angles are meant otherwise: with {message} in its <compiler>, {count} of "
+            f"the {len(case.keys)} differences are gone",
+            gone,
+        )
+
+
+def _has_euler(spec: mujoco.MjSpec) -> bool:
+    kind = mujoco.mjtOrientation.mjORIENTATION_EULER
+    return any(body.alt.type == kind or body.ialt.type == kind for body in spec.bodies)
+
+
+def _set_sequence(spec: mujoco.MjSpec, order: str) -> None:
+    spec.compiler.eulerseq = list(order)
+
+
+def _set_degree(spec: mujoco.MjSpec, degree: bool) -> None:
+    spec.compiler.degree = degree

@@ -1,0 +1,74 @@
+"""Two trees of parameters that differ, and what is left of that if one of them were another."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.checks.alignment import aligned
+from pupper_analysis.checks.changes import changes_between
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+Key = tuple[str, str]
+"""The kind and the element of a difference."""
+
+Found = Iterator[tuple[str, str, set[Key]]]
+"""A cause's kind and message, and the differences that it explains."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Two trees that differ.
+
+    Attributes:
+        robot: The robot.
+        first: The URDF's tree.
+        raw: The MJCF's, as it is.
+        second: The MJCF's, in the URDF's link frames.
+        keys: The differences.
+        tolerances: What counts as one.
+    """
+
+    robot: Robot
+    first: Parameters
+    raw: Parameters
+    second: Parameters
+    keys: Sequence[Key]
+    tolerances: Tolerances
+
+    def left(self, second: Parameters, only: Collection[str] | None = None) -> set[Key]:
+        """Returns the differences to another tree in place of the MJCF's.
+
+        Args:
+            second: The other tree.
+            only: The joints that are compared, with what they carry; by default all and the base.
+        """
+        first = self.first if only is None else self.first.part(only)
+        try:
+            both = aligned(second, first, self.tolerances).values
+            found = {(c.kind, c.element) for c in changes_between(first, both, self.tolerances)}
+        except (ValueError, KeyError):  # not the same joints any more
+            return set(self.keys)
+        return found
+
+    def masses_apart(self, exchange: Mapping[str, str]) -> int:
+        """Returns how many masses differ where bodies are exchanged; no frame's place matters."""
+        pairs = [*exchange.items(), *((two, one) for one, two in exchange.items())]
+        masses = [(self.first.bodies[a].mass, self.raw.bodies[b].mass) for a, b in pairs]
+        greatest = self.tolerances.mass
+        return sum(abs(two - one) > greatest * max(abs(one), abs(two)) for one, two in masses)
+
+    def gone(self, second: Parameters) -> set[Key]:
+        """Returns the differences that another tree in place of the MJCF's does not have.
+
+        None if it has others instead, or if most of them are left.
+        """
+        left = self.left(second)
+        gone = set(self.keys) - left
+        return gone if not left - set(self.keys) and len(gone) > 1 else set()

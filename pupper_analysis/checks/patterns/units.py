@@ -1,0 +1,79 @@
+"""Numbers that are all in another unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.checks.patterns.case import Case, Found
+from pupper_analysis.models.xml import MAX_NUMBER
+
+Array = NDArray[np.float64]
+_MASS = {1e3: "g for kg", 1e-3: "kg for g", 2.20462: "pounds for kg", 0.453592: "kg for pounds"}
+_ANGLE = {math.degrees(1.0): "degrees for radians"}
+_LENGTH = {1e3: "mm for m", 1e2: "cm for m", 39.3701: "inches for m"}
+_INERTIA = {
+    1e3: "g m^2 for kg m^2",
+    1e4: "kg cm^2 for kg m^2",
+    1e6: "kg mm^2 for kg m^2",
+    1e7: "g cm^2 for kg m^2",
+    1e9: "g mm^2 for kg m^2",
+}
+
+
+def other_units(case: Case) -> Found:
+    """Finds masses, lengths or inertias that are all the same multiple of the other file's."""
+    first, raw = case.first, case.raw
+    bodies = [(one, raw.bodies[name]) for name, one in first.bodies.items() if one.mass]
+    masses = _factor([(np.array([a.mass]), np.array([b.mass])) for a, b in bodies])
+    inertias = _factor(
+        [(a.inertia, case.second.bodies[n].inertia) for n, a in first.bodies.items()]
+    )
+    places = [(one.position, raw.joints[name].position) for name, one in first.joints.items()]
+    lengths = _factor(places)
+    hinges = [(one, raw.joints[name]) for name, one in first.joints.items() if not one.slides]
+    bounds = [tuple(np.array([j.lower, j.upper]) for j in pair) for pair in hinges]
+    limits = _factor((a, b) for a, b in bounds if np.abs([a, b]).max() <= MAX_NUMBER)
+    for what, factor, units, kinds in (
+        ("limits", limits, _ANGLE, ("lower limit", "upper limit")),
+        ("masses", masses, _MASS, ("mass",)),
+        ("lengths", lengths, _LENGTH, ("position", "com", "frame")),
+        ("inertias", inertias, _INERTIA, ("inertia",)),
+    ):
+        if factor is None:
+            continue
+        meant = _unit(factor, units)
+        yield (
+            "units",
+            f"all {what} of the MJCF are {factor:.6g} times those of the URDF{meant}",
+            {key for key in case.keys if key[0] in kinds},
+        )
+
+
+def _factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
+    """Returns the one factor between all pairs of arrays; None if there is none, or it is 1."""
+    ratios = []
+    for one, two in pairs:
+        size = float(np.linalg.norm(one))
+        if size < 1e-12:
+            continue
+        ratio = float(np.sum(one * two)) / size**2
+        if float(np.linalg.norm(two - ratio * one)) > 1e-3 * abs(ratio) * size:
+            return None
+        ratios.append(ratio)
+    if len(ratios) < 2 or min(ratios) <= 0 or max(ratios) > 1.001 * min(ratios):
+        return None
+    factor = float(np.median(ratios))
+    return None if math.isclose(factor, 1.0, rel_tol=1e-2) else factor
+
+
+def _unit(factor: float, units: Mapping[float, str]) -> str:
+    for size, words in units.items():
+        if math.isclose(factor, size, rel_tol=2e-3):
+            return f": {words} in the MJCF?"
+        if math.isclose(factor, 1 / size, rel_tol=2e-3):
+            return f": {words} in the URDF?"
+    return ": a decimal point?" if math.isclose(abs(math.log10(factor)), 1, abs_tol=1e-3) else ""

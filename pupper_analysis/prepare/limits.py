@@ -1,0 +1,53 @@
+"""Joint limits of two files: a robot moves within both."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from pupper_analysis.models.description import Description
+from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.robot.robot import Robot
+
+_NARROWER = 1e-3
+"""A limit that is further in by more is another one (rad, m): keyframes and files are rounded."""
+
+_TOLD = 3  # joints that a note tells
+
+
+def within_both(robot: Robot, notes: list[str]) -> Description | None:
+    """Returns the description with the URDF's limits narrowed to the MJCF's; None if they are.
+
+    A stand at an angle that MuJoCo's limit excludes is thrown out of it by the first step.
+    """
+    model, narrower = robot.mj_model, {}
+    for name, low, high in zip(
+        robot.joint_names, robot.lower_limits, robot.upper_limits, strict=True
+    ):
+        joint = model.joint(name).id
+        if not model.jnt_limited[joint]:
+            continue
+        first, last = (float(value) for value in model.jnt_range[joint])
+        inside = max(first, float(low)), min(last, float(high))
+        if inside[0] < inside[1] and (first > low + _NARROWER or last < high - _NARROWER):
+            narrower[name] = inside
+    if not narrower:
+        return None
+    root = parse_text(robot.description.urdf)
+    for element in root.findall("joint"):
+        name = str(element.get("name"))
+        if name not in narrower:
+            continue
+        if element.get("type") == "continuous":
+            element.set("type", "revolute")
+        limit = element.find("limit")
+        if limit is None:
+            limit = element.makeelement("limit", {"effort": "inf", "velocity": "inf"})
+            element.append(limit)
+        for word, value in zip(("lower", "upper"), narrower[name], strict=True):
+            limit.set(word, repr(value))
+    told = [f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in narrower.items()]
+    more = f", and {len(told) - _TOLD} more" if len(told) > _TOLD else ""
+    notes.append(
+        f"limits that are narrower in the MJCF are kept, too: {', '.join(told[:_TOLD])}{more}"
+    )
+    return replace(robot.description, urdf=to_text(root))

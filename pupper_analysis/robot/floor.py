@@ -1,0 +1,187 @@
+"""The ground of an MJCF: the plane on which its robot stands."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.models.mjcf import quiet
+
+Array = NDArray[np.float64]
+
+_LEVEL = 1e-9
+"""A floor that is no further from z = 0 (m), nor tilted by more (1 - cosine), is there already."""
+
+_TOLD = 5  # names of what stands in the world that a note tells
+
+CONTACT_OF_GEOM = (
+    *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
+    *("margin", "gap", "group"),
+)
+"""What a geom of an MJCF has that makes its contacts, and in which group it is shown."""
+
+NO_GROUND = "the MJCF has no ground: a plane with MuJoCo's default contact was added"
+
+
+def floor_of(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
+    """Returns the plane that is fixed to the world."""
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    return next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
+
+
+def add_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom:
+    """Adds a plane at z = 0 with MuJoCo's default contact, that all which touches anything touches.
+
+    Shapes whose bits only let them touch each other (left legs and right ones, say) are seen to
+    touch ground, too: scenes of such robots have a floor with those bits.
+    """
+    bits, name, taken = 1, "floor", {geom.name for geom in spec.geoms}
+    for geom in spec.geoms:
+        bits |= int(geom.contype)
+    while name in taken:
+        name += "_"
+    floor = spec.worldbody.add_geom(name=name)
+    plain = mujoco.MjSpec().default.geom  # the MJCF's own defaults are meant for the robot
+    for word in CONTACT_OF_GEOM:
+        setattr(floor, word, getattr(plain, word))
+    floor.type, floor.size, floor.conaffinity = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05), bits
+    return floor
+
+
+def turn_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
+    """Gives a floor an orientation (w, x, y, z), in place of the Euler angles, say, that it has."""
+    floor.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    floor.quat = quat
+
+
+def level_ground(spec: mujoco.MjSpec, notes: list[str]) -> None:
+    """Makes the ground of an MJCF a level plane at z = 0 in the world, in place, and says so.
+
+    A floor that belongs to a body is put into the world; one that is tilted, or higher, is laid
+    down. What else stands in the world, stairs, tables and walls, is kept from touching: a robot
+    stands on its ground alone, and slopes and steps are asked for. What a ``<pair>`` says of a
+    contact with the floor becomes that of the geom.
+    """
+    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2) if name}
+    solid = [
+        geom
+        for geom in spec.geoms
+        if (geom.contype or geom.conaffinity or geom.name in paired) and _is_fixed(geom.parent)
+    ]
+    floors = [geom for geom in solid if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
+    others = [geom for geom in solid if geom not in floors]
+    if floors:
+        floor = _laid(spec, floors, notes)
+    else:
+        floor = floor_of(spec)
+        if floor is None:
+            floor = add_floor(spec)
+            notes.append(NO_GROUND)
+    _take_pairs(spec, floor, notes)
+    _leave_out([*others, *(geom for geom in floors[1:] if not _is_at_home(geom))], notes)
+
+
+def _is_fixed(body: mujoco.MjsBody | None) -> bool:
+    """Tells whether a body stands in the world: no joint is between."""
+    while body is not None and body.name != "world":
+        if body.joints or body.mocap:
+            return False
+        body = body.parent
+    return True
+
+
+def _is_at_home(floor: mujoco.MjsGeom) -> bool:
+    """Tells whether a plane is level at z = 0 by what is written, in the world's own axes."""
+    return bool(
+        floor.parent.name == "world"
+        and floor.frame is None
+        and floor.alt.type == mujoco.mjtOrientation.mjORIENTATION_QUAT
+        and abs(floor.pos[2]) < _LEVEL
+        and np.abs(floor.quat[1:3]).max() < _LEVEL
+    )
+
+
+def _laid(spec: mujoco.MjSpec, floors: list[mujoco.MjsGeom], notes: list[str]) -> mujoco.MjsGeom:
+    """Returns the floor, which it lays down if need be, in the place of the one that there was.
+
+    Of several planes it is one that is level; ``floors`` begins with it afterwards.
+    """
+    if _is_at_home(floors[0]):
+        return floors[0]
+    numbers = [next(i for i, g in enumerate(spec.geoms) if g == floor) for floor in floors]
+    mine = spec.copy()
+    with quiet():
+        model = mine.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    ids = [mine.geoms[number].id for number in numbers]
+    upward = [float(data.geom_xmat[geom][8]) for geom in ids]
+    best = next((i for i, up in enumerate(upward) if 1 - up < _LEVEL), 0)
+    floors.insert(0, floors.pop(best))
+    old, height, up = floors[0], float(data.geom_xpos[ids[best]][2]), upward[best]
+    where = []
+    if 1 - up >= _LEVEL:
+        where.append(f"tilted by {np.degrees(np.arccos(np.clip(up, -1, 1))):.3g} deg")
+    if abs(height) >= _LEVEL:
+        where.append(f"at z = {height:.4g} m")
+    if where:
+        notes.append(
+            f"the MJCF's floor is {' and '.join(where)}: it was laid level at z = 0, and heights "
+            "are above it"
+        )
+    new = spec.worldbody.add_geom()
+    for word in (*CONTACT_OF_GEOM, "type", "size", "material", "rgba"):
+        setattr(new, word, getattr(old, word))
+    name = old.name
+    spec.delete(old)
+    new.name = name
+    floors[0] = new
+    return new
+
+
+def _leave_out(geoms: list[mujoco.MjsGeom], notes: list[str]) -> None:
+    """Keeps geoms from touching, and names the bodies or geoms that they are."""
+    names = []
+    for geom in geoms:
+        geom.contype = geom.conaffinity = 0
+        own = geom.name or (geom.parent.name if geom.parent.name != "world" else "")
+        names.append(own or f"a {geom.type.name.removeprefix('mjGEOM_').lower()} without a name")
+    if names:
+        told = ", ".join(dict.fromkeys(names[:_TOLD])) + (", ..." if len(names) > _TOLD else "")
+        notes.append(
+            f"what else stands in the world ({told}) was left out: the robot stands on its ground"
+        )
+
+
+def _take_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom, notes: list[str]) -> None:
+    """Gives geoms that touch the floor by a ``<pair>`` the contact parameters of the pair."""
+    geoms = {geom.name: geom for geom in spec.geoms if geom.name}
+    taken = floor.contype | floor.conaffinity
+    for geom in spec.geoms:
+        taken |= geom.contype | geom.conaffinity
+    bit = next((1 << n for n in range(31) if not taken & 1 << n), 1)
+    named = []
+    for pair in list(spec.pairs):
+        both = (pair.geomname1, pair.geomname2)
+        other = next((name for name in both if name != floor.name), "")
+        if not floor.name or floor.name not in both or other not in geoms:
+            continue
+        geom = geoms[other]
+        geom.contype |= bit
+        floor.conaffinity |= bit
+        geom.priority = floor.priority + 1  # its parameters count alone, as those of the pair did
+        geom.condim, geom.solref, geom.solimp = pair.condim, pair.solref, pair.solimp
+        geom.friction = pair.friction[[0, 2, 3]]
+        geom.margin, geom.gap = pair.margin - floor.margin, pair.gap - floor.gap
+        if pair.friction[0] != pair.friction[1] or pair.friction[3] != pair.friction[4]:
+            notes.append(
+                f"the contact of {other!r} with the floor has another friction sideways: the first "
+                "number of each was taken"
+            )
+        spec.delete(pair)
+        named.append(other)
+    if named:
+        notes.append(
+            f"contacts with the floor by <pair> became those of the geoms: {', '.join(named)}"
+        )
