@@ -10,7 +10,11 @@ from conftest import NAMES, load, mujoco_at
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
+from pupper_analysis.stance.clearance import shapes_of
+from pupper_analysis.stance.nearest import nearest
 from pupper_analysis.stance.optimize.space import StanceSpace
+from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.search import search
 from pupper_analysis.stance.sunk import loaded_stand
 from pupper_analysis.stance.workspace import base_workspace, stand_at
 
@@ -139,3 +143,17 @@ def test_a_search_sees_stances_without_it() -> None:
     assert stand.task.com_margin == 0.06
     assert space.room(stand).edges.min() == pytest.approx(margin_of(robot, stand) - 0.06, abs=1e-9)
     assert space.room(stand).edges.min() < 0
+
+
+def test_the_least_miss_of_the_feet_is_with_the_margin() -> None:
+    """On three legs too high, more of a margin leaves the feet further from where they shall be."""
+    robot, missed = load("v3"), []
+    for margin in (0.0, 0.02, 0.025):
+        task = pa.StandTask(com="inside", com_margin=margin, height=0.22, swing={"FR": 0.02})
+        goal, shapes = goal_of(robot, task, {}), shapes_of(robot)
+        found = nearest(shapes, goal, search(shapes, goal).qpos)
+        com = mujoco_at(robot, found.qpos).body(robot.mj_base).subtree_com
+        sides = ConvexHull(goal.contacts[:, :2]).equations
+        assert -float((sides @ [*com[:2], 1.0]).max()) >= margin - 1e-7
+        missed.append(found.foot_error)
+    assert missed[0] <= missed[1] < missed[2]

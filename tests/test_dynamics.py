@@ -149,6 +149,29 @@ def test_ground_resists_rolling_as_mujocos_does() -> None:
             assert np.linalg.norm(levers["FL"][:2]) == pytest.approx(0.01, rel=0.05)
 
 
+def test_on_a_slope_what_rolls_is_at_the_edge_of_the_grounds_cone() -> None:
+    """Feet that roll at 1 rad/s: (f_t / mu)^2 + (m / mu_r)^2 = f_n^2, in the ground's axes."""
+    robot, ground = load("v3"), pa.Ground(0.4)
+    stand = pa.solve_stand(robot, pa.StandTask(ground=ground, pitch=-0.4))
+    up = ground.normal()
+    qvel = np.zeros(robot.nv)
+    qvel[4] = 1.0  # the base pitches, and its feet with it
+    found = pa.inverse_dynamics(
+        pa.Configuration(robot, stand.qpos, qvel),
+        np.zeros(robot.nv),
+        normals=dict.fromkeys(robot.feet, up),
+        held=True,
+    )
+    for foot, force in found.contact_forces.items():
+        pressing, moment = float(force @ up), found.contact_moments[foot]
+        friction = robot.contacts[foot].friction
+        tangential = np.linalg.norm(force - pressing * up) / friction[0]
+        rolling = np.linalg.norm(moment - (moment @ up) * up) / friction[3]
+        spinning = (moment @ up) / friction[2]
+        assert pressing > 0
+        assert np.linalg.norm((tangential, rolling, spinning)) == pytest.approx(pressing, rel=0.02)
+
+
 def test_what_no_feet_can_do_is_said() -> None:
     robot, stand = load("v3"), stand_of("v3")
     config, qacc = pa.Configuration(robot, stand.qpos), np.zeros(robot.nv)

@@ -231,6 +231,12 @@ def test_torque_figure_draws_both_torques(monkeypatch: pytest.MonkeyPatch) -> No
         share = 100 * np.abs(torques) / load("v3").effort_limits
         np.testing.assert_allclose(shown, np.maximum(share, 0.1))
     assert set(limit) == {100}
+    both = np.abs([analysis.statics.joint_torques, analysis.verification.joint_torques]).max(axis=0)
+    shares = both / load("v3").effort_limits
+    (mark,) = figure.axes[0].texts
+    most = int(mark.xy[1])
+    assert shares[most] > 0.999 * shares.max()
+    assert mark.get_text() == f"{both[most]:.3f} N m"
 
 
 def test_height_figure_draws_task_and_runs_in_mm(monkeypatch: pytest.MonkeyPatch) -> None:

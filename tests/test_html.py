@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import base64
+import importlib
 import inspect
 import json
 import math
+import pkgutil
 import re
 import subprocess
 import sys
-from dataclasses import fields, replace
+from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 from string import Formatter
@@ -22,7 +24,9 @@ from html_page import Page, shown
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.analysis.path import PathThere
+from pupper_analysis.analysis.push import PushedStance
+from pupper_analysis.analysis.stance import Stance, study_stance
 from pupper_analysis.checks.audit import RULES
 from pupper_analysis.pupper import comparison as variants
 from pupper_analysis.report.html import (
@@ -37,6 +41,7 @@ from pupper_analysis.report.html import (
     write,
 )
 from pupper_analysis.report.html.document import Column, Name, Said, Section, Table, View, number
+from pupper_analysis.report.html.sections import chinese_meanings, meanings
 from pupper_analysis.report.html.tasks import task_text
 from pupper_analysis.results import Result
 from pupper_analysis.simulation.push import PushRecovery
@@ -265,6 +270,48 @@ def test_no_text_in_the_catalogue_is_left_over() -> None:
     for english in words.catalogue():
         written = json.dumps(english, ensure_ascii=False)
         assert written in joined or english in results | kinds, english
+
+
+def test_the_fields_of_any_result_are_written_out() -> None:
+    stand = stand_of("v3")
+    statics = pa.stand_statics(load("v3"), stand)
+    tables = page_of(stand, statics).tables()
+    rows = {row["field"]: row for name in ("Stand", "GravityCompensation") for row in tables[name]}
+    assert rows["stance_feet"]["value"] == "(FR, FL, RR, RL)"
+    assert rows["task"]["value"] == str(stand.task)
+    place = ", ".join(f"{value:.6g}" for value in stand.foot_targets["FR"])
+    assert rows["foot_targets"]["value"].startswith(f"FR: ({place}); FL: (")
+    torques = ", ".join(f"{value:.6g}" for value in statics.joint_torques)
+    assert rows["joint_torques"]["value"] == f"({torques})"
+    assert rows["joint_torques"]["meaning and unit"] == "(nu,) what the motors hold (N m)."
+    assert rows["ground_clearance"]["value"].startswith("distance 0.0")
+
+
+def all_results(kind: type = Result) -> set[type]:
+    """All kinds of results, which are there as their modules are."""
+    for module in pkgutil.walk_packages(pa.__path__, "pupper_analysis."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    return {s for one in kind.__subclasses__() for s in (one, *all_results(one))}
+
+
+def test_each_field_of_a_result_has_a_meaning_in_both_languages() -> None:
+    known = dict(chinese_meanings())
+    shown = set()
+    apart = (pa.Analysis, Stance, PushedStance, PathThere, pa.Comparison, pa.Audit, pa.StudyOutcome)
+    for kind in sorted(all_results(), key=lambda kind: kind.__name__):
+        own = kind.__module__.startswith("pupper_analysis.")
+        if own and is_dataclass(kind) and not issubclass(kind, apart):  # others have pages
+            said = meanings(kind)
+            assert {field.name for field in fields(kind)} <= set(said), kind
+            shown |= {said[field.name] for field in fields(kind)}
+    assert shown <= set(known), shown - set(known)
+    assert set(known) <= shown, set(known) - shown
+    for english, chinese in known.items():
+        units = re.findall(r"\((N m|N|m|rad|kg|m/s|rad/s|N s|Hz|s)\)", english)
+        assert units == re.findall(r"[(（](N m|N|m|rad|kg|m/s|rad/s|N s|Hz|s)[)）]", chinese), (
+            english
+        )
 
 
 def test_a_text_that_is_not_translated_is_refused() -> None:
@@ -857,5 +904,5 @@ PUBLIC = [value for name in pa.__all__ if isinstance(value := getattr(pa, name),
 @pytest.mark.parametrize("kind", [one for one in PUBLIC if issubclass(one, Result)])
 def test_every_field_of_a_public_result_says_what_it_means(kind: type[Result]) -> None:
     """What it shares with other results, too: pages print it beside the value."""
-    meanings = sections._meanings(kind)
+    meanings = sections.meanings(kind)
     assert [field.name for field in fields(kind) if not meanings.get(field.name)] == []  # type: ignore[arg-type]

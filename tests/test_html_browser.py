@@ -102,6 +102,23 @@ def test_the_robot_is_drawn_and_turns(opened: Opened) -> None:
     opened.page.locator(".reset").click()
 
 
+def test_views_that_nobody_has_scrolled_to_are_on_paper_too(browser: Any, file: Path) -> None:
+    one = Opened(browser, file, viewport={"width": 900, "height": 300})
+    assert one.page.locator(".canvas canvas").count() == 0  # it is further down
+    one.page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    one.page.emulate_media(media="print")
+    picture = one.page.locator(".canvas .printed")
+    picture.wait_for()
+    shown = one.pixels(picture)
+    yellow = (shown[..., 0] > 150) & (shown[..., 2] < 90)  # the torso
+    assert yellow.mean() > 0.005
+    assert one.page.evaluate("document.documentElement.scrollWidth") <= 900
+    one.page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert picture.count() == 0
+    assert one.complaints == []
+    one.context.close()
+
+
 def test_it_is_whole_beneath_the_navigation(opened: Opened) -> None:
     canvas = stage(opened)
     opened.page.evaluate(

@@ -298,6 +298,10 @@ def test_the_usual_state_is_exported_in_few_words() -> None:
     scaled = export.command(source, State(torso_mass_scale=1.5))
     assert scaled == "pupper-analysis stand --base v3 --torso-mass-scale 1.5"
     assert export.command(source, State(torso_mass_scale=1.0)) == "pupper-analysis stand v3"
+    turned = State(pitch=-5.0, slope=3.0, height=150.0, com_margin=7.0)
+    assert export.command(source, turned).split()[3:] == [
+        "--height=0.15", "--pitch=-5deg", "--com-margin=0.007", "--slope=3deg",
+    ]  # fmt: skip
 
 
 def test_links_and_commands_lead_back() -> None:

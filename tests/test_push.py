@@ -306,3 +306,22 @@ def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
         )
         assert three < four
         assert result.impulses[1] > three
+
+
+def test_a_table_has_each_number_under_its_name() -> None:
+    rows = np.arange(15.0).reshape(3, 5)
+    names = ("direction", "impulse", "velocity_step", "tipping_estimate", "bisected")
+    values = dict(zip(names, rows.T, strict=True))
+    result = pa.PushRecovery(
+        feedforward=True, integrator="Euler", timestep=0.002, duration=6.0, kp=np.ones(1),
+        kd=np.ones(1), point=np.zeros(3), pulse=0.02, directions=values["direction"],
+        impulses=values["impulse"], velocity_steps=values["velocity_step"],
+        failures=("a", "b", "c"), bisected=values["bisected"],
+        tipping_estimate=values["tipping_estimate"], weakest_direction=0.1, weakest_impulse=0.2,
+        weakest_failure="a", mass=3.0, resolution=0.02, rollouts=7,
+    )  # fmt: skip
+    frame = result.to_dataframe()
+    assert list(frame["failure"]) == ["a", "b", "c"]
+    for name in names[:4]:
+        np.testing.assert_array_equal(frame[name], values[name])
+    assert set(frame.columns) == {*names[:4], "failure"}

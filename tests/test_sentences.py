@@ -56,6 +56,20 @@ def test_numbers_and_names_stand_as_they_were() -> None:
     )
 
 
+def test_each_entry_of_an_inertia_is_said_by_itself() -> None:
+    sentence = (
+        "body of base: inertia about the com: ixx 0.018 kg m^2 in the URDF, "
+        "0.016 kg m^2 in the MJCF (-7.39 %); iyy 0.068 kg m^2 in the URDF, "
+        "0.063 kg m^2 in the MJCF (-7.34 %)"
+    )
+    assert said(sentence) == Text(
+        sentence,
+        "base 的刚体：关于质心的惯量：ixx 在 URDF 中为 0.018 kg m^2，"
+        "在 MJCF 中为 0.016 kg m^2（-7.39 %）；"
+        "iyy 在 URDF 中为 0.068 kg m^2，在 MJCF 中为 0.063 kg m^2（-7.34 %）",
+    )
+
+
 def test_a_joint_with_the_name_of_a_word_keeps_it() -> None:
     spoken = said("joint roll is at its limit")
     assert isinstance(spoken, Text)
@@ -85,6 +99,7 @@ def test_sentences_that_are_joined_are_taken_apart() -> None:
         "<script>",
         "x" * 100_000,
         "{a}",
+        "Newton steps, on all of the way from the stand.",
     ],
 )
 def test_what_is_not_known_stays_english(sentence: str) -> None:

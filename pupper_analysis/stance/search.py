@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import Branch, Limb, branches, combinations
+from pupper_analysis.stance.clear_starts import clear_starts
 from pupper_analysis.stance.clearance import Shapes
-from pupper_analysis.stance.clearing import clear_starts
 from pupper_analysis.stance.nearest import in_place_and_clear, nearest
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.solver import TASK_TOLERANCE, Point, Solver, Stand, measure

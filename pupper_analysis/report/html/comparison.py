@@ -96,8 +96,23 @@ def _sides(
     return doc.Sides(
         title,
         tuple(columns),
-        (*notes, *map(said, difference.made_of), said(effects_in_words(difference))),
+        (*notes, *map(said, difference.made_of), _effects(difference)),
     )
+
+
+def _effects(difference: Difference) -> doc.Words:
+    """Returns what a difference does, in both languages."""
+    english = effects_in_words(difference)
+    if not difference.effects:
+        return text("no effect on the dynamics")
+    begin = text("alone it makes, of the deviation in: ")
+    parts = english.removeprefix(begin.en).split(", ")
+    spoken = []
+    for part in parts:
+        name = next(name for name in difference.effects if part.startswith(f"{name} "))
+        quantity = word(name)
+        spoken.append((quantity.zh if isinstance(quantity, doc.Text) else name) + part[len(name) :])
+    return doc.Text(english, begin.zh + "、".join(spoken))
 
 
 def _differences(comparison: Comparison) -> doc.Table:
@@ -165,7 +180,8 @@ def _explained(comparison: Comparison) -> Iterable[doc.Block]:
 
 def _quantities(comparison: Comparison) -> doc.Table:
     check = comparison.check
-    sides = [side for side in EDGES.values() if any(side in q.edges for q in check.quantities)]
+    every = dict.fromkeys(EDGES.values())
+    sides = [side for side in every if any(side in q.edges for q in check.quantities)]
     rows: list[tuple[doc.Cell, ...]] = [
         (
             word(quantity.name),

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Mark = Mapping[str, Any]
 
 WIDTH, HEIGHT = 640.0, 300.0
-LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 12.0, 44.0
+LEFT, RIGHT, TOP, BOTTOM = 78.0, 14.0, 12.0, 44.0
 """Of a drawing (CSS pixels): itself, and what its axes' words need around it."""
 
 MOST_POINTS = 160
@@ -48,6 +48,11 @@ class Series:
     x: ArrayLike
     y: ArrayLike
     points: bool = False
+
+
+_FLAT = 1e-3
+"""Least height of a drawing, in parts of its values: less than that is level, and would have the
+same six digits at all of its lines."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +110,9 @@ def line_plot(
     along, upward = x.scaled(points[:, 0]), y.scaled(points[:, 1])
     left, right = _range(along, 0.0 if not x.log else 0.03)
     low, high = _range(upward, 0.06)
+    flat = 0.0 if y.log else _FLAT * max(abs(low), abs(high)) - (high - low)
+    if flat > 0:
+        low, high = low - flat / 2, high + flat / 2
     wide, tall = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
 
     def place(values: Array) -> Array:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import inspect
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 
 from pupper_analysis.analysis.path import PathThere
 from pupper_analysis.analysis.push import PushedStance
@@ -26,8 +30,9 @@ from pupper_analysis.report.html.stance import (
     stance_section,
 )
 from pupper_analysis.report.html.study import study_section
+from pupper_analysis.report.html.values import value_cell
 from pupper_analysis.report.html.words import text
-from pupper_analysis.results import Result, Tabular, short
+from pupper_analysis.results import Result, Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.outcome import StudyOutcome
 
@@ -94,12 +99,12 @@ def title_of(results: Sequence[object]) -> doc.Words:
 
 def _any(result: Result, name: str) -> doc.Section:
     """Returns the fields of a result that has no page of its own, with what they mean."""
-    meanings = _meanings(type(result))
+    said = meanings(type(result))
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(field.name),
-            _value(getattr(result, field.name)),
-            doc.Said(meanings.get(field.name, "")),
+            value_cell(getattr(result, field.name)),
+            _said_meaning(said.get(field.name, "")),
         )
         for field in fields(result)  # type: ignore[arg-type]  # all results are dataclasses
     ]
@@ -107,7 +112,7 @@ def _any(result: Result, name: str) -> doc.Section:
         doc.Name(type(result).__name__),
         (
             doc.Column(text("field"), left=True),
-            doc.Column(text("value")),
+            doc.Column(text("value"), left=True),
             doc.Column(text("meaning and unit"), left=True),
         ),
         tuple(rows),
@@ -120,7 +125,7 @@ def _any(result: Result, name: str) -> doc.Section:
             doc.Table(
                 text("As a table"),
                 tuple(doc.Column(doc.Name(key)) for key in columns),
-                tuple(tuple(map(_value, row)) for row in cells),
+                tuple(tuple(map(value_cell, row)) for row in cells),
                 (text("Units are those of the fields."),),
             )
         )
@@ -129,16 +134,26 @@ def _any(result: Result, name: str) -> doc.Section:
     return doc.Section(doc.Name(name), tuple(blocks), passed, verdict)
 
 
-def _value(value: object) -> doc.Cell:
-    if isinstance(value, bool) or not isinstance(value, float | int):
-        return doc.Name(value if isinstance(value, str) else short(value))
-    return doc.number(float(value), ".6g")
-
-
-def _meanings(kind: type) -> dict[str, str]:
+def meanings(kind: type) -> dict[str, str]:
     """Returns {field: what the docstring of its class says of it, unit included}."""
-    entries: list[tuple[str, str]] = []
+    found: dict[str, str] = {}
     for one in reversed(kind.__mro__):
-        said = inspect.cleandoc(one.__doc__ or "").partition("Attributes:\n")[2]
-        entries += re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", said, flags=re.MULTILINE)
-    return {name: re.sub(r"\s+", " ", meaning) for name, meaning in entries}
+        said = inspect.cleandoc(one.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
+        entries = re.findall(r"^    ([\w, ]+): (.*(?:\n {8}.*)*)", said, flags=re.MULTILINE)
+        for names, meaning in entries:
+            found |= dict.fromkeys(names.split(", "), re.sub(r"\s+", " ", meaning))
+    return found
+
+
+def _said_meaning(meaning: str) -> doc.Text | doc.Said:
+    """Returns what a field means in both languages, or as it is."""
+    chinese = chinese_meanings().get(meaning)
+    plain = meaning.replace("``", "")  # the marks of code in docstrings
+    return doc.Said(plain) if chinese is None else doc.Text(plain, chinese.replace("``", ""))
+
+
+@cache
+def chinese_meanings() -> Mapping[str, str]:
+    """Returns {what a docstring says of a field: the same in Simplified Chinese}."""
+    file = files("pupper_analysis.report.html").joinpath("templates", "meanings.toml")
+    return MappingProxyType(tomllib.loads(file.read_text(encoding="utf-8")))

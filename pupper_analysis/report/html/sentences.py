@@ -25,6 +25,10 @@ _REMEMBERED = 4096
 _LONGEST = 4000
 """Characters; a longer text is a listing, and patterns with many holes would try for long."""
 
+_FEW = 4
+"""Letters outside of holes with which a pattern would fit any sentence that has a word of it: its
+holes are single names, as of ``{foot} on {body}``."""
+
 
 @dataclass(frozen=True)
 class Pattern:
@@ -101,8 +105,17 @@ def _all_of(text: str, comma: str, chinese: str) -> str | None:
 
 def _pattern(english: str, chinese: str) -> Pattern:
     pieces = _HOLE.split(english)  # words and names of holes, by turns
-    expression = "".join(
-        f"(?P<{piece}>.+?)" if place % 2 else re.escape(piece) for place, piece in enumerate(pieces)
-    )
     literal = sum(len(words) for words in pieces[::2])
+    named = [_hole(name, pieces[1::2], literal) for name in pieces[1::2]]
+    words = [re.escape(piece) for piece in pieces[::2]]
+    expression = "".join(part for pair in zip(words, [*named, ""], strict=True) for part in pair)
     return Pattern(re.compile(expression, re.DOTALL), chinese, literal, pieces[0])
+
+
+def _hole(name: str, names: list[str], literal: int) -> str:
+    """Returns what may stand in a hole, of a pattern with so many letters of its own."""
+    if name.startswith("word"):
+        return f"(?P<{name}>[^ ;]+)"
+    if any(other.startswith("word") for other in names):
+        return f"(?P<{name}>[^;]+?)"
+    return f"(?P<{name}>.+?)" if literal > _FEW else rf"(?P<{name}>\S+)"

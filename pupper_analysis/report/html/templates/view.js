@@ -460,6 +460,24 @@
       this.home();
       this.draw();
     }
+
+    /** Puts a picture of the view beside it, for paper: views that nobody has scrolled to are empty. */
+    picture() {
+      const there = Boolean(this.renderer);
+      this.start();
+      if (!this.renderer) return;
+      this.draw();
+      const picture = new Image();
+      picture.className = "printed";
+      picture.alt = this.box.getAttribute("aria-label") ?? "";
+      picture.src = this.renderer.domElement.toDataURL("image/png");
+      this.box.append(picture);
+      if (!there) this.stop();
+    }
   }
   window.report.views = stages.map((stage) => new View(stage));
+  addEventListener("beforeprint", () => { for (const view of window.report.views) view.picture(); });
+  addEventListener("afterprint", () => {
+    for (const picture of document.querySelectorAll(".canvas .printed")) picture.remove();
+  });
 })();

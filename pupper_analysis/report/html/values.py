@@ -1,0 +1,52 @@
+"""A field's value, in a cell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+
+import numpy as np
+
+from pupper_analysis.report.html.document import Cell, Name, number
+from pupper_analysis.report.html.tasks import task_text
+from pupper_analysis.results import Result, short
+from pupper_analysis.stance.task import StandTask
+
+_MOST = 24
+"""Entries that are written out: a vector of each joint, or of a leg with two hands."""
+
+_LONGEST = 600
+"""Characters of a cell; what is longer is told by its size."""
+
+
+def value_cell(value: object) -> Cell:
+    """Returns a value as it is shown: written out where it is short, else by its size."""
+    if isinstance(value, StandTask):
+        return task_text(value)
+    if isinstance(value, float | int) and not isinstance(value, bool):
+        return number(float(value), ".6g")
+    text = _written(value)
+    return Name(text if len(text) <= _LONGEST else short(value))
+
+
+def _written(value: object) -> str:
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, float):
+        return number(value, ".6g").text
+    if isinstance(value, np.ndarray):
+        if value.size > _MOST or value.ndim > 2:
+            return short(value)
+        return _written(value.tolist())
+    if isinstance(value, Mapping):
+        listed = [f"{_written(key)}: {_written(one)}" for key, one in value.items()]
+        return "; ".join(listed) if 0 < len(listed) <= _MOST else short(value)
+    if isinstance(value, tuple | list):
+        if not 0 < len(value) <= _MOST:
+            return short(value) if value else "-"
+        deep = any(isinstance(one, tuple | list) for one in value)
+        return f"({('; ' if deep else ', ').join(map(_written, value))})"
+    if isinstance(value, Result):
+        names = [field.name for field in fields(value)]  # type: ignore[arg-type]  # all are dataclasses
+        return ", ".join(f"{name} {_written(getattr(value, name))}" for name in names)
+    return short(value)
