@@ -129,7 +129,12 @@ class StanceUnreachableError(PupperAnalysisError):
         self.at_limit = dict(at_limit)
         self.possible = dict(possible or {})
         self.nearest = nearest
-        missing = {foot: gap for foot, gap in self.shortfall.items() if gap > 0}
+        missing: dict[str, float] = {}  # of a sole's contact points, "foot/3", the one farthest off
+        for point, gap in self.shortfall.items():
+            name, _, number = point.rpartition("/")
+            foot = name if name and number.isdigit() else point
+            if gap > 0:
+                missing[foot] = max(gap, missing.get(foot, 0.0))
         feet = ", ".join(f"{foot} by {_short(1e3 * gap)} mm" for foot, gap in missing.items())
         missed = [f"the feet miss their targets: {feet}"] if feet else []
         text = f"stance out of reach ({task}): {'; '.join((*missed, *self.blocked))}"

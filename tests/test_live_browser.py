@@ -248,7 +248,7 @@ def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
     opened.says("base at, simulated")
     wait_for(twin, "no robot is played")
     opened.set("impulse (N s)", 6)
-    opened.button("Push")
+    opened.button("Push it")
     opened.says("Pushed with 6.00 N s towards 90°")
     opened.says("touches the ground")
     opened.tab("Stance")

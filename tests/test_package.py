@@ -86,11 +86,23 @@ def test_loading_a_base_model_needs_no_drawing_and_no_urdf_writer(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_stand_needs_no_drawing(tmp_path: Path) -> None:
+def test_a_stand_needs_no_drawing_and_of_scipy_the_linear_algebra(tmp_path: Path) -> None:
     code = (
         "import pupper_analysis as pa; r = pa.load_variant('v3'); s = pa.solve_stand(r); "
-        "pa.gravity_compensation(pa.Configuration(r, s.qpos)); pa.verify_stand(r, s); "
-    ) + LOADED.format(names=("matplotlib", "yourdfpy", "trimesh"))
+        "pa.gravity_compensation(pa.Configuration(r, s.qpos)); pa.steady_state(r, s); "
+        "pa.stance_path; pa.verify_stand(r, s); "
+    )
+    parts = ("optimize", "interpolate", "integrate", "spatial", "stats")
+    names = ("matplotlib", "yourdfpy", "trimesh", *(f"scipy.{part}" for part in parts))
+    assert run(code + LOADED.format(names=names), tmp_path) == "[]"
+
+
+@pytest.mark.slow
+def test_two_versions_of_a_file_are_compared_without_scipy(tmp_path: Path) -> None:
+    code = (
+        "import pupper_analysis as pa; pa.load_variant('v3'); "
+        "from pupper_analysis.checks.versions import compare; "
+    ) + LOADED.format(names=("scipy", "shapely", "trimesh"))
     assert run(code, tmp_path) == "[]"
 
 

@@ -16,7 +16,6 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from pupper_analysis.checks.alignment import (
     aligned,
@@ -245,6 +244,8 @@ def _fitted(one: Array, two: Array) -> pin.SE3 | None:
     here, there = one - one.mean(axis=0), two - two.mean(axis=0)
     if len(one) < 3 or min(np.linalg.matrix_rank(points, tol=1e-6) for points in (here, there)) < 2:
         return None
+    from scipy.spatial.transform import Rotation  # slow to import
+
     turn = Rotation.align_vectors(there, here)[0].as_matrix()
     return pin.SE3(turn, two.mean(axis=0) - turn @ one.mean(axis=0))
 
@@ -305,6 +306,8 @@ def _origin(element: etree._Element) -> pin.SE3:
 
 
 def _set_origin(element: etree._Element, pose: pin.SE3) -> None:
+    from scipy.spatial.transform import Rotation  # slow to import
+
     origin = element.find("origin")
     if origin is None:
         origin = etree.Element("origin")

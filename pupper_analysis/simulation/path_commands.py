@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from numbers import Real
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
@@ -20,6 +20,9 @@ from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.stance.path.sinking import sunk_path
 from pupper_analysis.stance.path.stance_path import StancePath
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline  # slow to import
 
 Array = NDArray[np.float64]
 
@@ -77,6 +80,8 @@ def path_commands(
         ConfigurationError: If an argument is out of its range, or the path is another robot's.
         ModelError: If the model has no servos and no gains are given.
     """
+    from scipy.interpolate import CubicSpline
+
     if path.joint_names != robot.joint_names or path.qpos.shape[1] != robot.nq:
         raise ConfigurationError("path", f"it is not a path of {robot.name}")
     first = path.stances[0]
@@ -115,6 +120,8 @@ def _sinking(robot: Robot, path: StancePath, sunk: Array) -> CubicSpline:
     Feet sink and rise by millimetres within hundredths of a second: for light legs with heavy
     rotors that is no less than what the path itself takes of them.
     """
+    from scipy.interpolate import CubicSpline
+
     joints, dofs = slice(robot.nq - robot.nu, None), slice(robot.nv - robot.nu, None)
     longer = CubicSpline(path.time, (sunk - path.qpos)[:, joints], bc_type=_AT_REST)
     torques = []

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
 
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
@@ -35,6 +34,8 @@ def crept(robot: Robot, path: StancePath) -> Array:
         robot: The robot on the path's ground.
         path: Its path.
     """
+    from scipy.integrate import cumulative_trapezoid  # slow to import
+
     friction, normal = DryFriction.of(robot), path.stances[0].task.ground.normal()
     laws = {foot: GroundLaw.of(robot, foot) for foot in path.feet}
     speeds = np.zeros_like(path.forces)

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
@@ -77,6 +76,8 @@ def depths_of(law: GroundLaw, time: Array, forces: Array) -> Array:
         time: (n,) evenly spaced (s).
         forces: (n,) N.
     """
+    from scipy.interpolate import CubicSpline  # slow to import
+
     # An eighth of the faster of the law's own times: the classical Runge-Kutta method's error is
     # then below 1e-5 of the depth.
     own = 1 / max(law.damping, math.sqrt(law.stiffness), 1e-3)

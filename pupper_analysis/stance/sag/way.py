@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
@@ -164,6 +163,8 @@ class Way:
         Returns:
             Whether that place was found.
         """
+        from scipy import optimize  # slow to import
+
         known: dict[float, Solution | None] = {wanted: there}  # feet ask for the same places
 
         def at(share: float) -> Solution | None:
