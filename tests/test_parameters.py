@@ -31,8 +31,10 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.checks.attribution import explain
+from pupper_analysis.checks.changes import changes_between
 from pupper_analysis.checks.compare import compare_models
 from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.checks.trees import trees
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
@@ -249,3 +251,15 @@ def test_a_zero_angle_is_one_difference_where_frames_are_not_turned(tmp_path: Pa
     robot = robot_of(tmp_path, urdf, quadruped())
     explanation = explain(robot)
     assert found(explanation) == [("rotation", "hip1")]
+
+
+def test_a_product_of_inertia_is_judged_by_the_greatest_moment() -> None:
+    """Not by itself: where it is almost 0, rounding would be a difference."""
+    (first, _), tolerances = trees(load("v3")), Tolerances()
+    name, body = next(iter(first.bodies.items()))
+    for share, count in ((0.9, 0), (1.1, 1)):
+        off = share * tolerances.inertia * np.abs(body.inertia).max()
+        inertia = body.inertia + off * np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
+        bodies = {**first.bodies, name: replace(body, inertia=inertia)}
+        found = list(changes_between(first, replace(first, bodies=bodies), tolerances))
+        assert [change.kind for change in found] == ["inertia"] * count

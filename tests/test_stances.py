@@ -16,6 +16,9 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.floor import floor_of
 from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.clearance import shapes_of
+from pupper_analysis.stance.nearest import in_place_and_clear
+from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.support_polygon import com_margin
 
@@ -414,3 +417,22 @@ def test_sag_is_read_at_the_base(offset: tuple[float, float]) -> None:
     assert abs(run.servo_sag) < 2e-5
     assert pose.contact_sag == pytest.approx(run.contact_sag, abs=2e-5)
     assert abs(pose.contact_sag - np.mean(depths)) > 1e-4
+
+
+def test_feet_in_place_and_a_clear_ground_are_had_at_once() -> None:
+    """From feet in place and a thigh 1 mm too low: to rounding, and with the com inside."""
+    robot = load("v3")
+    task = pa.StandTask(height=0.092, roll=0.2, com="inside", com_margin=0.01)
+    stand = pa.solve_stand(robot, task, explain=False)
+    assert stand.ground_clearance is not None
+    asked = replace(task, ground_clearance=stand.ground_clearance.distance + 1e-3)
+    shapes, goal = shapes_of(robot), goal_of(robot, asked, {})
+    found = in_place_and_clear(shapes, goal, stand.qpos)
+    assert found.solved
+    assert found.ground_clearance is not None
+    assert found.ground_clearance.distance >= asked.ground_clearance - 1e-9
+    for foot, centre in mujoco_feet(robot, found.qpos).items():
+        np.testing.assert_allclose(centre, found.foot_targets[foot], atol=1e-9)
+    com = pa.Configuration(robot, found.qpos).center_of_mass()
+    assert com_margin(com, found.contact_points) > 0.01 - 1e-9
+    assert np.abs(found.qpos - stand.qpos).max() > 1e-4

@@ -24,6 +24,13 @@ far as a thigh that is 20 mm in the ground has to move."""
 _PER_PLACE = 8
 """Choices of clear branches that are tried for one of them; a free foot's do not matter much."""
 
+_CHOICES = 256
+"""Of a place that are ranked: four limbs with four branches each."""
+
+_LOWER = 5e-3
+"""A branch that is less below what clears the ground (m) may clear it with the com a little aside,
+between the places; limits are found by those."""
+
 _IN_REACH = 5e-3
 """Feet that miss by less with the base where it is are in reach with the base near it (m)."""
 
@@ -34,7 +41,8 @@ def clear_starts(
     """Yields where to begin, the clearest of the ground first.
 
     The com is put to places all over the polygon. For each the limbs' branches are found. A limb's
-    height does not hang on how the others are bent, so that each takes branches that are clear.
+    height does not hang on how the others are bent, so that each takes branches that are clear, or
+    almost.
 
     Args:
         shapes: The robot with its shapes.
@@ -52,10 +60,16 @@ def clear_starts(
         base[:2] += place - Configuration(robot, qpos).center_of_mass()[:2]
         high = _high(shapes, goal, base, starts)
         if all(high.values()):
-            room = min(ways[0].room for ways in high.values())
             bent = {limb: tuple(way.branch for way in ways) for limb, ways in high.items()}
-            choices = islice(combinations(bent, qpos[-robot.nu :]), _PER_PLACE)
-            ranked += [(-min(room, 0.0), order, place, way) for order, way in enumerate(choices)]
+            here = [
+                (-min(_lowest(joints, high), 0.0), joints)
+                for joints in islice(combinations(bent, qpos[-robot.nu :]), _CHOICES)
+            ]
+            here.sort(key=lambda one: one[0])
+            ranked += [
+                (below, order, place, joints)
+                for order, (below, joints) in enumerate(here[:_PER_PLACE])
+            ]
     for _, _, place, joints in sorted(ranked, key=lambda one: one[:2]):
         yield joints, place
 
@@ -92,7 +106,7 @@ def _each_branch(found: Mapping[Limb, tuple[Branch, ...]], qpos: Array) -> Array
 
 
 def _high(shapes: Shapes, goal: Goal, qpos: Array, starts: Array) -> dict[Limb, list[_Way]]:
-    """Returns each limb's branches that clear the ground, or the one that is highest.
+    """Returns each limb's branches that almost clear the ground, or the one that is highest.
 
     None where its feet are out of reach with the base where it is.
     """
@@ -108,5 +122,15 @@ def _high(shapes: Shapes, goal: Goal, qpos: Array, starts: Array) -> dict[Limb, 
             lowest = heights[shapes.moved_by(limb.joints)].min(initial=np.inf)
             ways.append(_Way(branch, float(lowest) - goal.task.ground_clearance))
         ways.sort(key=lambda way: -way.room)
-        high[limb] = [way for way in ways if way.room >= 0.0] or ways[:1]
+        high[limb] = [way for way in ways if way.room >= -_LOWER] or ways[:1]
     return high
+
+
+def _lowest(joints: Array, high: Mapping[Limb, list[_Way]]) -> float:
+    """Returns how high joint positions (nu,), a way of each limb, keep the lowest part (m)."""
+    return min(
+        way.room
+        for limb, ways in high.items()
+        for way in ways
+        if np.array_equal(way.branch.positions, joints[limb.joints])
+    )

@@ -1,8 +1,8 @@
-"""How near the feet can come to targets that are out of reach."""
+"""How near the feet can come to targets, and stands at the edge of what is possible."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.stance.solver import TOUCHING, Stand, measure
+from pupper_analysis.stance.solver import TASK_TOLERANCE, TOUCHING, Stand, measure
 from pupper_analysis.statics.support_polygon import polygon_sides
 
 Array = NDArray[np.float64]
@@ -26,80 +26,132 @@ def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) ->
     """
     from scipy import optimize  # slow to import
 
-    robot = shapes.robot
-    free = [0, 1, *range(7, robot.nq)]
-    columns = [0, 1, *range(6, robot.nv)]
-
-    def at(values: Array) -> Configuration:
-        qpos = start.copy()
-        qpos[free] = values
-        return Configuration(robot, qpos)
-
-    def distances(values: Array) -> tuple[float, Array]:
-        config = at(values)
-        positions, jacobians = config.foot_positions(), config.foot_jacobians()
-        total, gradient = 0.0, np.zeros(len(free))
-        for foot, target in goal.targets.items():
-            error = positions[foot] - target
-            total += float(error @ error)
-            gradient += 2 * error @ jacobians[foot][:, columns]
-        return total, gradient
-
-    constraints = [_com_constraint(goal, at, columns)]
+    programme = _Programme(shapes, goal, start)
+    constraints = [programme.com(0.0)]
     if clear:
-        ground = goal.task.ground, goal.targets, goal.depths
-
-        looked_at = np.isfinite(shapes.heights(start, *ground))  # feet are not
-
-        def room(values: Array) -> Array:
-            heights = shapes.heights(at(values).qpos, *ground)[looked_at]
-            above: Array = heights - (goal.task.ground_clearance + TOUCHING)
-            return above
-
-        def room_rates(values: Array) -> Array:
-            rates: Array = shapes.height_rates(at(values).qpos, *ground)[looked_at]
-            return rates
-
-        constraints.append({"type": "ineq", "fun": room, "jac": room_rates})
+        constraints.append(programme.room(TOUCHING))
     outcome = optimize.minimize(
-        distances,
-        start[free],
+        programme.distances,
+        programme.start,
         jac=True,
         method="SLSQP",
-        bounds=[(None, None), (None, None), *zip(goal.lower, goal.upper, strict=True)],
+        bounds=programme.bounds,
         constraints=constraints,
         options={"ftol": 1e-14, "maxiter": 200},
     )
-    return measure(shapes, goal, at(outcome.x).qpos, 0)
+    return measure(shapes, goal, programme.at(outcome.x).qpos, 0)
 
 
-def _com_constraint(
-    goal: Goal, at: Callable[[Array], Configuration], columns: Sequence[int]
-) -> dict[str, object]:
-    """Says to SLSQP where the com, or the base, shall be.
+def in_place_and_clear(shapes: Shapes, goal: Goal, start: Array) -> Stand:
+    """Finds the stand nearest to a configuration, with the feet in place and the ground clear.
+
+    Both at once, to rounding, and the com with its margin: what is left of a stand at the edge of
+    what is possible may be micrometres wide, and by turns each is had at the other's expense.
 
     Args:
-        goal: What shall hold.
-        at: The configuration of the free values.
-        columns: The columns of Jacobians that belong to them.
+        shapes: The robot with its shapes.
+        goal: The goal, whose com may be anywhere inside.
+        start: (nq,) where feet miss by a millimetre or less.
+
+    Returns:
+        The stand, or what came of it.
     """
-    if goal.task.com == "inside":
-        sides = polygon_sides(goal.contacts)
-        return {
-            "type": "ineq",
-            "fun": lambda values: (
-                sides[:, :2] @ at(values).center_of_mass()[:2] + sides[:, 2] - goal.task.com_margin
-            ),
-            "jac": lambda values: sides[:, :2] @ at(values).com_jacobian()[:2, columns],
-        }
-    if goal.by_base:
+    from scipy import optimize  # slow to import
+
+    programme = _Programme(shapes, goal, start)
+    feet = {"type": "eq", "fun": programme.misses, "jac": programme.miss_rates}
+    outcome = optimize.minimize(
+        lambda values: (
+            0.5 * float((values - programme.start) @ (values - programme.start)),
+            values - programme.start,
+        ),
+        programme.start,
+        jac=True,
+        method="SLSQP",
+        bounds=programme.bounds,
+        constraints=[feet, programme.com(TASK_TOLERANCE), programme.room(0.0)],
+        options={"ftol": 1e-13, "maxiter": 50},
+    )
+    config = programme.at(outcome.x)
+    return measure(shapes, replace(goal, place=config.center_of_mass()[:2]), config.qpos, 0)
+
+
+class _Programme:
+    """What SLSQP is told, in the base's x and y and the joints.
+
+    Attributes:
+        start: (2 + nu,) where it begins.
+        bounds: Least and most of each; none of the base's.
+    """
+
+    def __init__(self, shapes: Shapes, goal: Goal, start: Array) -> None:
+        robot = shapes.robot
+        self._shapes, self._goal, self._qpos = shapes, goal, start
+        self._free = [0, 1, *range(7, robot.nq)]
+        self._columns = [0, 1, *range(6, robot.nv)]
+        self.start = start[self._free]
+        limits = zip(goal.lower, goal.upper, strict=True)
+        self.bounds = [(None, None), (None, None), *limits]
+
+    def at(self, values: Array) -> Configuration:
+        qpos = self._qpos.copy()
+        qpos[self._free] = values
+        return Configuration(self._shapes.robot, qpos)
+
+    def distances(self, values: Array) -> tuple[float, Array]:
+        """Returns the sum of the feet's squared distances (m^2), and its gradient."""
+        config = self.at(values)
+        positions, jacobians = config.foot_positions(), config.foot_jacobians()
+        total, gradient = 0.0, np.zeros(len(self._free))
+        for foot, target in self._goal.targets.items():
+            error = positions[foot] - target
+            total += float(error @ error)
+            gradient += 2 * error @ jacobians[foot][:, self._columns]
+        return total, gradient
+
+    def misses(self, values: Array) -> Array:
+        """Returns by how much the feet are off (3 feet,) (m)."""
+        positions = self.at(values).foot_positions()
+        return np.concatenate(
+            [positions[foot] - target for foot, target in self._goal.targets.items()]
+        )
+
+    def miss_rates(self, values: Array) -> Array:
+        jacobians = self.at(values).foot_jacobians()
+        return np.concatenate([jacobians[foot][:, self._columns] for foot in self._goal.targets])
+
+    def com(self, more: float) -> dict[str, object]:
+        """Says where the com, or the base, shall be; inside by so much more than asked (m)."""
+        goal, at = self._goal, self.at
+        if goal.task.com == "inside":
+            sides, margin = polygon_sides(goal.contacts), goal.task.com_margin + more
+            return {
+                "type": "ineq",
+                "fun": lambda values: (
+                    sides[:, :2] @ at(values).center_of_mass()[:2] + sides[:, 2] - margin
+                ),
+                "jac": lambda values: sides[:, :2] @ at(values).com_jacobian()[:2, self._columns],
+            }
+        if goal.by_base:
+            return {
+                "type": "eq",
+                "fun": lambda values: values[:2] - goal.place,
+                "jac": lambda values: np.eye(2, len(values)),
+            }
         return {
             "type": "eq",
-            "fun": lambda values: values[:2] - goal.place,
-            "jac": lambda values: np.eye(2, len(values)),
+            "fun": lambda values: at(values).center_of_mass()[:2] - goal.place,
+            "jac": lambda values: at(values).com_jacobian()[:2, self._columns],
         }
-    return {
-        "type": "eq",
-        "fun": lambda values: at(values).center_of_mass()[:2] - goal.place,
-        "jac": lambda values: at(values).com_jacobian()[:2, columns],
-    }
+
+    def room(self, more: float) -> dict[str, object]:
+        """Says that parts shall be above the ground, by so much more than asked (m)."""
+        shapes, goal = self._shapes, self._goal
+        ground = goal.task.ground, goal.targets, goal.depths
+        looked_at = np.isfinite(shapes.heights(self._qpos, *ground))  # feet are not
+        least = goal.task.ground_clearance + more
+        return {
+            "type": "ineq",
+            "fun": lambda v: shapes.heights(self.at(v).qpos, *ground)[looked_at] - least,
+            "jac": lambda v: shapes.height_rates(self.at(v).qpos, *ground)[looked_at],
+        }

@@ -119,7 +119,7 @@ def furthest(shapes: Shapes, goal: Goal, demands: Sequence[str]) -> Stand | None
             low, leads = high, False  # there is more than the last stand leads to
             continue
         refused, again = high, min(_BEYOND * low, 1.0)
-        if low == 0.0 or again == 1.0 or not way.solves(again):
+        if low == 0.0 or again == 1.0 or not (way.solves(again) or way.solves(again, afresh=True)):
             break
         low, refused = again, 1.0
     # Where a stand was only found on the way from another one, who types the limit may not find it.
@@ -136,14 +136,16 @@ class _Way:
         self.shapes, self.goal, self.demands = shapes, goal, demands
         self.stand: Stand | None = None
 
-    def solves(self, share: float) -> bool:
+    def solves(self, share: float, *, afresh: bool = False) -> bool:
         """Tells whether there is a stand at a share, by the search everywhere.
 
         Args:
             share: From 0, the nominal stand's, to 1, the task's.
+            afresh: Not from the last stand first, which leads the search to what is near that.
         """
-        goal = self._goal(self._task(share))
-        hints = [] if self.stand is None else [self.stand.joint_positions(self.shapes.robot)]
+        goal, hints = self._goal(self._task(share)), []
+        if self.stand is not None and not afresh:
+            hints = [self.stand.joint_positions(self.shapes.robot)]
         return goal is not None and self._found(search(self.shapes, goal, hints))
 
     def solves_as_typed(self, share: float) -> bool:

@@ -15,7 +15,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import Branch, Limb, branches, combinations
 from pupper_analysis.stance.clear_starts import clear_starts
 from pupper_analysis.stance.clearance import Shapes
-from pupper_analysis.stance.nearest import nearest
+from pupper_analysis.stance.nearest import in_place_and_clear, nearest
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.solver import TASK_TOLERANCE, Point, Solver, Stand, measure
 from pupper_analysis.stance.yielding import as_the_legs_can
@@ -37,6 +37,9 @@ _CLEAR_STARTS = 24
 
 _CLEARED = 4
 """Stands with a part in the ground that are tried once more with it kept out (SLSQP, slow)."""
+
+_ALIKE = 0.2
+"""Stands whose joints differ by less are bent alike (rad): what clears the one clears the other."""
 
 _TURNS = 4
 """How often, while less than ``_ALMOST`` of the part is left in the ground; two were enough."""
@@ -256,10 +259,20 @@ def _search_inside(
             if solves(start, place):
                 return found[-1]
         reached = [stand for stand in found if stand.foot_error < TASK_TOLERANCE]
-    for stand in sorted(reached, key=lambda stand: stand.room, reverse=True)[:_CLEARED]:
+    for stand in islice(_bent_otherwise(robot, reached), _CLEARED):
         if (cleared := _cleared(shapes, goal, stand)).solved:
             return cleared
     return max(found, key=lambda stand: (stand.foot_error < TASK_TOLERANCE, -stand.foot_error))
+
+
+def _bent_otherwise(robot: Robot, stands: Iterable[Stand]) -> Iterator[Stand]:
+    """Yields stands with the least in the way first, of those that are bent alike one alone."""
+    seen: list[Array] = []
+    for stand in sorted(stands, key=lambda stand: stand.room, reverse=True):
+        joints = stand.joint_positions(robot)
+        if all(np.abs(joints - other).max() > _ALIKE for other in seen):
+            seen.append(joints)
+            yield stand
 
 
 def _cleared(shapes: Shapes, goal: Goal, stand: Stand) -> Stand:
@@ -268,6 +281,9 @@ def _cleared(shapes: Shapes, goal: Goal, stand: Stand) -> Stand:
     At the edge of what is possible the feet and the ground are each satisfied at the other's
     expense, by turns, and less of it every time.
     """
+    both = in_place_and_clear(shapes, goal, stand.qpos)
+    if both.solved:
+        return both
     for _ in range(_TURNS):
         clear = nearest(shapes, goal, stand.qpos, clear=True)
         stand = _exactly(shapes, goal, Point(clear.qpos, clear.foot_error, 0))
