@@ -134,6 +134,9 @@ def _put_gains(
 STIFFEST = 1e9
 """N m/rad (kd: N m s/rad): more than any machine's; what overflows is far beyond."""
 
+SOFTEST = 1e-9
+"""N m/rad: commands are the torque divided by kp, and overflow far below."""
+
 
 def gains(
     robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
@@ -163,6 +166,10 @@ def gains(
     damping = damped if kd is None else _gain("kd", kd, robot.nu)
     if kp is not None and (stiffness <= 0).any():
         raise ConfigurationError("kp", f"{stiffness.min()} N m/rad is not positive")
+    if kp is not None and (stiffness < SOFTEST).any():
+        raise ConfigurationError(
+            "kp", f"{stiffness.min():g} N m/rad is none: it is to be at least {SOFTEST:g}"
+        )
     return stiffness, damping, gear, servo
 
 
