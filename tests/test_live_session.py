@@ -74,7 +74,8 @@ class Open:
         return answer is not None and answer.state == state
 
     def settled(self) -> bool:
-        return self.session.export()[1] is not None
+        answer, sag = self.session.export()
+        return answer is not None and answer.state == self.controls.state and sag is not None
 
 
 @pytest.fixture

@@ -5,11 +5,12 @@ import math
 import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
-from conftest import NAMES, SKELETON_NAMES, addresses, load, mujoco_at, stand_of
+from conftest import NAMES, SKELETON_NAMES, addresses, changed, load, mujoco_at, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import INTEGRATORS, servos
@@ -517,3 +518,26 @@ def test_servos_too_stiff_for_the_time_step_are_said_with_one_that_does() -> Non
     assert not any("beyond the limit" in reason for reason in again.failures)
     held = pa.verify_stand(robot, stand, kp=5.0, kd=25.0, integrator="implicitfast", duration=8.0)
     assert not any("beyond the limit" in reason for reason in held.failures)
+
+
+@pytest.mark.parametrize("act", ["verify", "sweep"])
+def test_what_diverges_is_said_and_leaves_no_log(
+    act: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """MuJoCo warns on the terminal, and in a file MUJOCO_LOG.TXT that nobody has asked for."""
+    monkeypatch.chdir(tmp_path)
+
+    def stiff(model: mujoco.MjModel) -> None:
+        model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_EULER, 0.02
+        model.actuator_gainprm[:, 0] *= 1e9
+        model.actuator_biasprm[:, 1] *= 1e9
+
+    robot = changed(load("original"), stiff)
+    stand = pa.solve_stand(robot)
+    if act == "verify":
+        assert pa.verify_stand(robot, stand).failures[0].startswith("the simulation diverged")
+    else:
+        swept = pa.sweep_gains(robot, stand, kp=[1e9], kd=[0.0], duration=2.0, integrator="Euler")
+        assert swept.fell.all()
+    assert not [*tmp_path.iterdir()]
+    assert "WARNING" not in capfd.readouterr().err

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 
 import mujoco
-import mujoco.rollout
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -28,6 +27,7 @@ from pupper_analysis.simulation.rollout import (
     check_stand,
     forced_commands,
     place_on_ground,
+    roll_out,
 )
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
@@ -220,10 +220,10 @@ class _Trial:
             drive, data = idle.get()
             try:
                 model, start = retuned(robot, drive, *cell).model, self._starts[cell[0]]
-                states, _ = mujoco.rollout.rollout(model, data, start, control, control_spec=FORCED)
+                states: Array = roll_out(model, data, start, control, control_spec=FORCED)[0]
             finally:
                 idle.put((drive, data))
-            return np.asarray(states[0])
+            return states
 
         watcher = monitor.Watcher(robot, model)  # gains change no shapes
         began = time.monotonic()

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
-import mujoco.rollout
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,7 +17,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.rollout import check_stand, full_state
+from pupper_analysis.simulation.rollout import check_stand, full_state, roll_out
 from pupper_analysis.stance.payload.servo_limit import (
     LASTING,
     Bound,
@@ -195,8 +194,7 @@ def _rollouts(
     steps = max(2, round(duration / float(model.opt.timestep)))
     control = np.tile(ctrl, (1, steps, 1))
     datas = [mujoco.MjData(model) for _ in range(2)]
-    states, _ = mujoco.rollout.rollout([model] * len(starts), datas, np.array(starts), control)
-    return np.asarray(states)
+    return roll_out(model, datas, np.array(starts), control)
 
 
 def _first_event(

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
-import mujoco.rollout
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,7 +18,7 @@ from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.held import Held
-from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground
+from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground, roll_out
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
@@ -103,9 +102,8 @@ class Bench:
             force[:, : self.pulse_steps, :2] = batch[:, None]
             starts = np.tile(self.start, (len(batch), 1))
             workers = self.workers[: len(batch)]
-            states, _ = mujoco.rollout.rollout(model, workers, starts, control, control_spec=FORCED)
             self.rollouts += len(batch)
-            yield from states
+            yield from roll_out(model, workers, starts, control, control_spec=FORCED)
 
     def failure(self, states: Array) -> str | None:
         """Returns why a run is no recovery, or None if it is one."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import mujoco.rollout
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.stance.stand import Stand
@@ -74,6 +76,36 @@ def full_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     return state
 
 
+def roll_out(
+    model: mujoco.MjModel,
+    workers: mujoco.MjData | Sequence[mujoco.MjData],
+    starts: Array,
+    control: Array,
+    *,
+    control_spec: int = int(mujoco.mjtState.mjSTATE_CTRL.value),
+) -> Array:
+    """Simulates a model from states on.
+
+    MuJoCo's warnings of simulations that diverge are not printed, and leave no file: ``monitor``
+    says what comes of each.
+
+    Args:
+        model: The model.
+        workers: Its data, one per thread.
+        starts: (runs, size) the states (mjSTATE_FULLPHYSICS), or one of them.
+        control: (runs, steps, nu) what it is given in each step.
+        control_spec: What that is.
+
+    Returns:
+        (runs, steps, size) the states after each step.
+    """
+    with quiet():
+        states, _ = mujoco.rollout.rollout(
+            model, workers, starts, control, control_spec=control_spec
+        )
+    return np.asarray(states)
+
+
 def run(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array:
     """Simulates a model from a state on.
 
@@ -85,8 +117,8 @@ def run(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array:
     Returns:
         (n, size) the states after each step.
     """
-    states, _ = mujoco.rollout.rollout(model, mujoco.MjData(model), start, ctrl[None])
-    return np.asarray(states[0])
+    one: Array = roll_out(model, mujoco.MjData(model), start, ctrl[None])[0]
+    return one
 
 
 def forced_commands(
