@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -10,12 +11,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.simulation.verify import SETTLED_DRIFT, verify_stand
+from pupper_analysis.simulation.verify import ANOTHER_ROBOT, SETTLED_DRIFT, verify_stand
 from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.stance.sunk import sunk_stand
 
 Array = NDArray[np.float64]
 
@@ -59,6 +62,9 @@ _DAMPING_TIME = 0.05
 def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
+    Of those with which it does, the first with which it is then as predicted: light feet on stiff
+    servos may come to rest against each other, in friction, with other torques.
+
     Returns:
         The robot, with the stiffest servos tried if it comes to rest with none; the stiffness (nu,)
         (N m/rad) and damping (nu,) (N m s/rad) of all its servos; and whether it comes to rest.
@@ -74,12 +80,16 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     first = _kept(robot, own, *_gains(robot, stand.qpos, torques, _SAGS[0], 1))
     trial = built(*first, 1)
     timestep = float(trial.mj_model.opt.timestep)
+    resting = None
     for parts, sag in itertools.product(_FINER, _SAGS):
         kp, kd = _kept(robot, own, *_gains(robot, stand.qpos, torques, sag, parts))
         trial.mj_model.opt.timestep = timestep / parts
         if _rests(trial, stand, kp, kd):
-            return built(kp, kd, parts), kp, kd, True
-    return built(*first, 1), *first, False
+            resting = resting or (kp, kd, parts)
+            if _as_predicted(trial, stand, kp, kd):
+                return built(kp, kd, parts), kp, kd, True
+    kp, kd, parts = resting or (*first, 1)
+    return built(kp, kd, parts), kp, kd, resting is not None
 
 
 def advice(robot: Robot, stand: Stand) -> str | None:
@@ -132,6 +142,18 @@ def _rests(
         if not seen.height_deviation < _STILL or abs(seen.height_drift) > SETTLED_DRIFT:
             return False
     return True
+
+
+def _as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
+    """Tells whether a robot holds a stand on its servos as it is computed, as far as gains matter.
+
+    If the two files are not of one robot, no gains make them.
+    """
+    with contextlib.suppress(PupperAnalysisError):
+        stand = sunk_stand(robot, stand, explain=False)
+    seen = verify_stand(robot, stand, kp=kp, kd=kd)
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    return seen.passed or seen.mujoco_residual > ANOTHER_ROBOT * weight
 
 
 def _gains(
