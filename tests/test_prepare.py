@@ -12,6 +12,7 @@ import pytest
 from legged import BIPED_FEET, Pair, biped, from_the_ground, fused, quadruped
 
 import pupper_analysis as pa
+from pupper_analysis.prepare import drives
 from pupper_analysis.robot.robot import Robot
 
 
@@ -380,6 +381,26 @@ def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_pat
     robot = load(quadruped(tmp_path, foot=foot))
     assert len(robot.feet) == 4
     stands(robot)
+
+
+def test_servos_with_which_it_comes_to_rest_otherwise_are_the_last_resort(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As Pi Plus does, whose light feet rest against each other: torques are off by 45 %."""
+    pair = biped(tmp_path)
+    stiffest = float(load(pair).mj_model.actuator_gainprm[:, 0].max())
+
+    def soft_ones_are(_robot: Robot, _stand: pa.Stand, kp: np.ndarray, _kd: np.ndarray) -> bool:
+        return bool(kp.max() < stiffest)
+
+    monkeypatch.setattr(drives, "_as_predicted", soft_ones_are)
+    softer = load(pair)
+    assert 0 < softer.mj_model.actuator_gainprm[:, 0].max() < stiffest
+    assert stands(softer).passed
+    monkeypatch.setattr(drives, "_as_predicted", lambda *_: False)
+    none = load(pair)  # it rests with the first, so that is better than nothing
+    assert none.mj_model.actuator_gainprm[:, 0].max() == stiffest
+    assert not [note for note in none.notes if "come to rest" in note]
 
 
 @pytest.mark.slow
