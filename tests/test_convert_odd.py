@@ -297,6 +297,7 @@ def test_a_mesh_of_an_attached_model_is_left_by_its_name(tmp_path: Path) -> None
     )
 
 
+@pytest.mark.slow
 def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
     """Robots have boxes of size 0 as markers (Upkie's base), which MuJoCo refuses."""
     path = standing_urdf(tmp_path)

@@ -149,6 +149,7 @@ def test_utilisation() -> None:
 # ------------------------------------------------------------------------------------- figures
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_pose_figure(name: str, tmp_path: Path) -> None:
     analysis = analysis_of(name)

@@ -179,6 +179,7 @@ def test_it_is_well_formed_and_asks_for_nothing() -> None:
     assert not re.search(r"url\(|@import|http", style)
 
 
+@pytest.mark.slow
 def test_every_number_s_header_has_a_unit() -> None:
     """A column's own, or one beside it for each row."""
     count = 0

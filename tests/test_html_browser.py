@@ -333,6 +333,7 @@ def test_a_study_tells_its_cells_and_designs(browser: Any, tmp_path: Path) -> No
     one.context.close()
 
 
+@pytest.mark.slow
 def test_without_webgl_it_says_so(browser: Any, file: Path) -> None:
     none = "HTMLCanvasElement.prototype.getContext = () => null"
     one = Opened(browser, file, script=none)

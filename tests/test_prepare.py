@@ -383,6 +383,7 @@ def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_pat
     stands(robot)
 
 
+@pytest.mark.slow
 def test_servos_with_which_it_comes_to_rest_otherwise_are_the_last_resort(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -545,6 +546,7 @@ def test_a_prepared_robot_goes_to_another_process_and_is_the_same(tmp_path: Path
     assert pa.verify_stand(again, two).torque_error < 1e-6
 
 
+@pytest.mark.slow
 def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
     """Pi Plus' knees bend one way in the MJCF, and both in the URDF: it was thrown into the air."""
     pair = quadruped(tmp_path, keyframe="")

@@ -259,6 +259,7 @@ def test_fixed_base_is_refused() -> None:
 # ------------------------------------------------------------------------------------- figure
 
 
+@pytest.mark.slow
 def test_figure(tmp_path: Path) -> None:
     path = tmp_path / "push.png"
     push_figure({name: pushed(name) for name in ("original", "v3")}, path, tipping="v3")

@@ -71,6 +71,7 @@ def test_robots_are_rendered_side_by_side(tmp_path: Path) -> None:
         assert all(is_background(edge).all() for edge in edges)
 
 
+@pytest.mark.slow
 def test_the_shadow_is_below_the_robot_and_soft(tmp_path: Path) -> None:
     picture = render_with_opengl(pairs("v3"), tmp_path / "a.png", width=WIDTH)
     image = pixels(picture.path)

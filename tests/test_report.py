@@ -55,6 +55,7 @@ def test_a_failure_is_told_in_words() -> None:
     assert "FAILED v3: it fell over" in printed(failed)
 
 
+@pytest.mark.slow
 def test_zeros_have_no_minus() -> None:
     assert "-0.0000" not in printed(analysis("original"))
 

@@ -67,6 +67,7 @@ def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
     assert row["peak_utilisation"] == pytest.approx(statics.motor_utilisation.max(), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_what_fails_is_a_row_with_its_reason(undisturbed: pd.DataFrame) -> None:
     soft = undisturbed[undisturbed["kp"] == 0.2]
     assert set(soft["failure"]) == {"no equilibrium"}
