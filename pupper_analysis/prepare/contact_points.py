@@ -84,7 +84,8 @@ def contact_points(
         geoms: The ids of the foot's geoms.
         joints: How many joints move the foot against the base.
     """
-    geoms = _round_ones(model, data, geoms) or geoms
+    lean = _STEEPEST if joints >= _LEAST_JOINTS_OF_A_SOLE else 0.0
+    geoms = _round_ones(model, data, geoms, lean) or geoms
     rotation, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
     support = [
         (rotation.T @ (point - origin), radius)
@@ -212,12 +213,24 @@ def lowest(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> 
     )
 
 
-def _round_ones(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> list[int]:
-    """Returns the spheres at the lower end of a foot: other shapes there are the leg's."""
+def _round_ones(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], lean: float
+) -> list[int]:
+    """Returns the spheres at the lower end of a foot: other shapes there are the leg's.
+
+    Spheres that a sole which leans by ``lean`` (rad) has higher up, as they are further away, are
+    at the lower end, too.
+    """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
-    end = lowest(model, data, geoms) + _END
+    end = min(geoms, key=lambda geom: lowest(model, data, [geom]))
+    bottom = lowest(model, data, [end])
+
+    def rise(geom: int) -> float:
+        away = (data.geom_xpos[geom] - data.geom_xpos[end])[:2]
+        return _END + math.tan(lean) * float(np.linalg.norm(away))
+
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
-    return [geom for geom in spheres if lowest(model, data, [geom]) < end]
+    return [geom for geom in spheres if lowest(model, data, [geom]) < bottom + rise(geom)]
 
 
 def _sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
