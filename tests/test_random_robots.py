@@ -10,7 +10,8 @@ import random_legged
 import pupper_analysis as pa
 
 QUICK = (3, 7, 8, 12, 14, 21, 36, 39, 104)
-"""Seeds of one robot of each kind: springs, tails, hexapods, bipeds; free, held and fused bases; a foot that leans in the start pose, with its heel high up."""
+"""Seeds of one robot of each kind: springs, tails, hexapods, bipeds; free, held and fused bases; a
+foot that leans in the start pose."""
 
 
 def outcome(seed: int, folder: Path) -> str:
