@@ -64,8 +64,9 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             loc="lower right",
             ncols=2,
             fontsize=style.FONT,
-            handlelength=1.8,
-            columnspacing=1.0,
+            handlelength=1.0,  # wider, the two stick out of the panel
+            handletextpad=0.4,
+            columnspacing=0.8,
             frameon=False,
             borderpad=0.1,
         )
