@@ -28,8 +28,8 @@ _AS_LOW = 0.15
 legs: hands and heads are higher, and feet in a start pose rarely at more than a few percent."""
 
 _LEVEL = 0.05
-"""Or in parts of how far the limbs' last bodies are from the base: legs that are spread as a spider's
-end at the base's height, or so."""
+"""Or in parts of how far the limbs' last bodies are from the base: legs that are spread as a
+spider's end at the base's height, or so."""
 
 _NEAR = 0.02
 """A sphere whose centre is no further from a URDF's link is the foot that the link means (m)."""

@@ -209,10 +209,12 @@ def _prepared(
     try:
         feet = _feet(bare, frames, poses)
     except ModelError as error:
-        gone = next((note for note in mjcf.notes if "mesh file(s) missing" in note), None)
-        if gone is None:
+        gone = [note for note in mjcf.notes if "mesh file(s) missing" in note]
+        pointers = [note for note in mjcf.notes if "pointers of Git LFS" in note]
+        if not gone:
             raise
-        raise ModelError(mjcf.path, f"{error.problem}; {gone}: put them there") from error
+        why = "; ".join([*gone, *(pointers or ["put them there"])])
+        raise ModelError(mjcf.path, f"{error.problem}; {why}") from error
     if not feet:
         return replace(bare, notes=(*notes, *bare.notes))
     notes.append(_named(bare, feet, given=frames is not None))
