@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.robot.build import rebuilt
@@ -59,6 +60,11 @@ _DAMPING_TIME = 0.05
 """kd / kp of the suggested servos (s): within the 0.02 to 0.1 s of robots' own controllers."""
 
 
+def following(robot: Robot) -> list[int]:
+    """Returns the numbers of the joints that follow others: no servo is theirs."""
+    return [] if robot.closure is None else robot.closure.following.tolist()
+
+
 def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
@@ -102,7 +108,7 @@ def advice(robot: Robot, stand: Stand) -> str | None:
         seen.tilt > _UPRIGHT or verify_stand(robot, stand, duration=_FALL).tilt > _UPRIGHT
     ):
         return None
-    own = np.array(list(own_servos(robot).values()))
+    own = np.array(list(own_servos(robot).values()))  # of those that have a motor
     torques = stand_statics(robot, stand).joint_torques
     said = (
         f"the MJCF's own servos (kp {span(own[:, 0])} N m/rad) let it fall over in the start pose"
@@ -122,6 +128,7 @@ def _kept(
     """Returns gains (nu,) with those of the robot's own servos in them."""
     given = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
     both = np.array([own.get(name, (stiffness, damping)) for name, stiffness, damping in given])
+    both[following(robot)] = 0.0
     return both[:, 0], both[:, 1]
 
 
@@ -168,8 +175,7 @@ def _gains(
         sag: What the joint that holds most gives way (rad).
         parts: Into which the model's time step is divided.
     """
-    inverse = np.linalg.inv(Configuration(robot, qpos).mass_matrix())
-    inertia = 1 / np.diag(inverse)[robot.nv - robot.nu :]  # with everything else free
+    inertia = _inertia(robot, qpos)
     timestep = float(robot.mj_model.opt.timestep) / parts
     most = inertia * (_FASTEST / timestep) ** 2
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
@@ -177,6 +183,19 @@ def _gains(
     wanted = np.full(robot.nu, most_torque / sag)
     kp = np.array([_two_digits(value) for value in np.minimum(wanted, most)])
     return kp, np.array([_two_digits(value) for value in _DAMPING_TIME * kp])
+
+
+def _inertia(robot: Robot, qpos: Array) -> Array:
+    """Returns what each joint feels (nu,) with everything else free, and loops closed (kg m^2)."""
+    mass, first = Configuration(robot, qpos).mass_matrix(), robot.nv - robot.nu
+    if robot.closure is None:
+        inverse = np.linalg.inv(mass)
+    else:
+        ways = linalg.block_diag(np.eye(first), robot.closure.ways(qpos))
+        inverse = ways @ np.linalg.solve(ways.T @ mass @ ways, ways.T)
+    with np.errstate(divide="ignore"):
+        felt: Array = 1 / np.diag(inverse)[first:]
+    return felt
 
 
 def span(values: Array) -> str:
@@ -199,6 +218,7 @@ def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujo
     joints.
     """
     spec, own = spec.copy(), own_servos(robot)
+    idle = {robot.joint_names[joint] for joint in following(robot)}
     by_joint = {
         actuator.target: actuator
         for actuator in spec.actuators
@@ -207,7 +227,7 @@ def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujo
     for name, stiffness, damping, effort in zip(
         robot.joint_names, kp, kd, robot.effort_limits, strict=True
     ):
-        if name in own:
+        if name in own or name in idle:
             continue
         actuator = by_joint.get(name)
         limit = float(effort) if 0 < effort < math.inf else math.inf

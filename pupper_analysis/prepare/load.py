@@ -228,7 +228,9 @@ def _prepared(
     notes += _planar(robot)
     robot = _started(robot, known, notes)
     robot = touching.apart(touching.on_feet_alone(robot, notes), notes)
-    if not set(robot.joint_names) <= own_servos(robot).keys():
+    notes += _bound(robot)
+    idle = {robot.joint_names[joint] for joint in drives.following(robot)}
+    if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
         robot = _driven(robot, notes)
     else:
         stand = start.first_stand(robot)
@@ -300,6 +302,12 @@ def _balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
             )
 
 
+def _bound(robot: Robot) -> Iterator[str]:
+    """Says which joints follow others."""
+    if robot.closure is not None:
+        yield robot.closure.in_words()
+
+
 def _planar(robot: Robot) -> Iterator[str]:
     """Says so if the legs cannot move the com to every place over the feet."""
     if not moves_com(robot):
@@ -368,7 +376,12 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
         return robot
     own = own_servos(robot)
     built, kp, kd, rests = drives.driven(robot, stand)
-    new = [index for index, name in enumerate(robot.joint_names) if name not in own]
+    idle = drives.following(robot)
+    new = [
+        index
+        for index, name in enumerate(robot.joint_names)
+        if name not in own and index not in idle
+    ]
     which = "no position servos" if not own else f"no position servos at {len(new)} joints"
     notes.append(
         f"the MJCF has {which}: they were added, with kp {drives.span(kp[new])} N m/rad and kd "

@@ -18,6 +18,7 @@ from pupper_analysis.errors import UnknownNameError
 from pupper_analysis.models.conversion import gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.robot.at_rest import acts_at_rest
+from pupper_analysis.robot.closure import Closure, closure_of
 from pupper_analysis.robot.contact import ContactParameters
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.structure import Structure
@@ -90,7 +91,8 @@ class Robot:
 
     def __getstate__(self) -> dict[str, Any]:
         state = plain_state(self)
-        state.pop("structure", None)  # worked out again, quicker than it travels
+        for made in ("structure", "closure"):  # worked out again, quicker than they travel
+            state.pop(made, None)
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -131,6 +133,11 @@ class Robot:
     def acts_at_rest(self) -> bool:
         """Whether the MJCF has springs, gravity compensation or wind, which act at rest."""
         return acts_at_rest(self.mj_model)
+
+    @cached_property
+    def closure(self) -> Closure | None:
+        """The closed loops and couplings of the MJCF's joints; None if there are none."""
+        return closure_of(self.mj_model, self.mj_convention, self.joint_names)
 
     @property
     def lower_limits(self) -> Array:

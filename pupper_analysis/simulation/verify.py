@@ -79,7 +79,7 @@ class StandVerification(Held, Tabular):
         mujoco_foot_error: Largest distance of a foot from its target at ``stand.qpos`` by MuJoCo's
             kinematics of the MJCF (m).
         mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
-            predicted f and tau (N, N m).
+            predicted f and tau (N, N m), less what closed loops carry.
         time: (n,) samples (s).
         height: (n,) the base's height at these (m).
         motion_time: (m,) fewer samples (s).
@@ -372,7 +372,6 @@ def _backend_evaluation(
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)
     remainder = data.qfrc_bias - data.qfrc_passive
-    remainder[robot.mj_convention.qvel_index[6:]] -= prediction.joint_torques
     foot_error = 0.0
     jacobian = np.zeros((3, model.nv))
     for foot, centre in monitor.foot_centres(robot, data).items():
@@ -382,4 +381,8 @@ def _backend_evaluation(
             point = centre + contact_offset(radius, stand.normals[foot], depth)
             mujoco.mj_jac(model, data, jacobian, None, point, robot.foot_places[foot][0])
             remainder -= jacobian.T @ prediction.contact_forces[foot]
+    joints = robot.mj_convention.qvel_index[6:]
+    if robot.closure is not None:
+        remainder[joints] -= robot.closure.push(stand.qpos) @ remainder[joints]
+    remainder[joints] -= prediction.joint_torques
     return foot_error, float(np.abs(remainder).max())

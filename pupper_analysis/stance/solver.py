@@ -14,6 +14,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.branches import limbs
 from pupper_analysis.stance.clearance import Clearance, Shapes
 from pupper_analysis.stance.footholds import fixing
 from pupper_analysis.stance.problem import Goal
@@ -71,7 +72,8 @@ class Stand(Result):
         stance_feet: The feet that carry.
         normals: {foot that carries: (3,) direction out of the ground}.
         contact_points: {foot that carries: (3,) where it touches the ground (m)}.
-        foot_error: The largest distance of a foot from its target (m).
+        foot_error: The largest distance of a foot from its target (m), or by how much a closed loop
+            or a coupling of joints is open, if that is more (m, rad).
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Of the base frame (m).
         com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
@@ -227,6 +229,11 @@ class Tasks:
             avoid.self_collisions_margin = least
             avoid.self_collisions_trigger = least + _TRIGGER
             avoid.configure("apart", "soft", _APART_WEIGHT)
+        self._loops = None
+        if robot.closure is not None:
+            nothing = np.zeros((0, robot.nq)), np.zeros(0)
+            self._loops = solver.add_joint_space_half_spaces_constraint(*nothing)
+            self._loops.configure("loops", "hard")
         # Decides between configurations that place the feet equally well; too small to move a foot.
         solver.add_regularization_task(1e-9)
 
@@ -249,6 +256,18 @@ class Tasks:
         self._height.target_world = np.array([0.0, 0.0, goal.height])
         if self._place is not None and goal.place is not before.place:
             self._place.target_world = np.array([*goal.place.tolist(), 0.0])
+
+    def bind(self, qpos: Array, q: Array) -> None:
+        """Keeps loops and couplings of joints as they are at a configuration, to first order."""
+        robot = self._shapes.robot
+        if self._loops is None or robot.closure is None:
+            return
+        rows, convention = robot.closure.bound(qpos)[0], robot.pin_convention
+        whole = np.zeros((len(rows), convention.nq))
+        whole[:, convention.q_index] = rows
+        here = whole @ q
+        # PlaCo has inequalities alone: A q <= b and -A q <= -b.
+        self._loops.A, self._loops.b = np.vstack([whole, -whole]), np.concatenate([here, -here])
 
     def error(self) -> float:
         """Returns the sum of squares of what feet and com, or base, are off (m^2)."""
@@ -289,6 +308,10 @@ class Solver:
     ) -> None:
         self.shapes, self.goal, self.inside = shapes, goal, inside
         self._size = _SIZE * shapes.robot.stand_height
+        robot = shapes.robot
+        if robot.closure is not None:
+            placing = np.concatenate([limb.joints for limb in limbs(robot)])
+            self._readiness = robot.closure.readiness(placing)
         apart = apart and goal.task.self_clearance is not None
         if apart:
             shapes.pair()  # before the state is set: it moves the robot
@@ -311,6 +334,9 @@ class Solver:
         tasks = self.tasks
         tasks.aim(self.goal)
         q = self.begin(joints, self.goal.place if place is None else place)
+        if not self._closes(q):
+            return Point(convention.qpos(q), math.inf, 0)
+        q = wrapper.state.q.copy()
         # A trust region: where a step makes things worse it is undone, and the next one is shorter.
         radius, iterations, slow = _TRUST_RADIUS, 0, 0
         error, last = math.inf, 0.0
@@ -320,6 +346,7 @@ class Solver:
             if radius * self._size * left < math.sqrt(error) / 2 < math.inf:
                 break  # too far for all steps that are left, though the feet are not in place
             tasks.solver.dt = radius
+            tasks.bind(convention.qpos(q), q)
             try:
                 step = tasks.solver.solve(True)
             except RuntimeError:
@@ -329,7 +356,8 @@ class Solver:
                 wrapper.update_kinematics()
                 continue
             wrapper.update_kinematics()
-            new_error = tasks.error()
+            closes = self._closes(wrapper.state.q)
+            new_error = tasks.error() if closes else math.inf
             if new_error > error and new_error > TASK_TOLERANCE**2:
                 radius, last = radius / 4, 0.0
                 wrapper.state.q = q
@@ -347,6 +375,23 @@ class Solver:
             last = moved
         miss = max([foot.error_norm() for _, foot in tasks.feet])
         return Point(convention.qpos(wrapper.state.q), miss, iterations)
+
+    def _closes(self, q: Array) -> bool:
+        """Closes the loops of PlaCo's robot, which is at q; tells if it can."""
+        robot, wrapper = self.shapes.robot, self.shapes.wrapper
+        if robot.closure is None:
+            return True
+        qpos = robot.pin_convention.qpos(q)
+        closed = robot.closure.closed(qpos, self._readiness, self.goal.give)
+        if closed is None:
+            return False
+        joints = closed[robot.nq - robot.nu :]
+        beyond = np.maximum(self.goal.lower - joints, joints - self.goal.upper)
+        if beyond.max(initial=0.0) > TASK_TOLERANCE:
+            return False
+        wrapper.state.q = robot.pin_convention.with_joints(q, joints)
+        wrapper.update_kinematics()
+        return True
 
     def begin(self, joints: Array, place: Array) -> Array:
         """Puts PlaCo's robot upright, its com or base over a place (2,) (m); returns its q."""
@@ -378,6 +423,8 @@ def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
         math.dist(position.tolist(), targets[foot].tolist())
         for foot, position in config.foot_positions().items()
     ]
+    if robot.closure is not None:
+        missed.append(robot.closure.open_by(config.qpos, goal.give))
     above = shapes.above_ground(config.qpos, task.ground, targets, goal.depths)
     apart = None if task.self_clearance is None else shapes.between_links(config.qpos)
     return Stand(

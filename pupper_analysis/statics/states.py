@@ -178,10 +178,10 @@ class _States:
                 config = Configuration(robot, row)
             except ConfigurationError as error:
                 raise error.at(f"qpos[{state}]") from None
-            states.loads[state] = config.load()
+            states.loads[state] = config.by_motors(config.load())
             states.coms[state] = config.center_of_mass()
             if feet:
-                states.transposed[state] = carrying.jacobian(config)
+                states.transposed[state] = config.by_motors(carrying.jacobian(config))
                 states.points[state] = carrying.points(config)
         return states
 
@@ -206,6 +206,8 @@ def _results(
     unbalanced = left[:, :base_rows] - outside
     with np.errstate(divide="ignore", invalid="ignore"):
         utilisation = np.abs(torques) / robot.effort_limits
+    if robot.closure is not None:
+        utilisation[:, robot.closure.following] = 0.0
     tiny = BALANCE_TOLERANCE * np.linalg.norm(states.loads[:, :3], axis=1)
     contacts = list(zip(carrying.normals, carrying.friction.tolist(), strict=True))
     sliding = [
