@@ -23,6 +23,7 @@ from collections.abc import Iterator, Sequence
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csgraph
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.coordinates import MujocoConvention
@@ -42,6 +43,12 @@ equations across its plane, which rounded files leave with 1e-9."""
 
 _MAX_ITERATIONS = 50
 _LONGEST = 0.3  # rad, m: a longer Newton step is shortened
+_STEPS = 12
+"""From the start to a configuration in which loops would be assembled otherwise."""
+
+_NEARLY = 1e-3
+"""Loops of a file's own start are closed to rounding, or in a keyframe to a millimetre (m, rad)."""
+
 _SOFTER = 4.0
 """What a loop may be open by, in parts of its give there: of MuJoCo's default it is twice as much where
 it is closed, as at first a search has it."""
@@ -82,10 +89,13 @@ class Closure:
         self._size = len(convention.qpos_index)
         self._own = threading.local()
         self.names = tuple(_names(model))
+        self._reference = self._closed_start()
         rows = self._generic()
-        used = np.flatnonzero(np.abs(rows).max(axis=0, initial=0.0) > 0)
+        used = np.flatnonzero(np.abs(rows).max(axis=0, initial=0.0) > _INDEPENDENT)
         self.following = self._followers(rows, used)
         self.leading = np.setdiff1d(used, self.following)
+        self._loops = self._components(rows)
+        self._held = self.rows(self._reference)[:, self.following]
 
     def residual(self, qpos: Array) -> Array:
         """Returns by how much the constraints are open (m,), in metres and radians."""
@@ -139,6 +149,35 @@ class Closure:
         Returns:
             (nq,) with other joints; None if it does not converge.
         """
+        found = self._newton(qpos, moving, give)
+        if found is None or self.as_built(found):
+            return found
+        # Round the dead point: from where the loops are as they are built, step by step.
+        way = qpos.copy()
+        joints = slice(self._size - len(self._joint_names), None)
+        found, span = self._reference, qpos[joints] - self._reference[joints]
+        for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
+            way[joints] = self._reference[joints] + share * span
+            kept = way.copy()
+            kept[joints][self.following] = found[joints][self.following]
+            found = self._newton(kept, moving, give)
+            if found is None:
+                return None
+        return found if self.as_built(found) else None
+
+    def as_built(self, qpos: Array) -> bool:
+        """Tells whether loops are assembled as at the start, and not as beyond a dead point.
+
+        There the determinant that closes a loop changes its sign: a four-bar's rods, say, cross.
+        """
+        held = self.rows(qpos)[:, self.following]
+        return all(
+            float(np.linalg.det(held[:, loop].T @ self._held[:, loop])) >= -_INDEPENDENT
+            for loop in self._loops
+        )
+
+    def _newton(self, qpos: Array, moving: Array, give: Array | None) -> Array | None:
+        """See ``closed``; whichever way the loops come to be assembled."""
         found = qpos.copy()
         joints = found[self._size - len(self._joint_names) :]  # a view
         for _ in range(_MAX_ITERATIONS):
@@ -241,19 +280,33 @@ class Closure:
         shares: Array = stiff[:, None] * solved.T
         return shares
 
-    def _generic(self) -> Array:
-        """Returns the derivative (m, nu) near the start, where no leg happens to be straight.
+    def _closed_start(self) -> Array:
+        """Returns a configuration (nq,) in which loops are closed as they are built, or nearly."""
+        model, index = self._model, self._convention.qpos_index
+        starts = [np.array(pose)[index] for pose in (model.qpos0, *model.key_qpos)]
+        for start in starts:
+            if np.abs(self.residual(start)).max(initial=0.0) < _NEARLY:
+                return start
+        found = self._newton(starts[0], np.ones(len(self._joint_names)), None)
+        return starts[0] if found is None else found
 
-        Raises:
-            ConfigurationError: If it holds the base, in the world.
-        """
-        index = self._convention.qpos_index
-        qpos = self._model.qpos0[index].copy()
-        joints = qpos[self._size - len(self._joint_names) :]
-        joints += np.random.default_rng(0).uniform(-_LONGEST, _LONGEST, len(joints)) / 3
+    def _generic(self) -> Array:
+        """Returns the derivative (m, nu) near the start, where no leg happens to be straight."""
+        qpos, size = self._reference.copy(), len(self._joint_names)
+        qpos[self._size - size :] += np.random.default_rng(0).uniform(-0.1, 0.1, size)
+        qpos = next(
+            (near for near in [self._newton(qpos, np.ones(size), None)] if near is not None), qpos
+        )
         rows = self._jacobian(self._look(qpos))
-        self.tethered = bool(np.abs(rows[:, : self._first]).max(initial=0.0) > 1e-6)
+        # An open loop turns the base; only what is tied to the world pulls it along.
+        self.tethered = bool(np.abs(rows[:, : min(3, self._first)]).max(initial=0.0) > 1e-6)
         return rows[:, self._first :]
+
+    def _components(self, rows: Array) -> tuple[IntArray, ...]:
+        """Returns which of the joints that follow are in one loop, or in loops that share one."""
+        held = np.abs(rows[:, self.following]) > _INDEPENDENT
+        count, labels = csgraph.connected_components(held.T.astype(float) @ held.astype(float))
+        return tuple(np.flatnonzero(labels == number) for number in range(count))
 
     def _followers(self, rows: Array, used: IntArray) -> IntArray:
         """Finds joints without motors, as many as the constraints can move by the others."""
