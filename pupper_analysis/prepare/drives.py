@@ -17,6 +17,7 @@ from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.simulation.monitor import DIVERGED
 from pupper_analysis.simulation.verify import ANOTHER_ROBOT, SETTLED_DRIFT, verify_stand
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.sunk import sunk_stand
@@ -33,6 +34,9 @@ _STILL = 2e-4
 
 _STAYED = 5e-3
 """Feet of a robot that does not shake have moved by no more than this in the end (m)."""
+
+IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value)
+"""With it a servo's damping does not shake light joints."""
 
 _TRIALS = (2.0, 4.0)  # s of simulation: what shakes shows soon
 
@@ -65,6 +69,24 @@ def following(robot: Robot) -> list[int]:
     return [] if robot.closure is None else robot.closure.following.tolist()
 
 
+def with_motors(robot: Robot) -> Robot:
+    """Gives joints that have no motor, and follow none, one that does nothing yet.
+
+    Motors come first in the order of joints: where some joints follow others, that order is to be
+    the last one before a stand is solved.
+    """
+    lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(following(robot))
+    if robot.closure is None or not lacking:
+        return robot
+    spec = robot.description.mjcf.copy()
+    for joint in sorted(lacking):
+        name = robot.joint_names[joint]
+        spec.add_actuator(
+            name=f"{name} (servo)", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
+    return rebuilt(robot, mjcf=spec)
+
+
 def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
@@ -78,24 +100,37 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     own = own_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
 
-    def built(kp: Array, kd: Array, parts: int) -> Robot:
+    def built(kp: Array, kd: Array, parts: int, integrator: int) -> Robot:
         spec = with_servos(robot.description.mjcf, robot, kp, kd)
         spec.option.timestep /= parts
+        spec.option.integrator = integrator
         return rebuilt(robot, mjcf=spec)
 
     first = _kept(robot, own, *_gains(robot, stand.qpos, torques, _SAGS[0], 1))
-    trial = built(*first, 1)
+    trial = built(*first, 1, IMPLICIT)
     timestep = float(trial.mj_model.opt.timestep)
     resting = None
-    for parts, sag in itertools.product(_FINER, _SAGS):
+    for integrator, parts, sag in itertools.product(_integrators(robot), _FINER, _SAGS):
         kp, kd = _kept(robot, own, *_gains(robot, stand.qpos, torques, sag, parts))
         trial.mj_model.opt.timestep = timestep / parts
+        trial.mj_model.opt.integrator = integrator
         if _rests(trial, stand, kp, kd):
-            resting = resting or (kp, kd, parts)
+            resting = resting or (kp, kd, parts, integrator)
             if _as_predicted(trial, stand, kp, kd):
-                return built(kp, kd, parts), kp, kd, True
-    kp, kd, parts = resting or (*first, 1)
-    return built(kp, kd, parts), kp, kd, resting is not None
+                return built(kp, kd, parts, integrator), kp, kd, True
+    kp, kd, parts, integrator = resting or (*first, 1, IMPLICIT)
+    return built(kp, kd, parts, integrator), kp, kd, resting is not None
+
+
+def _integrators(robot: Robot) -> list[int]:
+    """Returns the integrators that are tried.
+
+    The implicit ones damp joints after the constraints' forces are known: the rods of a loop, of
+    grammes, are torn from the legs that they drive (ToddlerBot's within two steps). Where a file
+    with loops has another one, that is tried, too.
+    """
+    own = int(robot.mj_model.opt.integrator)
+    return [IMPLICIT] if robot.closure is None else list(dict.fromkeys([IMPLICIT, own]))
 
 
 def advice(robot: Robot, stand: Stand) -> str | None:
@@ -144,6 +179,8 @@ def _rests(
             seen = verify_stand(
                 robot, stand, kp=kp, kd=kd, feedforward=feedforward, duration=duration
             )
+            if any(text.startswith(DIVERGED) for text in seen.failures):
+                return False  # MuJoCo began anew, and may have come to rest
             if max(seen.foot_slip.values()) > _STAYED or seen.tilt > _UPRIGHT:
                 return False
         if not seen.height_deviation < _STILL or abs(seen.height_drift) > SETTLED_DRIFT:
