@@ -49,6 +49,9 @@ _STEPS = 12
 _NEARLY = 1e-3
 """Loops of a file's own start are closed to rounding, or in a keyframe to a millimetre (m, rad)."""
 
+_STEP = 1e-7
+"""Of central differences (rad, m): softness changes within a millimetre."""
+
 _SOFTER = 4.0
 """What a loop may be open by, in parts of its give there: of MuJoCo's default it is twice as much where
 it is closed, as at first a search has it."""
@@ -89,11 +92,16 @@ class Closure:
         self._size = len(convention.qpos_index)
         self._own = threading.local()
         self.names = tuple(_names(model))
+        self._used: NDArray[np.bool_] | None = None
+        self._rank = len(joint_names)
         self._reference = self._closed_start()
         rows = self._generic()
         used = np.flatnonzero(np.abs(rows).max(axis=0, initial=0.0) > _INDEPENDENT)
         self.following = self._followers(rows, used)
         self.leading = np.setdiff1d(used, self.following)
+        # What turns a loop as a whole matters to one that is open alone, and then it turns with it.
+        self._used = np.isin(np.arange(len(joint_names)), used)
+        self._rank = len(self._turned(rows))
         self._loops = self._components(rows)
         self._held = self.rows(self._reference)[:, self.following]
 
@@ -103,7 +111,8 @@ class Closure:
 
     def rows(self, qpos: Array) -> Array:
         """Returns their derivative (m, nu) by the joints; the base does not matter to them."""
-        return self._jacobian(self._look(qpos))[:, self._first :]
+        rows = self._jacobian(self._look(qpos))[:, self._first :]
+        return rows if self._used is None else rows * self._used
 
     def give(self, qpos: Array, load: Array) -> Array:
         """Returns by how much the constraints are open at rest under a load.
@@ -127,15 +136,33 @@ class Closure:
         whole[self.following] = np.eye(len(self._joint_names))[self.following]
         return whole
 
+    def springs(self, qpos: Array) -> Array:
+        """Returns what the constraints, as open as they are, push joints with (nu,), at rest."""
+        pushed: Array = self.rows(qpos).T @ (-self.residual(qpos) / self._softness(qpos))
+        return pushed
+
+    def spring_rates(self, qpos: Array) -> Array:
+        """Returns the derivative (nu, nu) of ``springs`` by the joints, by central differences."""
+        first, columns = self._size - len(self._joint_names), []
+        for joint in range(first, self._size):
+            ends = []
+            for way in (_STEP, -_STEP):
+                moved = qpos.copy()
+                moved[joint] += way
+                ends.append(self.springs(moved))
+            columns.append((ends[0] - ends[1]) / (2 * _STEP))
+        return np.array(columns).T
+
     def ways(self, qpos: Array) -> Array:
         """Returns a basis (nu, n) of the joints' velocities that keep the loops closed."""
-        _, basis = _independent(self.rows(qpos))
+        _, _, right = np.linalg.svd(self.rows(qpos))
+        basis: Array = right[self._rank :].T
         return basis
 
     def bound(self, qpos: Array) -> tuple[Array, Array]:
         """Returns independent rows (r, nu) of the derivative, and the residuals (r,) along them."""
         rows = self.rows(qpos)
-        turned, _ = _independent(rows)
+        turned = self._turned(rows)
         return turned @ rows, turned @ self.residual(qpos)
 
     def closed(self, qpos: Array, moving: Array, give: Array | None = None) -> Array | None:
@@ -183,10 +210,10 @@ class Closure:
         for _ in range(_MAX_ITERATIONS):
             left = self.residual(found) - (0.0 if give is None else give)
             rows = self.rows(found)
-            turned, _ = _independent(rows)
+            turned = self._turned(rows)
             if np.abs(turned @ left).max(initial=0.0) < CLOSED:
                 return found if give is not None or np.abs(left).max(initial=0.0) < OPEN else None
-            step = -moving * (np.linalg.pinv(rows * moving, rcond=_INDEPENDENT) @ left)
+            step = -moving * (np.linalg.pinv(turned @ rows * moving) @ (turned @ left))
             joints += step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
         return None
 
@@ -195,7 +222,7 @@ class Closure:
 
         As far as they can be closed: in rounded files a planar loop's ends are nanometres apart.
         """
-        turned, _ = _independent(self.rows(qpos))
+        turned = self._turned(self.rows(qpos))
         left = self.residual(qpos) - (0.0 if give is None else give)
         return float(np.abs(turned @ left).max(initial=0.0))
 
@@ -302,6 +329,13 @@ class Closure:
         self.tethered = bool(np.abs(rows[:, : min(3, self._first)]).max(initial=0.0) > 1e-6)
         return rows[:, self._first :]
 
+    def _turned(self, rows: Array) -> Array:
+        """Returns what turns rows (m, nu) to those that are independent, (r, m)."""
+        left, lengths, _ = np.linalg.svd(rows, full_matrices=False)
+        count = int(np.count_nonzero(lengths > _INDEPENDENT * lengths.max(initial=0.0)))
+        turned: Array = left[:, : min(count, self._rank)].T
+        return turned
+
     def _components(self, rows: Array) -> tuple[IntArray, ...]:
         """Returns which of the joints that follow are in one loop, or in loops that share one."""
         held = np.abs(rows[:, self.following]) > _INDEPENDENT
@@ -326,13 +360,6 @@ class Closure:
             if len(lengths) > len(chosen) and lengths[-1] > _INDEPENDENT * lengths[0]:
                 chosen.append(int(joint))
         return np.array(sorted(chosen), dtype=np.int64)
-
-
-def _independent(rows: Array) -> tuple[Array, Array]:
-    """Returns what turns rows (m, n) to r independent ones, (r, m), and their null space (n, n - r)."""
-    left, lengths, right = np.linalg.svd(rows)
-    count = int(np.count_nonzero(lengths > _INDEPENDENT * lengths.max(initial=0.0)))
-    return left[:, :count].T, right[count:].T
 
 
 def _names(model: mujoco.MjModel) -> Iterator[str]:

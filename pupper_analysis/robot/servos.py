@@ -57,11 +57,18 @@ class Servos:
         """
         actuators = robot.mj_convention.actuator_index
         driven, ctrl = actuators >= 0, np.zeros(self.model.nu)
-        target = positions[driven]
-        if torques is not None:
-            target = target + torques[driven] / self.kp[driven]
-        ctrl[actuators[driven]] = self.gear[driven] * target
+        target = positions if torques is None else positions + lead(torques, self.kp)
+        ctrl[actuators[driven]] = (self.gear * target)[driven]
         return ctrl
+
+
+def lead(torques: Array, kp: Array) -> Array:
+    """Returns by how much (nu,) a command is beyond a pose for torques (nu,) to be given there.
+
+    Nothing where there is no servo, at joints that follow others.
+    """
+    ahead: Array = np.divide(torques, kp, out=np.zeros_like(torques), where=kp > 0)
+    return ahead
 
 
 def servos(

@@ -112,6 +112,8 @@ def sunk_stand(
         if robot.closure is not None:
             before, give = give, _give(robot, stand, forces)
             change = max(change, float(np.abs(give - before).max(initial=0.0)))
+            # They are the softer the less they are open: by turns too much and too little.
+            give = (give + before) / 2 if any(stand.depths.values()) else give
         if change < DEPTH_TOLERANCE:
             return replace(stand, task=asked)
         ik_seed = tuple(stand.joint_positions(robot).tolist())
