@@ -81,9 +81,7 @@ def with_motors(robot: Robot) -> Robot:
     spec = robot.description.mjcf.copy()
     for joint in sorted(lacking):
         name = robot.joint_names[joint]
-        spec.add_actuator(
-            name=f"{name} (servo)", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
-        )
+        spec.add_actuator(name=f"{name} (servo)", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     return rebuilt(robot, mjcf=spec)
 
 

@@ -16,7 +16,7 @@ _TOLD = 3  # joints that a note tells
 
 
 _TURNS = 2 * math.pi
-"""What a joint without limits in both files may turn, one way or the other (rad): round, and more."""
+"""What a joint without limits in both files may turn, either way (rad): round, and more."""
 
 
 def stated(robot: Robot, notes: list[str]) -> Description | None:
@@ -41,8 +41,8 @@ def stated(robot: Robot, notes: list[str]) -> Description | None:
     if not given:
         return None
     notes.append(
-        f"joints whose <limit> in the URDF has neither lower nor upper, which is none: {', '.join(given)}; "
-        "the MJCF's range is taken"
+        "joints whose <limit> in the URDF has neither lower nor upper, which is none: "
+        f"{', '.join(given)}; the MJCF's range is taken"
     )
     return replace(robot.description, urdf=to_text(root))
 

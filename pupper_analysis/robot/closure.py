@@ -1,24 +1,24 @@
-"""Closed loops and couplings of joints: what an MJCF's equality constraints ask of a robot's joints.
+"""Closed loops and couplings of joints: what an MJCF's equality constraints ask of them.
 
-A URDF is a tree, and states none of it but ``<mimic>``. MuJoCo's residuals phi(q) are zero where the
-loops are closed; with A their derivative, A qvel = 0, and the constraints push with A^T lambda. Joints
-without a motor that are bound so carry nothing themselves:
+A URDF is a tree, and states none of it but ``<mimic>``. MuJoCo's residuals phi(q) are zero where
+loops are closed; with A their derivative, A qvel = 0, and the constraints push with A^T lambda.
+Joints without a motor that are bound so carry nothing themselves:
 
     0 = x_F - A_F^T lambda,    x' = x - A^T lambda
 
-for a load x that motors have to hold, F being the joints that follow: what would be theirs to carry is
-carried by those that drive them (virtual work).
+for a load x that motors have to hold, F being the joints that follow: what would be theirs to carry
+is carried by those that drive them (virtual work).
 
-MuJoCo's constraints are soft: at rest each is open by ``give``, in proportion to its force, as the
-ground is. Where there are more constraints than joints they bind (a loop in a plane has three
-equations, one of which says nothing), the softness says which carries what.
+MuJoCo's constraints are soft: at rest each is open by its ``give``, in proportion to its force, as
+the ground is. Where there are more constraints than joints that they bind (a loop in a plane has
+three equations, one of which says nothing), the softness says which carries what.
 """
 
 from __future__ import annotations
 
 import copy
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -38,11 +38,13 @@ OPEN = 1e-6
 """A loop that is open by more than this, and than its own softness, is not the robot's (m, rad)."""
 
 _INDEPENDENT = 1e-7
-"""Constraints whose singular value is less, in parts of the greatest, say nothing new: a planar loop's
-equations across its plane, which rounded files leave with 1e-9."""
+"""Constraints whose singular value is less, in parts of the greatest, say nothing new: a planar
+loop's equations across its plane, which rounded files leave with 1e-9."""
 
 _MAX_ITERATIONS = 50
 _LONGEST = 0.3  # rad, m: a longer Newton step is shortened
+_TOLD = 4  # constraints that a message names
+
 _STEPS = 12
 """From the start to a configuration in which loops would be assembled otherwise."""
 
@@ -53,12 +55,12 @@ _STEP = 1e-7
 """Of central differences (rad, m): softness changes within a millimetre."""
 
 _SOFTER = 4.0
-"""What a loop may be open by, in parts of its give there: of MuJoCo's default it is twice as much where
-it is closed, as at first a search has it."""
+"""What a loop may be open by, in parts of its give there: by MuJoCo's default it is twice as soft
+where it is closed, as at first a search has it."""
 
 _UNMOVED = 1e-2
-"""How much joints that place feet move, in parts of what others do, when a loop is closed: a start that
-was made for the feet is to stay one."""
+"""How much joints that place feet move, in parts of what others do, when a loop is closed: a start
+that was made for the feet is to stay one."""
 
 _OFF = (
     *("mjDSBL_CONTACT", "mjDSBL_LIMIT", "mjDSBL_FRICTIONLOSS", "mjDSBL_ACTUATION"),
@@ -77,7 +79,8 @@ class Closure:
     Attributes:
         following: (k,) numbers of the joints that others move: they have no motor.
         leading: (n,) numbers of those that move them, or are bound to each other.
-        names: What binds them, in words.
+        bonds: What binds them, in words.
+        tethered: Whether something of it holds the robot in the world, which is not computed.
     """
 
     def __init__(
@@ -91,7 +94,7 @@ class Closure:
         self._first = len(convention.qvel_index) - len(joint_names)
         self._size = len(convention.qpos_index)
         self._own = threading.local()
-        self.names = tuple(_names(model))
+        self.bonds = _bonds(model)
         self._used: NDArray[np.bool_] | None = None
         self._rank = len(joint_names)
         self._reference = self._closed_start()
@@ -107,7 +110,8 @@ class Closure:
 
     def residual(self, qpos: Array) -> Array:
         """Returns by how much the constraints are open (m,), in metres and radians."""
-        return self._look(qpos).efc_pos.copy()
+        opened: Array = self._look(qpos).efc_pos.copy()
+        return opened
 
     def rows(self, qpos: Array) -> Array:
         """Returns their derivative (m, nu) by the joints; the base does not matter to them."""
@@ -217,6 +221,10 @@ class Closure:
             joints += step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
         return None
 
+    def open(self, qpos: Array) -> float:
+        """Returns by how much the loops and couplings are open (m, rad)."""
+        return float(np.abs(self.residual(qpos)).max(initial=0.0))
+
     def open_by(self, qpos: Array, give: Array | None = None) -> float:
         """Returns by how much the loops are open beyond what they give way (m, rad).
 
@@ -237,7 +245,7 @@ class Closure:
         if (off > allowed).any():
             raise ConfigurationError(
                 "qpos",
-                f"the MJCF binds joints ({', '.join(self.names)}), and is off by "
+                f"the MJCF binds joints ({self.bonds}), and is off by "
                 f"{off.max():.3g} rad or m there: give a configuration that keeps to it, such as "
                 "a solved stand's",
             )
@@ -301,7 +309,7 @@ class Closure:
         scaled = scale[:, None] * matrix * scale
         if len(matrix) and np.linalg.eigvalsh(scaled)[0] < _INDEPENDENT**2:
             raise ConfigurationError(
-                "qpos", f"it is a dead point of the MJCF's loops ({', '.join(self.names)})"
+                "qpos", f"it is a dead point of the MJCF's loops ({self.bonds})"
             )
         solved = scale[:, None] * np.linalg.solve(scaled, scale[:, None] * held.T)
         shares: Array = stiff[:, None] * solved.T
@@ -362,12 +370,14 @@ class Closure:
         return np.array(sorted(chosen), dtype=np.int64)
 
 
-def _names(model: mujoco.MjModel) -> Iterator[str]:
-    for index in range(model.neq):
-        if model.eq_active0[index]:
-            kind = mujoco.mjtEq(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
-            name = model.equality(index).name
-            yield f"{kind} {name}" if name else f"{kind} #{index}"
+def _bonds(model: mujoco.MjModel) -> str:
+    """Names the equality constraints that act."""
+    told = []
+    for index in np.flatnonzero(model.eq_active0):
+        kind = mujoco.mjtEq(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
+        told.append(f"{kind} {model.equality(int(index)).name or f'#{index}'}")
+    more = f" and {len(told) - _TOLD} more" if len(told) > _TOLD else ""
+    return ", ".join(told[:_TOLD]) + more
 
 
 def closure_of(

@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import plain_state
-from pupper_analysis.errors import UnknownNameError
+from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.conversion import gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.robot.at_rest import acts_at_rest
@@ -164,6 +164,23 @@ class Robot:
         limits = np.array(values[self.pin_convention.q_index])
         limits[self.pin_convention.unbounded] = unbounded
         return limits
+
+    def check_tree(self, what: str) -> None:
+        """Checks that no loops or couplings bind the robot's joints.
+
+        Args:
+            what: What is asked for, and is not computed for such a robot.
+
+        Raises:
+            ConfigurationError: If there are.
+        """
+        if self.closure is not None:
+            raise ConfigurationError(
+                "robot",
+                f"the MJCF of {self.name} binds joints to each other ({self.closure.bonds}), and "
+                f"{what} is not computed for such a robot; stands, their torques and forces, sag, "
+                "pushes and gain sweeps are",
+            )
 
     def check_foot(self, foot: str) -> str:
         """Returns the name of a foot, if it is one.

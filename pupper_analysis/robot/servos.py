@@ -156,8 +156,8 @@ def gains(
     """Returns what ``servos`` works out, without a model that has it.
 
     Returns:
-        kp and kd at the joints, gear (nu,), and which motors are servos in the robot's model. Joints
-        that follow others have gains of 0, and need no motor.
+        kp and kd at the joints, gear (nu,), and which motors are servos in the robot's model.
+        Joints that follow others have gains of 0, and need no motor.
 
     Raises:
         ConfigurationError: As ``servos``.

@@ -17,7 +17,7 @@ from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.held import Held
-from pupper_analysis.simulation.loops import closed_loops
+from pupper_analysis.simulation.loops import closed_loops, give_way
 from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
 from pupper_analysis.simulation.stability import creeping, too_stiff
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -168,7 +168,7 @@ def verify_stand(
     if failures:
         failures += [*too_stiff(robot, stand, drive), *creeping(robot, stand, prediction)]
     if feedforward:
-        failures += _deviations(robot, stand, watch, found, alone=not failures)
+        failures += _deviations(robot, stand, watch, found, prediction, alone=not failures)
     return replace(found, passed=not failures, failures=tuple(failures))
 
 
@@ -287,7 +287,13 @@ def _failures(
 
 
 def _deviations(
-    robot: Robot, stand: Stand, watch: _Watch, found: StandVerification, *, alone: bool
+    robot: Robot,
+    stand: Stand,
+    watch: _Watch,
+    found: StandVerification,
+    prediction: GravityCompensation,
+    *,
+    alone: bool,
 ) -> list[str]:
     """Says what is not as predicted; soft ground may be why, if that ``alone`` is wrong."""
     off = []
@@ -308,6 +314,8 @@ def _deviations(
         return off
     if off and (acts := closed_loops(robot, stand, ANOTHER_ROBOT * weight)):
         return [*off, acts]
+    if off and (opens := give_way(robot, stand, prediction)):
+        return [*off, opens]
     deepest = max(float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
     if off and alone and deepest > SOFT and not any(stand.depths.values()):
         off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")

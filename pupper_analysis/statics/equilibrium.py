@@ -184,8 +184,8 @@ def equilibrium(
     robot, wanted = config.robot, distribution_of(distribution)
     if not carrying.feet:
         keeps_to_loops(config, load)
-        held = config.by_motors(load)
-        return _result(config, held, held, point, carrying, np.zeros((0, 3)))
+        borne = config.by_motors(load)
+        return _result(config, borne, borne, point, carrying, np.zeros((0, 3)))
     given, contacts = load, carrying.jacobian(config)
     load, transposed = config.by_motors(load), config.by_motors(contacts)
     problem = carrying.balance(transposed, load)
