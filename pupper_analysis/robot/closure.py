@@ -23,7 +23,6 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csgraph
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.coordinates import MujocoConvention
@@ -347,8 +346,14 @@ class Closure:
     def _components(self, rows: Array) -> tuple[IntArray, ...]:
         """Returns which of the joints that follow are in one loop, or in loops that share one."""
         held = np.abs(rows[:, self.following]) > _INDEPENDENT
-        count, labels = csgraph.connected_components(held.T.astype(float) @ held.astype(float))
-        return tuple(np.flatnonzero(labels == number) for number in range(count))
+        loops: list[tuple[set[int], NDArray[np.bool_]]] = []  # joints, and their equations
+        for joint in range(held.shape[1]):
+            joints, equations = {joint}, held[:, joint]
+            for loop in [loop for loop in loops if (loop[1] & equations).any()]:
+                loops.remove(loop)
+                joints, equations = joints | loop[0], equations | loop[1]
+            loops.append((joints, equations))
+        return tuple(np.array(sorted(joints), dtype=np.int64) for joints, _ in loops)
 
     def _followers(self, rows: Array, used: IntArray) -> IntArray:
         """Finds joints without motors, as many as the constraints can move by the others."""
