@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -458,7 +459,7 @@ def test_attributes_that_mujoco_once_had_are_passed_over(tmp_path: Path) -> None
     assert file.place("body", "b").line == 4
     for other in ('<option collision="predefined"/>', '<option><flag passive="disable"/></option>'):
         path = write(tmp_path, robot=f"<mujoco>\n{other}{body}</mujoco>")
-        assert ".xml:2: not a valid MJCF" in refused(lambda: read_mjcf(path))
+        assert ".xml:2: not a valid MJCF" in refused(partial(read_mjcf, path))
 
 
 def test_the_ground_of_a_scene_that_pairs_name_is_put_there(tmp_path: Path) -> None:
@@ -481,7 +482,7 @@ def test_the_ground_of_a_scene_that_pairs_name_is_put_there(tmp_path: Path) -> N
     assert data.ncon == 1
     for meant in ("left_hand", "foot2"):
         path = write(tmp_path, robot=robot.format(meant))
-        assert f"'{meant}' not found" in refused(lambda: read_mjcf(path))
+        assert f"'{meant}' not found" in refused(partial(read_mjcf, path))
 
 
 def test_undeclared_prefixes_are_left_out_of_a_urdf(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import shapely
 from numpy.typing import NDArray
 
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.stance.solver import TASK_TOLERANCE
+from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.statics.support_polygon import support_polygon
 
 Array = NDArray[np.float64]
