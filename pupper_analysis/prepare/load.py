@@ -203,20 +203,18 @@ def _prepared(
     level_ground(ready, notes)
     free_of_friction(ready, notes)
     bare = build_robot(replace(description, mjcf=ready))
-    open_ended = stated(bare, notes)
-    bare = bare if open_ended is None else build_robot(open_ended)
-    narrower = within_both(bare, notes)
-    bare = bare if narrower is None else build_robot(narrower)
+    for limited in (stated, within_both):
+        other = limited(bare, notes)
+        bare = bare if other is None else build_robot(other)
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
     try:
         feet = _feet(bare, frames, poses)
     except ModelError as error:
         gone = [note for note in mjcf.notes if "mesh file(s) missing" in note]
-        pointers = [note for note in mjcf.notes if "pointers of Git LFS" in note]
         if not gone:
             raise
-        why = "; ".join([*gone, *(pointers or ["put them there"])])
-        raise ModelError(mjcf.path, f"{error.problem}; {why}") from error
+        gone += [note for note in mjcf.notes if "of Git LFS" in note] or ["put them there"]
+        raise ModelError(mjcf.path, "; ".join([error.problem, *gone])) from error
     if not feet:
         return replace(bare, notes=(*notes, *bare.notes))
     notes.append(_named(bare, feet, given=frames is not None))

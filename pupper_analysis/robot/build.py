@@ -58,8 +58,7 @@ def build_robot(
     pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
     notes += [*options_in_words(mj_model), *_at_rest(mj_model)]
-    notes += _unknown_efforts(pin_model, pin_convention, joint_names)
-    notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention)
+    notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention, joint_names)
     foot_frames = {foot: frames[0] for foot, frames in description.feet.items()}
     for frame in foot_frames.values():
         if not pin_model.existFrame(frame, pin.FrameType.BODY):
@@ -167,9 +166,13 @@ def _take_armature(
     mj_convention: MujocoConvention,
     pin_model: pin.Model,
     pin_convention: PinocchioConvention,
+    joint_names: Sequence[str],
 ) -> list[str]:
-    """Gives Pinocchio's model the armature of MuJoCo's, in place; returns notes about it."""
-    notes = []
+    """Gives Pinocchio's model the armature of MuJoCo's, in place; returns notes about it.
+
+    And about efforts that the URDF does not know.
+    """
+    notes = _unknown_efforts(pin_model, pin_convention, joint_names)
     armature = np.zeros(pin_model.nv)
     dofs = mj_convention.qvel_index[pin_convention.base_nv :]
     armature[pin_convention.v_index] = joint_armature(mj_model)[dofs]
