@@ -57,7 +57,7 @@ class Servos:
         """
         target = positions if torques is None else positions + torques / self.kp
         ctrl = np.zeros(self.model.nu)
-        ctrl[robot.mj_convention.actuator_index] = self.gear * target
+        ctrl[self.model.actuator_ctrladr[robot.mj_convention.actuator_index]] = self.gear * target
         return ctrl
 
 
@@ -88,7 +88,7 @@ def servos(
         model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
         model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
         _put_gains(model, actuators, stiffness / gear**2, damping / gear**2)
-        model.actuator_ctrllimited[actuators[~servo]] = 0
+        model.actuator_ctrllimited[model.actuator_ctrladr[actuators[~servo]]] = 0
     if integrator is not None:
         if integrator not in INTEGRATORS:
             raise ConfigurationError(
