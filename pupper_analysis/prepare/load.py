@@ -30,6 +30,7 @@ from pupper_analysis.prepare.feet import (
     with_feet,
 )
 from pupper_analysis.prepare.limits import within_both
+from pupper_analysis.prepare.motors import one_at_each_joint, several
 from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.configuration import Configuration
@@ -155,6 +156,8 @@ def _as_it_is(
         ):
             raise
         return None  # a body that is named for its sole, which is no sphere around its frame
+    if free and not fixed_base and several(robot.mj_model):
+        return None
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *robot.notes))
 
 
@@ -202,6 +205,7 @@ def _prepared(
     ready = description.mjcf.copy()
     level_ground(ready, notes)
     free_of_friction(ready, notes)
+    one_at_each_joint(ready, mjcf.path, notes)
     bare = build_robot(replace(description, mjcf=ready))
     narrower = within_both(bare, notes)
     bare = bare if narrower is None else build_robot(narrower)

@@ -23,6 +23,13 @@ INTEGRATORS = {
 }
 """MuJoCo's integrators, as MJCF names them."""
 
+_HOLDING = (
+    mujoco.mjtDyn.mjDYN_NONE.value,
+    mujoco.mjtDyn.mjDYN_FILTER.value,
+    mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
+)
+"""Dynamics after which a command that stays is at last what is commanded."""
+
 
 @dataclass(frozen=True, eq=False)
 class Servos:
@@ -192,12 +199,19 @@ def own_servos(robot: Robot) -> dict[str, tuple[float, float]]:
 def _of_model(
     model: mujoco.MjModel, actuators: NDArray[np.int64]
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Returns gain, damping and gear (n,) of actuators, and which of them are position servos."""
+    """Returns gain, damping and gear (n,) of actuators, and which of them are position servos.
+
+    One with a force of its own, or whose command is integrated or delayed, is none: its ctrl is not
+    where it holds a joint.
+    """
     gear = model.actuator_gear[actuators, 0].copy()
     gain = model.actuator_gainprm[actuators, 0] * gear**2
     bias = -model.actuator_biasprm[actuators, 1:3] * gear[:, None] ** 2
     affine = model.actuator_biastype[actuators] == mujoco.mjtBias.mjBIAS_AFFINE.value
-    return gain, bias[:, 1], gear, affine & np.isclose(gain, bias[:, 0]) & (gain > 0)
+    plain = affine & (model.actuator_gaintype[actuators] == mujoco.mjtGain.mjGAIN_FIXED.value)
+    plain &= (model.actuator_biasprm[actuators, 0] == 0) & (model.actuator_delay[actuators] == 0)
+    plain &= np.isin(model.actuator_dyntype[actuators], _HOLDING)
+    return gain, bias[:, 1], gear, plain & np.isclose(gain, bias[:, 0]) & (gain > 0)
 
 
 def _gain(name: str, value: ArrayLike, size: int) -> Array:
