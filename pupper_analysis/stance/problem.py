@@ -42,6 +42,7 @@ class Goal:
         by_base: Whether ``place`` is the base frame's.
         lower: (nu,) joint limits, less the margin.
         upper: (nu,) likewise.
+        give: (m,) by how much closed loops are open, where they give way; None if they do not.
     """
 
     task: StandTask
@@ -56,6 +57,7 @@ class Goal:
     by_base: bool
     lower: Array
     upper: Array
+    give: Array | None = None
 
 
 def goal_of(

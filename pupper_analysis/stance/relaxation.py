@@ -22,8 +22,9 @@ from pupper_analysis.stance.demands import (
 )
 from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.search import follow, search
-from pupper_analysis.stance.solver import TASK_TOLERANCE, Stand
+from pupper_analysis.stance.solver import Stand
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.stance.tasks import TASK_TOLERANCE
 
 Array = NDArray[np.float64]
 

@@ -6,19 +6,19 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import placo
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import angle_between
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
-from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.branches import limbs
 from pupper_analysis.stance.clearance import Clearance, Shapes
-from pupper_analysis.stance.footholds import fixing
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.support_polygon import com_margin, support_polygon
+from pupper_analysis.stance.tasks import TASK_TOLERANCE, Tasks
+from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]
 
@@ -32,9 +32,6 @@ class Point:
     iterations: int
 
 
-TASK_TOLERANCE = 1e-9
-"""Error up to which a task counts as satisfied (m, rad)."""
-
 TOUCHING = 1e-6
 """How much nearer than allowed parts may come (m): rounding."""
 
@@ -43,12 +40,6 @@ _STEP_TOLERANCE = 1e-13
 step is followed by one that is smaller by the same factor at least, where steps converge at all."""
 
 _MAX_ITERATIONS = 200
-
-_TRIGGER = 0.02  # m: links that are further than this from their least distance are left alone
-
-_APART_WEIGHT = 1e3  # of links staying apart, against feet
-
-_INSIDE_WEIGHT = 1e3  # of the com staying inside the support polygon, likewise
 
 _TRUST_RADIUS = 0.5  # rad per joint and iteration
 
@@ -71,7 +62,8 @@ class Stand(Result):
         stance_feet: The feet that carry.
         normals: {foot that carries: (3,) direction out of the ground}.
         contact_points: {foot that carries: (3,) where it touches the ground (m)}.
-        foot_error: The largest distance of a foot from its target (m).
+        foot_error: The largest distance of a foot from its target (m), or by how much a closed loop
+            or a coupling of joints is open, if that is more (m, rad).
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Of the base frame (m).
         com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
@@ -167,97 +159,6 @@ def _distance(near: Clearance, apart: str, inside: str) -> str:
     return f"{1e3 * abs(near.distance):.1f} mm {apart if near.distance >= 0 else inside}"
 
 
-class Tasks:
-    """PlaCo's solver with a stand's tasks, which may be aimed at other goals of the same kind.
-
-    Args:
-        shapes: The robot with its shapes.
-        goal: The goal.
-        inside: As in ``Solver``.
-        firmly: Likewise.
-        apart: Likewise.
-
-    Attributes:
-        solver: PlaCo's.
-        feet: (contact point, its task).
-    """
-
-    def __init__(
-        self, shapes: Shapes, goal: Goal, *, inside: bool, firmly: bool = False, apart: bool
-    ) -> None:
-        robot, wrapper = shapes.robot, shapes.wrapper
-        self._shapes, self._goal = shapes, goal
-        solver = self.solver = placo.KinematicsSolver(wrapper)
-        solver.enable_joint_limits(True)
-        wrapper.set_velocity_limits(1.0)
-        solver.enable_velocity_limits(True)
-        self.feet: list[tuple[str, placo.PositionTask]] = []
-        for points in robot.soles.values():
-            pins = fixing([goal.targets[point] for point in points])
-            for count, (number, axes) in zip((3, 2, 1), pins, strict=False):
-                point = points[number]
-                task = solver.add_position_task(robot.foot_frames[point], goal.targets[point])
-                if count < 3:
-                    task.mask.set_axises("xyz"[:count], "custom")
-                    task.mask.R_custom_world = axes
-                task.configure(point, "soft", 1.0)
-                self.feet.append((point, task))
-        self._orientation = solver.add_orientation_task(robot.base, goal.task.rotation())
-        self._orientation.configure("orientation", "hard")
-        self._height = solver.add_position_task(robot.base, goal.height * UP)
-        self._height.mask.set_axises("z")
-        self._height.configure("height", "hard")
-        self._place = None
-        if inside:
-            corners = list(support_polygon(goal.contacts)[::-1])  # clockwise
-            margin = goal.task.com_margin + (TASK_TOLERANCE if firmly else 0.0)  # by rounding
-            polygon = solver.add_com_polygon_constraint(corners, margin)
-            polygon.configure("inside", "hard" if firmly else "soft", _INSIDE_WEIGHT)
-        else:
-            where = np.array([*goal.place, 0.0])
-            if goal.by_base:
-                self._place = solver.add_position_task(robot.base, where)
-            else:
-                self._place = solver.add_com_task(where)
-            self._place.mask.set_axises("xy")
-            self._place.configure("place", "hard")
-        if apart:
-            least = goal.task.self_clearance or 0.0
-            avoid = solver.add_avoid_self_collisions_constraint()
-            avoid.self_collisions_margin = least
-            avoid.self_collisions_trigger = least + _TRIGGER
-            avoid.configure("apart", "soft", _APART_WEIGHT)
-        # Decides between configurations that place the feet equally well; too small to move a foot.
-        solver.add_regularization_task(1e-9)
-
-    def aim(self, goal: Goal) -> None:
-        """Takes the goal's numbers, and its joint limits, which are the wrapper's."""
-        limits, given = (goal.lower, goal.upper), self._shapes.limits
-        if given is None or limits[0] is not given[0] or limits[1] is not given[1]:
-            joints, self._shapes.limits = self._shapes.robot.joint_names, limits
-            for name, low, high in zip(joints, *limits, strict=True):
-                if math.isfinite(low) and math.isfinite(high):
-                    self._shapes.wrapper.set_joint_limits(name, low, high)
-        if goal is self._goal:
-            return
-        before, self._goal = self._goal, goal
-        if goal.targets is not before.targets:
-            for point, task in self.feet:
-                task.target_world = goal.targets[point]
-        if goal.turn is not before.turn:
-            self._orientation.R_world_frame = goal.task.rotation()
-        self._height.target_world = np.array([0.0, 0.0, goal.height])
-        if self._place is not None and goal.place is not before.place:
-            self._place.target_world = np.array([*goal.place.tolist(), 0.0])
-
-    def error(self) -> float:
-        """Returns the sum of squares of what feet and com, or base, are off (m^2)."""
-        error: float = sum([foot.error_norm() ** 2 for _, foot in self.feet])
-        if self._place is not None:
-            error += self._place.error_norm() ** 2
-        return error
-
-
 class Solver:
     """PlaCo's tasks for one goal, solved from any start.
 
@@ -289,6 +190,10 @@ class Solver:
     ) -> None:
         self.shapes, self.goal, self.inside = shapes, goal, inside
         self._size = _SIZE * shapes.robot.stand_height
+        robot = shapes.robot
+        if robot.closure is not None:
+            placing = np.concatenate([limb.joints for limb in limbs(robot)])
+            self._readiness = robot.closure.readiness(placing)
         apart = apart and goal.task.self_clearance is not None
         if apart:
             shapes.pair()  # before the state is set: it moves the robot
@@ -311,6 +216,9 @@ class Solver:
         tasks = self.tasks
         tasks.aim(self.goal)
         q = self.begin(joints, self.goal.place if place is None else place)
+        if not self._closes(q):
+            return Point(convention.qpos(q), math.inf, 0)
+        q = wrapper.state.q.copy()
         # A trust region: where a step makes things worse it is undone, and the next one is shorter.
         radius, iterations, slow = _TRUST_RADIUS, 0, 0
         error, last = math.inf, 0.0
@@ -320,6 +228,7 @@ class Solver:
             if radius * self._size * left < math.sqrt(error) / 2 < math.inf:
                 break  # too far for all steps that are left, though the feet are not in place
             tasks.solver.dt = radius
+            tasks.bind(convention.qpos(q), q)
             try:
                 step = tasks.solver.solve(True)
             except RuntimeError:
@@ -329,7 +238,8 @@ class Solver:
                 wrapper.update_kinematics()
                 continue
             wrapper.update_kinematics()
-            new_error = tasks.error()
+            closes = self._closes(wrapper.state.q)
+            new_error = tasks.error() if closes else math.inf
             if new_error > error and new_error > TASK_TOLERANCE**2:
                 radius, last = radius / 4, 0.0
                 wrapper.state.q = q
@@ -347,6 +257,23 @@ class Solver:
             last = moved
         miss = max([foot.error_norm() for _, foot in tasks.feet])
         return Point(convention.qpos(wrapper.state.q), miss, iterations)
+
+    def _closes(self, q: Array) -> bool:
+        """Closes the loops of PlaCo's robot, which is at q; tells if it can."""
+        robot, wrapper = self.shapes.robot, self.shapes.wrapper
+        if robot.closure is None:
+            return True
+        qpos = robot.pin_convention.qpos(q)
+        closed = robot.closure.closed(qpos, self._readiness, self.goal.give)
+        if closed is None:
+            return False
+        joints = closed[robot.nq - robot.nu :]
+        beyond = np.maximum(self.goal.lower - joints, joints - self.goal.upper)
+        if beyond.max(initial=0.0) > TASK_TOLERANCE:
+            return False
+        wrapper.state.q = robot.pin_convention.with_joints(q, joints)
+        wrapper.update_kinematics()
+        return True
 
     def begin(self, joints: Array, place: Array) -> Array:
         """Puts PlaCo's robot upright, its com or base over a place (2,) (m); returns its q."""
@@ -378,6 +305,8 @@ def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
         math.dist(position.tolist(), targets[foot].tolist())
         for foot, position in config.foot_positions().items()
     ]
+    if robot.closure is not None:
+        missed.append(robot.closure.open_by(config.qpos, goal.give))
     above = shapes.above_ground(config.qpos, task.ground, targets, goal.depths)
     apart = None if task.self_clearance is None else shapes.between_links(config.qpos)
     return Stand(

@@ -13,8 +13,9 @@ from pupper_analysis.stance.nearest import nearest
 from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.relaxation import unreachable
 from pupper_analysis.stance.search import search
-from pupper_analysis.stance.solver import TASK_TOLERANCE, Stand
+from pupper_analysis.stance.solver import Stand
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.statics.equilibrium import (
     ForceDistribution,
     GravityCompensation,
