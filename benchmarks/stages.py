@@ -15,11 +15,12 @@ from scipy.linalg import lapack
 
 import pupper_analysis as pa
 from pupper_analysis.stance.clearance import shapes_of
+from pupper_analysis.stance.judge import measure
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
 from pupper_analysis.stance.sag.steady_state import pose_at, release_margin
 from pupper_analysis.stance.sag.way import Way
-from pupper_analysis.stance.solver import Solver, measure
+from pupper_analysis.stance.solver import Solver
 from pupper_analysis.statics.contacts import contacts_of
 
 Parts = dict[str, float]

@@ -8,7 +8,7 @@ import math
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import coal  # comes with pin
 import numpy as np
@@ -21,6 +21,7 @@ from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.whereabouts import Whereabouts, seen
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -46,6 +47,24 @@ class Clearance(Result):
     links: tuple[str, ...]
 
 
+class _Part(NamedTuple):
+    """A shape that is no foot: its number, where Pinocchio writes how it lies, and its form.
+
+    Attributes:
+        index: Among all shapes.
+        turn: (3, 3) its rotation.
+        place: (3,) its centre (m).
+        form: As ``_form`` has it.
+        sunk: The foot that it reaches into.
+    """
+
+    index: int
+    turn: Array
+    place: Array
+    form: tuple[float, ...]
+    sunk: str | None
+
+
 def shapes_of(robot: Robot) -> Shapes:
     """Returns a robot's shapes, built once per robot and thread."""
     return _cached(robot, threading.get_ident())
@@ -64,12 +83,13 @@ class Shapes:
     Attributes:
         robot: The robot.
         wrapper: PlaCo's robot.
+        whereabouts: Where its com and feet are, by its own model.
         tasks: Whatever a solver made for this robot once, and uses again.
         limits: The joint limits that PlaCo's robot was given last.
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.robot = robot
+        self.robot, self.whereabouts = robot, Whereabouts(robot.structure)
         self.tasks: dict[object, Any] = {}
         self.limits: tuple[Array, Array] | None = None
         self.wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _primitives(robot))
@@ -84,6 +104,7 @@ class Shapes:
         self._looked_at = [*self._not_feet()]
         self._forms = [_form(shape) for _, shape, _ in self._looked_at]
         self._plain = None not in self._forms
+        self._parts: list[_Part] = []
 
     def pair(self) -> None:
         """Makes PlaCo look at the distances between links, but not between neighbours.
@@ -182,19 +203,26 @@ class Shapes:
         the sum of theirs.
         """
         self._place(qpos)
-        at, (a, b, c) = self._placed.oMg, normal.tolist()
+        if not self._parts or not seen(self._parts[0].place):
+            at = self._placed.oMg
+            self._parts = [
+                _Part(index, at[index].rotation, at[index].translation, form, sunk)
+                for (index, _, sunk), form in zip(self._looked_at, self._forms, strict=True)
+                if form is not None
+            ]
+        a, b, c = normal.tolist()
         found = []
-        for (index, _, sunk), form in zip(self._looked_at, self._forms, strict=True):
-            assert form is not None
-            place, (half_x, half_y, half_z, disc, ball) = at[index], form
-            (xx, xy, xz, x), (yx, yy, yz, y), (zx, zy, zz, z), _ = place.homogeneous.tolist()
+        for index, turn, place, (half_x, half_y, half_z, disc, ball), sunk in self._parts:
+            (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turn.tolist()
+            x, y, z = place.tolist()
             along_x = a * xx + b * yx + c * zx
             along_y = a * xy + b * yy + c * zy
             along_z = a * xz + b * yz + c * zz
-            box = half_x * abs(along_x) + half_y * abs(along_y) + half_z * abs(along_z)
-            reach = box + disc * math.hypot(along_x, along_y) + ball
-            depth = 0.0 if sunk is None else depths.get(sunk, 0.0)
-            found.append((index, a * x + b * y + c * z - reach + depth))
+            reach = half_x * abs(along_x) + half_y * abs(along_y) + half_z * abs(along_z) + ball
+            if disc:
+                reach += disc * math.hypot(along_x, along_y)
+            height = a * x + b * y + c * z - reach
+            found.append((index, height if sunk is None else height + depths.get(sunk, 0.0)))
         return found
 
     def _place(self, qpos: Array) -> None:

@@ -15,9 +15,10 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import Branch, Limb, branches, combinations
 from pupper_analysis.stance.clear_starts import clear_starts
 from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.judge import measure
 from pupper_analysis.stance.nearest import in_place_and_clear, nearest
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.stance.solver import TASK_TOLERANCE, Point, Solver, Stand, measure
+from pupper_analysis.stance.solver import TASK_TOLERANCE, Point, Solver, Stand
 from pupper_analysis.stance.yielding import as_the_legs_can
 from pupper_analysis.statics.support_polygon import support_polygon
 

@@ -9,18 +9,21 @@ import numpy as np
 import placo
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import angle_between
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
-from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.configuration import UP
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Clearance, Shapes
 from pupper_analysis.stance.footholds import fixing
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.support_polygon import com_margin, support_polygon
+from pupper_analysis.statics.support_polygon import support_polygon
 
 Array = NDArray[np.float64]
+
+
+Step = tuple[Array, float]
+"""PlaCo's q after a step, and the step's length squared (rad^2, m^2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +42,12 @@ TOUCHING = 1e-6
 """How much nearer than allowed parts may come (m): rounding."""
 
 _STEP_TOLERANCE = 1e-13
-"""Largest step (rad, m) that is not taken any more. The last one is not taken to find that out: a
+"""Longest step (rad, m) that is not taken any more. The last one is not taken to find that out: a
 step is followed by one that is smaller by the same factor at least, where steps converge at all."""
+
+_STRAIGHT, _QUICKLY = 8, 1 / 16
+"""Steps that are not looked at, as long as the square of each is so much less than that of the one
+before: where steps converge as these do, the last of eight is below all rounding."""
 
 _MAX_ITERATIONS = 200
 
@@ -246,9 +253,14 @@ class Tasks:
                 task.target_world = goal.targets[point]
         if goal.turn is not before.turn:
             self._orientation.R_world_frame = goal.task.rotation()
-        self._height.target_world = np.array([0.0, 0.0, goal.height])
+        if goal.height != before.height:
+            self._height.target_world = np.array([0.0, 0.0, goal.height])
         if self._place is not None and goal.place is not before.place:
             self._place.target_world = np.array([*goal.place.tolist(), 0.0])
+
+    def miss(self) -> float:
+        """Returns how far the feet are from where they shall be, at most (m)."""
+        return max([foot.error_norm() for _, foot in self.feet])
 
     def error(self) -> float:
         """Returns the sum of squares of what feet and com, or base, are off (m^2)."""
@@ -307,94 +319,114 @@ class Solver:
             joints: (nu,) where to start (rad).
             place: (2,) where the com, or the base, begins (m); by default where it shall be.
         """
-        wrapper, convention = self.shapes.wrapper, self.shapes.robot.pin_convention
-        tasks = self.tasks
-        tasks.aim(self.goal)
+        self.tasks.aim(self.goal)
         q = self.begin(joints, self.goal.place if place is None else place)
-        # A trust region: where a step makes things worse it is undone, and the next one is shorter.
+        if self.inside:
+            return self._watched(q, [])
+        steps: list[Step] = []
+        return self._straight(steps) or self._watched(q, steps)
+
+    def _straight(self, steps: list[Step]) -> Point | None:
+        """Takes full steps for as long as they converge quickly; adds them to ``steps``.
+
+        What is ever less of a step leads somewhere, and whether the feet are in place there is
+        looked at when it has come there. None where that is not the way, or not the place.
+        """
+        tasks, wrapper = self.tasks, self.shapes.wrapper
+        solve, move = tasks.solver.solve, wrapper.update_kinematics
+        tasks.solver.dt = _TRUST_RADIUS
+        last = math.inf
+        for _ in range(_STRAIGHT):
+            try:
+                step = solve(True)
+            except RuntimeError:
+                return None
+            move()
+            moved = float(step.dot(step))
+            q = wrapper.state.q.copy()
+            steps.append((q, moved))
+            if _arrives(moved, last):
+                point = self._point(q, len(steps))
+                return point if point.miss < TASK_TOLERANCE / 2 else None
+            if moved > _QUICKLY * last:
+                return None
+            last = moved
+        return None
+
+    def _watched(self, q: Array, ahead: list[Step]) -> Point:
+        """Takes steps that are forward: in a trust region, looking at the tasks after each.
+
+        Where a step makes things worse it is undone, and the next one is shorter.
+
+        Args:
+            q: Where it begins.
+            ahead: Full steps from there that have been taken already.
+        """
+        wrapper, tasks = self.shapes.wrapper, self.tasks
         radius, iterations, slow = _TRUST_RADIUS, 0, 0
-        error, last = math.inf, 0.0
+        error, last = math.inf, math.inf
+        self._put(q)
         while iterations < _MAX_ITERATIONS and radius > _STEP_TOLERANCE and slow < _SLOW:
             iterations += 1
             left = _MAX_ITERATIONS - iterations
             if radius * self._size * left < math.sqrt(error) / 2 < math.inf:
                 break  # too far for all steps that are left, though the feet are not in place
-            tasks.solver.dt = radius
-            try:
-                step = tasks.solver.solve(True)
-            except RuntimeError:
-                # An infeasible programme: within a shorter step it may be feasible.
-                radius /= 4
-                wrapper.state.q = q
+            if ahead:
+                after, moved = ahead.pop(0)
+                self._put(after)
+            else:
+                tasks.solver.dt = radius
+                try:
+                    step = tasks.solver.solve(True)
+                except RuntimeError:
+                    # An infeasible programme: within a shorter step it may be feasible.
+                    radius /= 4
+                    self._put(q)
+                    continue
                 wrapper.update_kinematics()
-                continue
-            wrapper.update_kinematics()
+                after, moved = wrapper.state.q.copy(), float(step.dot(step))
             new_error = tasks.error()
             if new_error > error and new_error > TASK_TOLERANCE**2:
-                radius, last = radius / 4, 0.0
-                wrapper.state.q = q
-                wrapper.update_kinematics()
+                radius, last = radius / 4, math.inf
+                ahead.clear()
+                self._put(q)
                 continue
             nearer = math.sqrt(error) - math.sqrt(new_error)
             settled = self.inside and max(error, new_error) < _SETTLED**2
             hopeless = new_error > TASK_TOLERANCE**2 and nearer * left < math.sqrt(new_error) / 2
             slow = slow + 1 if hopeless else 0
-            error, q = new_error, wrapper.state.q.copy()
-            moved = max(map(abs, step.tolist()))
-            following = moved * min(1.0, moved / last) if last else moved
-            if settled or following < _STEP_TOLERANCE:
+            error, q = new_error, after
+            if settled or _arrives(moved, last):
                 break
             last = moved
-        miss = max([foot.error_norm() for _, foot in tasks.feet])
-        return Point(convention.qpos(wrapper.state.q), miss, iterations)
+        return self._point(wrapper.state.q, iterations)
+
+    def _point(self, q: Array, iterations: int) -> Point:
+        """Returns where PlaCo's robot is, at its q."""
+        return Point(self.shapes.robot.pin_convention.qpos(q), self.tasks.miss(), iterations)
+
+    def _put(self, q: Array) -> None:
+        wrapper = self.shapes.wrapper
+        wrapper.state.q = q
+        wrapper.update_kinematics()
 
     def begin(self, joints: Array, place: Array) -> Array:
         """Puts PlaCo's robot upright, its com or base over a place (2,) (m); returns its q."""
         convention, goal = self.shapes.robot.pin_convention, self.goal
         wrapper = self.shapes.wrapper
-        w, i, j, k = goal.turn
-        base = (*place.tolist(), goal.height, w, i, j, k)
-        bent = np.minimum(np.maximum(joints, goal.lower), goal.upper)
-        q = convention.unit_q(np.concatenate([base, bent]))
-        wrapper.state.q = q
-        wrapper.update_kinematics()
+        qpos = np.empty(len(joints) + 7)
+        qpos[:7] = *place.tolist(), goal.height, *goal.turn
+        np.maximum(joints, goal.lower, qpos[7:])
+        np.minimum(qpos[7:], goal.upper, qpos[7:])
+        q = convention.unit_q(qpos)
+        self._put(q)
         if not goal.by_base:
             q[:2] += place - wrapper.com_world()[:2]
-            wrapper.state.q = q
-            wrapper.update_kinematics()
+            self._put(q)
         return q
 
 
-def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
-    """Returns the stand at a configuration, with its errors and clearances."""
-    robot, task = shapes.robot, goal.task
-    config = Configuration(robot, qpos)
-    com = config.center_of_mass()
-    at = config.qpos if goal.by_base else com
-    # Who changes a stand changes that alone: goals share their arrays.
-    targets = {foot: target.copy() for foot, target in goal.targets.items()}
-    contacts = dict(zip(goal.stance_feet, goal.contacts.copy(), strict=True))
-    missed = [
-        math.dist(position.tolist(), targets[foot].tolist())
-        for foot, position in config.foot_positions().items()
-    ]
-    above = shapes.above_ground(config.qpos, task.ground, targets, goal.depths)
-    apart = None if task.self_clearance is None else shapes.between_links(config.qpos)
-    return Stand(
-        task=task,
-        qpos=config.qpos.copy(),
-        foot_targets=targets,
-        depths=goal.depths,
-        stance_feet=goal.stance_feet,
-        normals=dict.fromkeys(goal.stance_feet, task.ground.normal()),
-        contact_points=contacts,
-        foot_error=max(missed),
-        orientation_error=angle_between(goal.turn, config.qpos[3:7].tolist()),
-        height_error=abs(float(config.qpos[2]) - goal.height),
-        com_error=math.dist(at[:2].tolist(), goal.place.tolist()),
-        com_margin=com_margin(com, contacts),
-        ground_clearance=above,
-        self_clearance=apart,
-        iterations=iterations,
-        robot=robot.fingerprint,
-    )
+def _arrives(moved: float, last: float) -> bool:
+    """Whether no step need follow one, by its length squared, and that of the one before."""
+    following = moved * min(1.0, moved / last) if last < math.inf else moved
+    return following < _STEP_TOLERANCE**2

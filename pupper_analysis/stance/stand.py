@@ -61,7 +61,7 @@ def solve_stand(
             demands of which one would have to give.
     """
     check_bodies(robot)
-    return stand_for(robot, goal_of(robot, task or StandTask(), depths or {}), explain=explain)
+    return stand_for(robot, goal_of(robot, task, depths or {}), explain=explain)
 
 
 def stand_for(robot: Robot, goal: Goal, *, explain: bool) -> Stand:
