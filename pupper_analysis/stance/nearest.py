@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import Shapes
-from pupper_analysis.stance.judge import measure
-from pupper_analysis.stance.problem import Goal
-from pupper_analysis.stance.solver import TASK_TOLERANCE, TOUCHING, Stand
+from pupper_analysis.stance.judge import TOUCHING, Stand, measure
+from pupper_analysis.stance.problem import TASK_TOLERANCE, Goal
 from pupper_analysis.statics.support_polygon import polygon_sides
 
 Array = NDArray[np.float64]

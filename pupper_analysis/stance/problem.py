@@ -21,6 +21,9 @@ from pupper_analysis.statics.support_polygon import com_margin
 Array = NDArray[np.float64]
 
 
+TASK_TOLERANCE = 1e-9
+"""Error up to which a task counts as satisfied (m, rad)."""
+
 _LINE = 1e-3
 """Contact points that are no further from a line, taken together, are on it (m): no polygon of that
 width holds anything."""
