@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.errors import (
     NoEquilibriumError,
     NoStiffnessError,
+    NotSettlingError,
     StanceUnreachableError,
 )
 from pupper_analysis.results import Result
@@ -44,6 +45,8 @@ class Stance(Result):
         verification: The simulation, with feed-forward, of ``sunk``, or else of ``stand``.
         settled: Where it settles without feed-forward; None where that is not predicted.
         unsettled: Why ``settled`` is None.
+        loops_open: By how much MuJoCo's loops and couplings of joints are open in it (m, rad); None
+            for a robot without any.
         minimum_stiffness: Of the servos that carry it without feed-forward (N m/rad), if asked
             for; None also if none do.
     """
@@ -58,6 +61,7 @@ class Stance(Result):
     verification: StandVerification
     settled: SteadyState | None
     unsettled: str
+    loops_open: float | None
     minimum_stiffness: float | None
 
     @property
@@ -104,7 +108,9 @@ def study_stance(
     if stiffness:
         with contextlib.suppress(NoStiffnessError):
             least = minimum_stiffness(robot, stand)
-    with contextlib.suppress(StanceUnreachableError):
+    # Loops that are very soft open further and further: then the simulation says so.
+    soft = (NotSettlingError,) if robot.closure is not None else ()
+    with contextlib.suppress(StanceUnreachableError, *soft):
         sunk = sunk_stand(robot, stand, explain=False)
     held = sunk or stand
     return Stance(
@@ -118,5 +124,6 @@ def study_stance(
         verification=verify_stand(robot, held, kp=kp, kd=kd),
         settled=settled,
         unsettled=unsettled,
+        loops_open=None if robot.closure is None else robot.closure.open(held.qpos),
         minimum_stiffness=least,
     )

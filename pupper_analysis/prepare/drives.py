@@ -10,12 +10,14 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.simulation.monitor import DIVERGED
 from pupper_analysis.simulation.verify import ANOTHER_ROBOT, SETTLED_DRIFT, verify_stand
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.sunk import sunk_stand
@@ -32,6 +34,9 @@ _STILL = 2e-4
 
 _STAYED = 5e-3
 """Feet of a robot that does not shake have moved by no more than this in the end (m)."""
+
+IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value)
+"""With it a servo's damping does not shake light joints."""
 
 _TRIALS = (2.0, 4.0)  # s of simulation: what shakes shows soon
 
@@ -59,6 +64,27 @@ _DAMPING_TIME = 0.05
 """kd / kp of the suggested servos (s): within the 0.02 to 0.1 s of robots' own controllers."""
 
 
+def following(robot: Robot) -> list[int]:
+    """Returns the numbers of the joints that follow others: no servo is theirs."""
+    return [] if robot.closure is None else robot.closure.following.tolist()
+
+
+def with_motors(robot: Robot) -> Robot:
+    """Gives joints that have no motor, and follow none, one that does nothing yet.
+
+    Motors come first in the order of joints: where some joints follow others, that order is to be
+    the last one before a stand is solved.
+    """
+    lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(following(robot))
+    if robot.closure is None or not lacking:
+        return robot
+    spec = robot.description.mjcf.copy()
+    for joint in sorted(lacking):
+        name = robot.joint_names[joint]
+        spec.add_actuator(name=f"{name} (servo)", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    return rebuilt(robot, mjcf=spec)
+
+
 def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
@@ -72,24 +98,37 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     own = own_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
 
-    def built(kp: Array, kd: Array, parts: int) -> Robot:
+    def built(kp: Array, kd: Array, parts: int, integrator: int) -> Robot:
         spec = with_servos(robot.description.mjcf, robot, kp, kd)
         spec.option.timestep /= parts
+        spec.option.integrator = integrator
         return rebuilt(robot, mjcf=spec)
 
     first = _kept(robot, own, *_gains(robot, stand.qpos, torques, _SAGS[0], 1))
-    trial = built(*first, 1)
+    trial = built(*first, 1, IMPLICIT)
     timestep = float(trial.mj_model.opt.timestep)
     resting = None
-    for parts, sag in itertools.product(_FINER, _SAGS):
+    for integrator, parts, sag in itertools.product(_integrators(robot), _FINER, _SAGS):
         kp, kd = _kept(robot, own, *_gains(robot, stand.qpos, torques, sag, parts))
         trial.mj_model.opt.timestep = timestep / parts
+        trial.mj_model.opt.integrator = integrator
         if _rests(trial, stand, kp, kd):
-            resting = resting or (kp, kd, parts)
+            resting = resting or (kp, kd, parts, integrator)
             if _as_predicted(trial, stand, kp, kd):
-                return built(kp, kd, parts), kp, kd, True
-    kp, kd, parts = resting or (*first, 1)
-    return built(kp, kd, parts), kp, kd, resting is not None
+                return built(kp, kd, parts, integrator), kp, kd, True
+    kp, kd, parts, integrator = resting or (*first, 1, IMPLICIT)
+    return built(kp, kd, parts, integrator), kp, kd, resting is not None
+
+
+def _integrators(robot: Robot) -> list[int]:
+    """Returns the integrators that are tried.
+
+    The implicit ones damp joints after the constraints' forces are known: the rods of a loop, of
+    grammes, are torn from the legs that they drive (ToddlerBot's within two steps). Where a file
+    with loops has another one, that is tried, too.
+    """
+    own = int(robot.mj_model.opt.integrator)
+    return [IMPLICIT] if robot.closure is None else list(dict.fromkeys([IMPLICIT, own]))
 
 
 def advice(robot: Robot, stand: Stand) -> str | None:
@@ -102,7 +141,7 @@ def advice(robot: Robot, stand: Stand) -> str | None:
         seen.tilt > _UPRIGHT or verify_stand(robot, stand, duration=_FALL).tilt > _UPRIGHT
     ):
         return None
-    own = np.array(list(own_servos(robot).values()))
+    own = np.array(list(own_servos(robot).values()))  # of those that have a motor
     torques = stand_statics(robot, stand).joint_torques
     said = (
         f"the MJCF's own servos (kp {span(own[:, 0])} N m/rad) let it fall over in the start pose"
@@ -122,6 +161,7 @@ def _kept(
     """Returns gains (nu,) with those of the robot's own servos in them."""
     given = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
     both = np.array([own.get(name, (stiffness, damping)) for name, stiffness, damping in given])
+    both[following(robot)] = 0.0
     return both[:, 0], both[:, 1]
 
 
@@ -137,6 +177,8 @@ def _rests(
             seen = verify_stand(
                 robot, stand, kp=kp, kd=kd, feedforward=feedforward, duration=duration
             )
+            if any(text.startswith(DIVERGED) for text in seen.failures):
+                return False  # MuJoCo began anew, and may have come to rest
             if max(seen.foot_slip.values()) > _STAYED or seen.tilt > _UPRIGHT:
                 return False
         if not seen.height_deviation < _STILL or abs(seen.height_drift) > SETTLED_DRIFT:
@@ -168,8 +210,7 @@ def _gains(
         sag: What the joint that holds most gives way (rad).
         parts: Into which the model's time step is divided.
     """
-    inverse = np.linalg.inv(Configuration(robot, qpos).mass_matrix())
-    inertia = 1 / np.diag(inverse)[robot.nv - robot.nu :]  # with everything else free
+    inertia = _inertia(robot, qpos)
     timestep = float(robot.mj_model.opt.timestep) / parts
     most = inertia * (_FASTEST / timestep) ** 2
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
@@ -177,6 +218,19 @@ def _gains(
     wanted = np.full(robot.nu, most_torque / sag)
     kp = np.array([_two_digits(value) for value in np.minimum(wanted, most)])
     return kp, np.array([_two_digits(value) for value in _DAMPING_TIME * kp])
+
+
+def _inertia(robot: Robot, qpos: Array) -> Array:
+    """Returns what each joint feels (nu,) with everything else free, and loops closed (kg m^2)."""
+    mass, first = Configuration(robot, qpos).mass_matrix(), robot.nv - robot.nu
+    if robot.closure is None:
+        inverse = np.linalg.inv(mass)
+    else:
+        ways = linalg.block_diag(np.eye(first), robot.closure.ways(qpos))
+        inverse = ways @ np.linalg.solve(ways.T @ mass @ ways, ways.T)
+    with np.errstate(divide="ignore"):
+        felt: Array = 1 / np.diag(inverse)[first:]
+    return felt
 
 
 def span(values: Array) -> str:
@@ -199,6 +253,7 @@ def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujo
     joints.
     """
     spec, own = spec.copy(), own_servos(robot)
+    idle = {robot.joint_names[joint] for joint in following(robot)}
     by_joint = {
         actuator.target: actuator
         for actuator in spec.actuators
@@ -207,7 +262,7 @@ def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujo
     for name, stiffness, damping, effort in zip(
         robot.joint_names, kp, kd, robot.effort_limits, strict=True
     ):
-        if name in own:
+        if name in own or name in idle:
             continue
         actuator = by_joint.get(name)
         limit = float(effort) if 0 < effort < math.inf else math.inf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from pupper_analysis.models.description import Description
@@ -12,6 +13,38 @@ _NARROWER = 1e-3
 """A limit that is further in by more is another one (rad, m): keyframes and files are rounded."""
 
 _TOLD = 3  # joints that a note tells
+
+
+_TURNS = 2 * math.pi
+"""What a joint without limits in both files may turn, either way (rad): round, and more."""
+
+
+def stated(robot: Robot, notes: list[str]) -> Description | None:
+    """Returns the description with the MJCF's limits where the URDF states none; None if it does.
+
+    A <limit> of effort alone is one from 0 to 0 to a parser, which holds the joint.
+    """
+    model, root, given = robot.mj_model, parse_text(robot.description.urdf), []
+    for element in root.findall("joint"):
+        name, limit = str(element.get("name")), element.find("limit")
+        silent = limit is not None and limit.get("lower") is None and limit.get("upper") is None
+        if element.get("type") not in ("revolute", "prismatic") or not silent:
+            continue
+        if name not in robot.joint_names:
+            continue
+        joint = model.joint(name).id
+        limited = bool(model.jnt_limited[joint])
+        ends = model.jnt_range[joint].tolist() if limited else (-_TURNS, _TURNS)
+        for word, value in zip(("lower", "upper"), ends, strict=True):
+            limit.set(word, repr(float(value)))
+        given.append(name)
+    if not given:
+        return None
+    notes.append(
+        "joints whose <limit> in the URDF has neither lower nor upper, which is none: "
+        f"{', '.join(given)}; the MJCF's range is taken"
+    )
+    return replace(robot.description, urdf=to_text(root))
 
 
 def within_both(robot: Robot, notes: list[str]) -> Description | None:

@@ -29,14 +29,14 @@ from pupper_analysis.prepare.feet import (
     named_foot,
     with_feet,
 )
-from pupper_analysis.prepare.limits import within_both
+from pupper_analysis.prepare.limits import stated, within_both
 from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.floor import NO_GROUND, level_ground
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import INTEGRATORS, own_servos
 from pupper_analysis.stance.com_reach import moves_com
 
 Array = NDArray[np.float64]
@@ -203,6 +203,8 @@ def _prepared(
     level_ground(ready, notes)
     free_of_friction(ready, notes)
     bare = build_robot(replace(description, mjcf=ready))
+    open_ended = stated(bare, notes)
+    bare = bare if open_ended is None else build_robot(open_ended)
     narrower = within_both(bare, notes)
     bare = bare if narrower is None else build_robot(narrower)
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
@@ -224,11 +226,13 @@ def _prepared(
             "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
         )
     notes += _balls(bare, feet)
-    robot = build_robot(with_feet(bare, feet))
+    robot = drives.with_motors(build_robot(with_feet(bare, feet)))
     notes += _planar(robot)
     robot = _started(robot, known, notes)
     robot = touching.apart(touching.on_feet_alone(robot, notes), notes)
-    if not set(robot.joint_names) <= own_servos(robot).keys():
+    notes += _bound(robot)
+    idle = {robot.joint_names[joint] for joint in drives.following(robot)}
+    if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
         robot = _driven(robot, notes)
     else:
         stand = start.first_stand(robot)
@@ -300,6 +304,12 @@ def _balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
             )
 
 
+def _bound(robot: Robot) -> Iterator[str]:
+    """Says which joints follow others."""
+    if robot.closure is not None:
+        yield robot.closure.in_words()
+
+
 def _planar(robot: Robot) -> Iterator[str]:
     """Says so if the legs cannot move the com to every place over the feet."""
     if not moves_com(robot):
@@ -368,11 +378,18 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
         return robot
     own = own_servos(robot)
     built, kp, kd, rests = drives.driven(robot, stand)
-    new = [index for index, name in enumerate(robot.joint_names) if name not in own]
+    idle = drives.following(robot)
+    new = [
+        index
+        for index, name in enumerate(robot.joint_names)
+        if name not in own and index not in idle
+    ]
+    kind = built.mj_model.opt.integrator
+    integrator = next(name for name, value in INTEGRATORS.items() if value.value == kind)
     which = "no position servos" if not own else f"no position servos at {len(new)} joints"
     notes.append(
         f"the MJCF has {which}: they were added, with kp {drives.span(kp[new])} N m/rad and kd "
-        f"{drives.span(kd[new])} N m s/rad, integrator implicitfast, "
+        f"{drives.span(kd[new])} N m s/rad, integrator {integrator}, "
         f"{1e3 * built.mj_model.opt.timestep:g} ms"
     )
     if not rests:

@@ -58,6 +58,12 @@ def print_stance(out: Console, stance: Stance) -> None:
         out.print(rigid_note(stance.name), soft_wrap=True)
     else:
         out.print(sunk_note(stance.sunk.depths.values()), soft_wrap=True)
+    if stance.loops_open is not None:
+        out.print(
+            f"the MJCF's loops and couplings are open in it by up to {stance.loops_open:.2g} m or "
+            "rad, as their softness has it",
+            soft_wrap=True,
+        )
     if verification.mujoco_residual > DISAGREEMENT:
         out.print(
             "[yellow]note:[/] the two models disagree: by the MJCF "

@@ -252,6 +252,19 @@ class Configuration:
         """Returns what motors and contacts hold at rest (nv,): gravity less ``passive``."""
         return self.gravity() - self.passive() if self.robot.acts_at_rest else self.gravity()
 
+    def by_motors(self, forces: Array) -> Array:
+        """Returns what motors have to hold of generalised forces (nv,) or (nv, n).
+
+        All of them, but where loops or couplings of joints carry them over to other joints
+        (``pupper_analysis.robot.closure``).
+        """
+        closure = self.robot.closure
+        if closure is None:
+            return forces
+        held, first = forces.copy(), self.robot.nv - self.robot.nu
+        held[first:] -= closure.push(self.qpos) @ forces[first:]
+        return held
+
     def static_rates(self, wrenches: Mapping[str, Array]) -> Array:
         """Returns the derivative (nv, nv) of ``load`` less wrenches on feet: of l - sum J^T w.
 

@@ -14,10 +14,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import plain_state
-from pupper_analysis.errors import UnknownNameError
+from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.conversion import gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.robot.at_rest import acts_at_rest
+from pupper_analysis.robot.closure import Closure, closure_of
 from pupper_analysis.robot.contact import ContactParameters
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.structure import Structure
@@ -90,7 +91,8 @@ class Robot:
 
     def __getstate__(self) -> dict[str, Any]:
         state = plain_state(self)
-        state.pop("structure", None)  # worked out again, quicker than it travels
+        for made in ("structure", "closure"):  # worked out again, quicker than they travel
+            state.pop(made, None)
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -132,6 +134,11 @@ class Robot:
         """Whether the MJCF has springs, gravity compensation or wind, which act at rest."""
         return acts_at_rest(self.mj_model)
 
+    @cached_property
+    def closure(self) -> Closure | None:
+        """The closed loops and couplings of the MJCF's joints; None if there are none."""
+        return closure_of(self.mj_model, self.mj_convention, self.joint_names)
+
     @property
     def lower_limits(self) -> Array:
         """(nu,) lower joint limits of the URDF (rad); -inf for a continuous joint."""
@@ -157,6 +164,23 @@ class Robot:
         limits = np.array(values[self.pin_convention.q_index])
         limits[self.pin_convention.unbounded] = unbounded
         return limits
+
+    def check_tree(self, what: str) -> None:
+        """Checks that no loops or couplings bind the robot's joints.
+
+        Args:
+            what: What is asked for, and is not computed for such a robot.
+
+        Raises:
+            ConfigurationError: If there are.
+        """
+        if self.closure is not None:
+            raise ConfigurationError(
+                "robot",
+                f"the MJCF of {self.name} binds joints to each other ({self.closure.bonds}), and "
+                f"{what} is not computed for such a robot; stands, their torques and forces, sag, "
+                "pushes and gain sweeps are",
+            )
 
     def check_foot(self, foot: str) -> str:
         """Returns the name of a foot, if it is one.

@@ -31,8 +31,8 @@ class Servos:
 
     Attributes:
         model: The model, a copy of the robot's.
-        kp: (nu,) at the joints (N m/rad).
-        kd: (nu,) at the joints (N m s/rad).
+        kp: (nu,) at the joints (N m/rad); 0 at those that follow others, without a motor.
+        kd: (nu,) at the joints (N m s/rad); likewise.
         gear: (nu,) actuator length per joint angle; ctrl' = ctrl / gear.
         integrator: Name of MuJoCo's integrator.
     """
@@ -56,10 +56,20 @@ class Servos:
             positions: (nu,) joint positions (rad).
             torques: (nu,) torques (N m) to be given at these positions; zero if None.
         """
-        target = positions if torques is None else positions + torques / self.kp
-        ctrl = np.zeros(self.model.nu)
-        ctrl[robot.mj_convention.actuator_index] = self.gear * target
+        actuators = robot.mj_convention.actuator_index
+        driven, ctrl = actuators >= 0, np.zeros(self.model.nu)
+        target = positions if torques is None else positions + lead(torques, self.kp)
+        ctrl[actuators[driven]] = (self.gear * target)[driven]
         return ctrl
+
+
+def lead(torques: Array, kp: Array) -> Array:
+    """Returns by how much (nu,) a command is beyond a pose for torques (nu,) to be given there.
+
+    Nothing where there is no servo, at joints that follow others.
+    """
+    ahead: Array = np.divide(torques, kp, out=np.zeros_like(torques), where=kp > 0)
+    return ahead
 
 
 def servos(
@@ -83,13 +93,14 @@ def servos(
     """
     model = copy.copy(robot.mj_model)
     stiffness, damping, gear, servo = gains(robot, kp, kd)
-    actuators = robot.mj_convention.actuator_index
+    driven = robot.mj_convention.actuator_index >= 0
+    actuators = robot.mj_convention.actuator_index[driven]
     if kp is not None or kd is not None:
         model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
         model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
         model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
-        _put_gains(model, actuators, stiffness / gear**2, damping / gear**2)
-        model.actuator_ctrllimited[actuators[~servo]] = 0
+        _put_gains(model, actuators, *((g / gear**2)[driven] for g in (stiffness, damping)))
+        model.actuator_ctrllimited[actuators[~servo[driven]]] = 0
     if integrator is not None:
         if integrator not in INTEGRATORS:
             raise ConfigurationError(
@@ -105,6 +116,8 @@ def servos(
 
 class Gains(NamedTuple):
     """Gains of a robot's motors, checked, and what they are used with.
+
+    Joints that follow others have gains of 0, and need no motor.
 
     Attributes:
         kp: (nu,) at the joints (N m/rad).
@@ -127,8 +140,10 @@ def retuned(robot: Robot, drive: Servos, wanted: Gains) -> Servos:
         drive: Its servos, made with a kp and a kd; the model's gains are not theirs any more.
         wanted: The gains, by ``gains``.
     """
-    actuators, squared = robot.mj_convention.actuator_index, wanted.gear**2
-    _put_gains(drive.model, actuators, wanted.kp / squared, wanted.kd / squared)
+    driven = robot.mj_convention.actuator_index >= 0
+    actuators = robot.mj_convention.actuator_index[driven]
+    own = ((gain / wanted.gear**2)[driven] for gain in (wanted.kp, wanted.kd))
+    _put_gains(drive.model, actuators, *own)
     return replace(drive, kp=wanted.kp, kd=wanted.kd)
 
 
@@ -157,10 +172,17 @@ def gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
         ModelError: Likewise.
     """
     actuators = robot.mj_convention.actuator_index
-    for name, actuator in zip(robot.joint_names, actuators, strict=True):
-        if actuator < 0:
+    following = np.zeros(robot.nu, dtype=bool)
+    if robot.closure is not None:
+        following[robot.closure.following] = True
+    for name, motor in zip(robot.joint_names, (actuators >= 0) | following, strict=True):
+        if not motor:
             raise ModelError(robot.description.mjcf_source, f"joint {name!r} has no actuator")
-    gain, damped, gear, servo = _of_model(robot.mj_model, actuators)
+    gain, damped, gear = np.zeros(robot.nu), np.zeros(robot.nu), np.ones(robot.nu)
+    servo = following.copy()
+    gain[~following], damped[~following], gear[~following], servo[~following] = _of_model(
+        robot.mj_model, actuators[~following]
+    )
     if (kp is None or kd is None) and not servo.all():
         index = int(np.flatnonzero(~servo)[0])
         raise ModelError(
@@ -170,12 +192,13 @@ def gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
         )
     stiffness = gain if kp is None else _gain("kp", kp, robot.nu)
     damping = damped if kd is None else _gain("kd", kd, robot.nu)
-    if kp is not None and (stiffness <= 0).any():
+    if kp is not None and (stiffness[~following] <= 0).any():
         raise ConfigurationError("kp", f"{stiffness.min()} N m/rad is not positive")
-    if kp is not None and (stiffness < SOFTEST).any():
+    if kp is not None and (stiffness[~following] < SOFTEST).any():
         raise ConfigurationError(
             "kp", f"{stiffness.min():g} N m/rad is none: it is to be at least {SOFTEST:g}"
         )
+    stiffness[following], damping[following] = 0.0, 0.0
     return Gains(stiffness, damping, gear, servo)
 
 

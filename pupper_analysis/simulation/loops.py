@@ -1,4 +1,4 @@
-"""Closed loops and couplings of an MJCF, which push joints in a simulation, in words."""
+"""Closed loops and couplings of an MJCF, in words: what they do that is not as predicted."""
 
 from __future__ import annotations
 
@@ -7,10 +7,32 @@ import numpy as np
 
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
+from pupper_analysis.stance.sunk import loops_give
+from pupper_analysis.statics.equilibrium import GravityCompensation
+
+_OPEN = 1e-5  # m or rad: what gives way by less is not why something is off
+
+
+def give_way(robot: Robot, stand: Stand, prediction: GravityCompensation) -> str | None:
+    """Says by how much loops and couplings open under a load, if a stand has them closed."""
+    if robot.closure is None:
+        return None
+    most = float(np.abs(loops_give(robot, stand, prediction.contact_forces)).max(initial=0.0))
+    if robot.closure.open_by(stand.qpos) > most / 2 or most < _OPEN:
+        return None
+    return (
+        f"the MJCF's loops and couplings ({robot.closure.bonds}) are soft, and open by up to "
+        f"{most:.2g} m or rad: sunk_stand allows for that"
+    )
 
 
 def closed_loops(robot: Robot, stand: Stand, least: float) -> str | None:
-    """Says what equality constraints do in a stand, if it is more than a force (N or N m)."""
+    """Says what equality constraints do in a stand, if it is more than a force (N or N m).
+
+    Those that are not predicted: what holds the robot in the world, say.
+    """
+    if robot.closure is not None:
+        return None
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
     mujoco.mj_forward(model, data)

@@ -107,6 +107,9 @@ def lean(robot: Robot, rotation: Array, state: Array) -> float:
     return math.acos(min(1.0, max(-1.0, cosine)))
 
 
+DIVERGED = "the simulation diverged"
+
+
 def diverged(states: Array, timestep: float) -> bool:
     """Tells whether a rollout broke down: MuJoCo resets the state, and so the time, if it does."""
     times = states[..., 0]
@@ -117,7 +120,7 @@ def diverged(states: Array, timestep: float) -> bool:
 
 def divergence(integrator: str, timestep: float) -> str:
     """Says that a rollout broke down."""
-    return f"the simulation diverged ({integrator}, {1e3 * timestep:g} ms)"
+    return f"{DIVERGED} ({integrator}, {1e3 * timestep:g} ms)"
 
 
 def has_fallen(leaning: float, height: float, upright: float) -> bool:

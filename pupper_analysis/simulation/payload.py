@@ -122,6 +122,7 @@ def payload_trial(
         ModelError: If the model has no position servos, and kp and kd are not both given.
         NoEquilibriumError: If the stand cannot be held without payload.
     """
+    robot.check_tree("a payload")
     check_stand(robot, stand, duration)
     place = point_on_base(point)
     loaded = with_payload(robot, mass, place.tolist())

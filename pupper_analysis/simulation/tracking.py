@@ -118,6 +118,7 @@ def track_path(
         ConfigurationError: If an argument is out of its range, or the path is another robot's.
         ModelError: If the model has no servos and no gains are given.
     """
+    robot.check_tree("how a path is tracked")
     plan = path_commands(robot, path, lambda there: servos(there, kp, kd, integrator), timestep)
     robot, model, joints = plan.robot, plan.drive.model, slice(robot.nq - robot.nu, None)
     states = run(model, plan.start, plan.ctrl)

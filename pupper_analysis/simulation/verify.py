@@ -17,7 +17,7 @@ from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.held import Held
-from pupper_analysis.simulation.loops import closed_loops
+from pupper_analysis.simulation.loops import closed_loops, give_way
 from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
 from pupper_analysis.simulation.stability import creeping, too_stiff
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -79,7 +79,7 @@ class StandVerification(Held, Tabular):
         mujoco_foot_error: Largest distance of a foot from its target at ``stand.qpos`` by MuJoCo's
             kinematics of the MJCF (m).
         mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
-            predicted f and tau (N, N m).
+            predicted f and tau (N, N m), less what closed loops carry.
         time: (n,) samples (s).
         height: (n,) the base's height at these (m).
         motion_time: (m,) fewer samples (s).
@@ -168,7 +168,7 @@ def verify_stand(
     if failures:
         failures += [*too_stiff(robot, stand, drive), *creeping(robot, stand, prediction)]
     if feedforward:
-        failures += _deviations(robot, stand, watch, found, alone=not failures)
+        failures += _deviations(robot, stand, watch, found, prediction, alone=not failures)
     return replace(found, passed=not failures, failures=tuple(failures))
 
 
@@ -287,7 +287,13 @@ def _failures(
 
 
 def _deviations(
-    robot: Robot, stand: Stand, watch: _Watch, found: StandVerification, *, alone: bool
+    robot: Robot,
+    stand: Stand,
+    watch: _Watch,
+    found: StandVerification,
+    prediction: GravityCompensation,
+    *,
+    alone: bool,
 ) -> list[str]:
     """Says what is not as predicted; soft ground may be why, if that ``alone`` is wrong."""
     off = []
@@ -308,6 +314,8 @@ def _deviations(
         return off
     if off and (acts := closed_loops(robot, stand, ANOTHER_ROBOT * weight)):
         return [*off, acts]
+    if off and (opens := give_way(robot, stand, prediction)):
+        return [*off, opens]
     deepest = max(float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
     if off and alone and deepest > SOFT and not any(stand.depths.values()):
         off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")
@@ -372,7 +380,6 @@ def _backend_evaluation(
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)
     remainder = data.qfrc_bias - data.qfrc_passive
-    remainder[robot.mj_convention.qvel_index[6:]] -= prediction.joint_torques
     foot_error = 0.0
     jacobian = np.zeros((3, model.nv))
     for foot, centre in monitor.foot_centres(robot, data).items():
@@ -382,4 +389,8 @@ def _backend_evaluation(
             point = centre + contact_offset(radius, stand.normals[foot], depth)
             mujoco.mj_jac(model, data, jacobian, None, point, robot.foot_places[foot][0])
             remainder -= jacobian.T @ prediction.contact_forces[foot]
+    joints = robot.mj_convention.qvel_index[6:]
+    if robot.closure is not None:
+        remainder[joints] -= robot.closure.push(stand.qpos) @ remainder[joints]
+    remainder[joints] -= prediction.joint_torques
     return foot_error, float(np.abs(remainder).max())

@@ -13,8 +13,9 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Clearance, Shapes
-from pupper_analysis.stance.problem import TASK_TOLERANCE, Goal
+from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.statics.support_polygon import margin_inside
 
 Array = NDArray[np.float64]
@@ -35,7 +36,8 @@ class Stand(Result):
         stance_feet: The feet that carry.
         normals: {foot that carries: (3,) direction out of the ground}.
         contact_points: {foot that carries: (3,) where it touches the ground (m)}.
-        foot_error: The largest distance of a foot from its target (m).
+        foot_error: The largest distance of a foot from its target (m), or by how much a closed loop
+            or a coupling of joints is open, if that is more (m, rad).
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Of the base frame (m).
         com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
@@ -150,6 +152,8 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
     # Who changes a stand changes that alone: goals share their arrays.
     targets = {foot: target.copy() for foot, target in goal.targets.items()}
     missed = [math.dist(feet[foot], target.tolist()) for foot, target in targets.items()]
+    if robot.closure is not None:
+        missed.append(robot.closure.open_by(own, goal.give))
     contacts = dict(zip(goal.stance_feet, goal.contacts.copy(), strict=True))
     return Stand(
         task=task,

@@ -21,9 +21,6 @@ from pupper_analysis.statics.support_polygon import com_margin
 Array = NDArray[np.float64]
 
 
-TASK_TOLERANCE = 1e-9
-"""Error up to which a task counts as satisfied (m, rad)."""
-
 _LINE = 1e-3
 """Contact points that are no further from a line, taken together, are on it (m): no polygon of that
 width holds anything."""
@@ -47,6 +44,7 @@ class Goal:
         by_base: Whether ``place`` is the base frame's.
         lower: (nu,) joint limits, less the margin.
         upper: (nu,) likewise.
+        give: (m,) by how much closed loops are open, where they give way; None if they do not.
     """
 
     task: StandTask
@@ -62,6 +60,7 @@ class Goal:
     by_base: bool
     lower: Array
     upper: Array
+    give: Array | None = None
 
     def again(self) -> Goal:
         """Returns the same goal, with a task of its own: who changes that changes that alone.

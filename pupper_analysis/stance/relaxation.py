@@ -21,9 +21,10 @@ from pupper_analysis.stance.demands import (
     shrunk,
 )
 from pupper_analysis.stance.judge import Stand
-from pupper_analysis.stance.problem import TASK_TOLERANCE, Goal, goal_of
+from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.search import follow, search
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.stance.tasks import TASK_TOLERANCE
 
 Array = NDArray[np.float64]
 

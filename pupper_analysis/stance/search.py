@@ -17,8 +17,9 @@ from pupper_analysis.stance.clear_starts import clear_starts
 from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.judge import Stand, measure
 from pupper_analysis.stance.nearest import in_place_and_clear, nearest
-from pupper_analysis.stance.problem import TASK_TOLERANCE, Goal
+from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.solver import Point, Solver
+from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.stance.yielding import as_the_legs_can
 from pupper_analysis.statics.support_polygon import support_polygon
 

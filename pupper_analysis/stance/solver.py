@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.stance.branches import limbs
 from pupper_analysis.stance.clearance import Shapes
-from pupper_analysis.stance.placo_tasks import Tasks
-from pupper_analysis.stance.problem import TASK_TOLERANCE, Goal
+from pupper_analysis.stance.problem import Goal
+from pupper_analysis.stance.tasks import TASK_TOLERANCE, Tasks
 
 Array = NDArray[np.float64]
 
@@ -85,6 +86,10 @@ class Solver:
     ) -> None:
         self.shapes, self.goal, self.inside = shapes, goal, inside
         self._size = _SIZE * shapes.robot.stand_height
+        robot = shapes.robot
+        if robot.closure is not None:
+            placing = np.concatenate([limb.joints for limb in limbs(robot)])
+            self._readiness = robot.closure.readiness(placing)
         apart = apart and goal.task.self_clearance is not None
         if apart:
             shapes.pair()  # before the state is set: it moves the robot
@@ -105,7 +110,7 @@ class Solver:
         """
         self.tasks.aim(self.goal)
         q = self.begin(joints, self.goal.place if place is None else place)
-        return self._watched(q, []) if self.inside else self._solved(q)
+        return self._solved(q)
 
     def go_on(self, qpos: Array) -> Point:
         """Solves from a configuration (nq,) that is next to the goal's, as far as can be foreseen.
@@ -119,6 +124,12 @@ class Solver:
         return self._solved(q)
 
     def _solved(self, q: Array) -> Point:
+        if self.shapes.robot.closure is not None:
+            if not self._closes(q):
+                return Point(self.shapes.robot.pin_convention.qpos(q), math.inf, 0)
+            return self._watched(self.shapes.wrapper.state.q.copy(), [])
+        if self.inside:
+            return self._watched(q, [])
         steps: list[Step] = []
         return self._straight(steps) or self._watched(q, steps)
 
@@ -164,6 +175,7 @@ class Solver:
             ahead: Full steps from there that have been taken already.
         """
         wrapper, tasks = self.shapes.wrapper, self.tasks
+        convention = self.shapes.robot.pin_convention
         radius, iterations, slow = _TRUST_RADIUS, 0, 0
         error, last = math.inf, math.inf
         self._put(q)
@@ -173,10 +185,11 @@ class Solver:
             if radius * self._size * left < math.sqrt(error) / 2 < math.inf:
                 break  # too far for all steps that are left, though the feet are not in place
             if ahead:
-                after, moved = ahead.pop(0)
+                closes, (after, moved) = True, ahead.pop(0)
                 self._put(after)
             else:
                 tasks.solver.dt = radius
+                tasks.bind(convention.qpos(q), q)
                 try:
                     step = tasks.solver.solve(True)
                 except RuntimeError:
@@ -185,9 +198,10 @@ class Solver:
                     self._put(q)
                     continue
                 wrapper.update_kinematics()
+                closes = self._closes(wrapper.state.q)
                 after, moved = wrapper.state.q.copy(), float(step.dot(step))
             tasks.look()
-            new_error = tasks.error()
+            new_error = tasks.error() if closes else math.inf
             if new_error > error and new_error > TASK_TOLERANCE**2:
                 radius, last = radius / 4, math.inf
                 ahead.clear()
@@ -210,6 +224,22 @@ class Solver:
             self.tasks.look()
             miss = self.tasks.miss()
         return Point(self.shapes.robot.pin_convention.qpos(q), miss, iterations)
+
+    def _closes(self, q: Array) -> bool:
+        """Closes the loops of PlaCo's robot, which is at q; tells if it can."""
+        robot = self.shapes.robot
+        if robot.closure is None:
+            return True
+        qpos = robot.pin_convention.qpos(q)
+        closed = robot.closure.closed(qpos, self._readiness, self.goal.give)
+        if closed is None:
+            return False
+        joints = closed[robot.nq - robot.nu :]
+        beyond = np.maximum(self.goal.lower - joints, joints - self.goal.upper)
+        if beyond.max(initial=0.0) > TASK_TOLERANCE:
+            return False
+        self._put(robot.pin_convention.with_joints(q, joints))
+        return True
 
     def _put(self, q: Array) -> None:
         wrapper = self.shapes.wrapper

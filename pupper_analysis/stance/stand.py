@@ -11,10 +11,11 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Shapes, shapes_of
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.nearest import nearest
-from pupper_analysis.stance.problem import TASK_TOLERANCE, Goal, goal_of
+from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.relaxation import unreachable
 from pupper_analysis.stance.search import search
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.statics.equilibrium import (
     ForceDistribution,
     GravityCompensation,

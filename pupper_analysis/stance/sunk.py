@@ -13,8 +13,10 @@ from pupper_analysis.errors import NotSettlingError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_for, stand_statics
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.contacts import contacts_of
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
@@ -96,6 +98,7 @@ def sunk_stand(
         x, y, _ = Configuration(robot, stand.qpos).center_of_mass()
         task = replace(task, com=(float(x), float(y)), com_margin=0.0)
     laws = {foot: GroundLaw.of(robot, foot) for foot in stand.stance_feet}
+    give = np.zeros(0 if robot.closure is None else 1)
     for _ in range(_MAX_ITERATIONS):
         forces = stand_statics(
             robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
@@ -106,11 +109,37 @@ def sunk_stand(
         }
         depths |= _as_soles(robot, stand, depths)
         change = max(abs(depths[foot] - stand.depths[foot]) for foot in depths)
+        if robot.closure is not None:
+            before, give = give, loops_give(robot, stand, forces)
+            change = max(change, float(np.abs(give - before).max(initial=0.0)))
+            # They are the softer the less they are open: by turns too much and too little.
+            give = (give + before) / 2 if any(stand.depths.values()) else give
         if change < DEPTH_TOLERANCE:
             return replace(stand, task=asked)
         ik_seed = tuple(stand.joint_positions(robot).tolist())
-        stand = solve_stand(robot, replace(task, ik_seed=ik_seed), depths=depths, explain=explain)
+        goal = goal_of(robot, replace(task, ik_seed=ik_seed), depths)
+        goal = goal if robot.closure is None else replace(goal, give=give)
+        stand = stand_for(robot, goal, explain=explain)
     raise NotSettlingError(change, f"the feet's depths do not settle, by {1e3 * change:.3g} mm")
+
+
+def loops_give(robot: Robot, stand: Stand, forces: Mapping[str, Array]) -> Array:
+    """Returns by how much MuJoCo's loops and couplings of joints open in a stand.
+
+    Args:
+        robot: A robot with a ``closure``.
+        stand: The stand.
+        forces: {foot that carries: (3,)} of the ground on it (N).
+
+    Returns:
+        (m,) for each equation of its constraints (m, rad).
+    """
+    assert robot.closure is not None
+    config = Configuration(robot, stand.qpos)
+    carrying = contacts_of(robot, stand.stance_feet, None, stand.normals, stand.depths)
+    pushed = np.concatenate([forces[foot] for foot in stand.stance_feet])
+    left = config.load() - carrying.jacobian(config) @ pushed
+    return robot.closure.give(stand.qpos, left[robot.nv - robot.nu :])
 
 
 def _as_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:

@@ -183,8 +183,11 @@ def equilibrium(
     """
     robot, wanted = config.robot, distribution_of(distribution)
     if not carrying.feet:
-        return _result(config, load, load, point, carrying, np.zeros((0, 3)))
-    transposed = carrying.jacobian(config)
+        keeps_to_loops(config, load)
+        borne = config.by_motors(load)
+        return _result(config, borne, borne, point, carrying, np.zeros((0, 3)))
+    given, contacts = load, carrying.jacobian(config)
+    load, transposed = config.by_motors(load), config.by_motors(contacts)
     problem = carrying.balance(transposed, load)
     limits = None if held else carrying.friction
     if wanted is ForceDistribution.MIN_PEAK:
@@ -198,7 +201,23 @@ def equilibrium(
     if forces is None:
         points = dict(zip(carrying.feet, carrying.points(config), strict=True))
         raise _explain(point, problem, points, float(carrying.friction.min()), tipping)
+    keeps_to_loops(config, given - contacts @ forces)
     return _result(config, load - transposed @ forces, load, point, carrying, forces.reshape(-1, 3))
+
+
+def keeps_to_loops(config: Configuration, left: Array) -> None:
+    """Checks that closed loops and couplings of joints are closed, but for what they give way.
+
+    Args:
+        config: Where the robot is.
+        left: (nv,) what contacts leave to motors and loops (N, N m).
+
+    Raises:
+        ConfigurationError: If they are open.
+    """
+    closure, robot = config.robot.closure, config.robot
+    if closure is not None:
+        closure.check(config.qpos, left[robot.nv - robot.nu :])
 
 
 def distribution_of(value: str) -> ForceDistribution:
@@ -299,6 +318,8 @@ def _result(
     unbalanced = (left[:base_rows] - base_wrench).tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
         utilisation = np.abs(torques) / robot.effort_limits
+    if robot.closure is not None:
+        utilisation[robot.closure.following] = 0.0  # whatever the URDF says of their motors
     tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
     per_foot = dict(zip(carrying.feet, forces, strict=True))
     points = dict(zip(carrying.feet, carrying.points(config), strict=True))

@@ -85,6 +85,7 @@ def inverse_dynamics(
         StaticsInfeasibleError: If no forces do; it says why.
     """
     robot = config.robot
+    robot.check_tree("inverse dynamics")
     try:
         acceleration = np.array(qacc, dtype=float)
     except (TypeError, ValueError):

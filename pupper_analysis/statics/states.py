@@ -19,6 +19,7 @@ from pupper_analysis.statics.equilibrium import (
     ForceDistribution,
     distribution_of,
     gravity_compensation,
+    keeps_to_loops,
 )
 from pupper_analysis.statics.foot_load import sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
@@ -102,7 +103,9 @@ def gravity_compensations(
     count, base_rows = len(states.qpos), robot.nv - robot.nu
     size = 3 * len(carrying.feet)
     forces, found = np.zeros((count, size)), np.full(count, not size)
-    if count and size and wanted is ForceDistribution.MIN_TANGENTIAL and carrying.level:
+    # Alone it is checked whether a robot's loops are closed.
+    at_once = carrying.level and robot.closure is None
+    if count and size and wanted is ForceDistribution.MIN_TANGENTIAL and at_once:
         forces, found = minimum_tangential_forces(
             states.transposed[:, :base_rows],
             states.loads[:, :base_rows],
@@ -178,10 +181,12 @@ class _States:
                 config = Configuration(robot, row)
             except ConfigurationError as error:
                 raise error.at(f"qpos[{state}]") from None
-            states.loads[state] = config.load()
+            if not feet:
+                keeps_to_loops(config, config.load())
+            states.loads[state] = config.by_motors(config.load())
             states.coms[state] = config.center_of_mass()
             if feet:
-                states.transposed[state] = carrying.jacobian(config)
+                states.transposed[state] = config.by_motors(carrying.jacobian(config))
                 states.points[state] = carrying.points(config)
         return states
 
@@ -206,6 +211,8 @@ def _results(
     unbalanced = left[:, :base_rows] - outside
     with np.errstate(divide="ignore", invalid="ignore"):
         utilisation = np.abs(torques) / robot.effort_limits
+    if robot.closure is not None:
+        utilisation[:, robot.closure.following] = 0.0
     tiny = BALANCE_TOLERANCE * np.linalg.norm(states.loads[:, :3], axis=1)
     contacts = list(zip(carrying.normals, carrying.friction.tolist(), strict=True))
     sliding = [

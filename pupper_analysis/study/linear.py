@@ -75,6 +75,7 @@ def torque_derivatives(
     Raises:
         ConfigurationError: If a number is another one, or the stand is not such.
     """
+    robot.check_tree("a linear share")
     task = stand.task
     if not task.ground.level or task.com != "centre" or task.offset is not None:
         problem = "the derivatives are those on level ground, with the com over the feet's centre"
@@ -182,6 +183,7 @@ def sag_derivatives(
     """
     design = maker.design(numbers)
     robot, stand = design.robot, design.stand
+    robot.check_tree("a linear share")
     rest = steady_state(robot, stand)
     forces = _grounded(stand, rest.contact_forces, rest.stance_feet)
     system = Equilibrium(robot, stand, None, "pinned")

@@ -95,6 +95,12 @@ def _told(stance: Stance) -> Iterable[doc.Words]:
             links=doc.Name(" / ".join(links.links)),
             distance=f"{1e3 * links.distance:.1f}",
         )
+    if stance.loops_open is not None:
+        yield text(
+            "The MJCF's loops and couplings are open in it by up to {most} m or rad, as their "
+            "softness has it.",
+            most=f"{stance.loops_open:.2g}",
+        )
     if stance.sunk is None:
         yield text(
             "Feet sunk into MuJoCo's soft ground would be out of reach: simulated with "

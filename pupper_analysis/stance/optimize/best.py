@@ -115,6 +115,7 @@ def best_stance(
         StaticsInfeasibleError: If the task itself cannot be held.
         NoEquilibriumError: If the payload is sought, and servos do not hold the task itself.
     """
+    robot.check_tree("the best stance")
     search = StanceSearch(robot, _objective(objective), task, point, distribution, kp)
     search.run()
     space, best, payload = search.space, search.best, None

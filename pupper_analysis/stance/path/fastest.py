@@ -146,6 +146,7 @@ def fastest_path(
         NoEquilibriumError: If feet roll away.
         UnknownNameError: If a task names a foot that the robot does not have.
     """
+    robot.check_tree("a path")
     value: object = reserve
     number = float(value) if isinstance(value, Real) else math.nan
     if isinstance(value, bool) or not 0 <= number < 1:

@@ -202,6 +202,7 @@ def stance_path(
         StanceUnreachableError: If a sample is out of reach; says when.
         StaticsInfeasibleError: If a sample cannot be held, or not at this speed; says when.
     """
+    robot.check_tree("a path")
     per_leg = _samples(seconds, rate, stances)
     geometry = path_geometry(robot, stances, per_leg, rolling=rolling, seconds=float(seconds))
     return timed_path(robot, geometry, float(seconds), beyond=beyond)

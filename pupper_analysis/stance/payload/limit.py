@@ -122,6 +122,7 @@ def payload_limit(
         ModelError: If the model has no position servos, and no kp is given.
         StaticsInfeasibleError: If the stand cannot be held without payload.
     """
+    robot.check_tree("a payload")
     place = point_on_base(point)
     try:
         command = Command(command)
@@ -181,6 +182,7 @@ def motor_limit(
     Raises:
         StaticsInfeasibleError: If the stand cannot be held without payload.
     """
+    robot.check_tree("a payload")
     limits = robot.effort_limits
     if not np.isfinite(limits).any():
         return Bound(math.inf, Failure.NOTHING, ())
@@ -254,6 +256,7 @@ def contact_limit(robot: Robot, stand: Stand, point: Sequence[float] | Array) ->
     Returns:
         The limit; infinite if all is borne that is looked at (``UNLIMITED``).
     """
+    robot.check_tree("a payload")
     problem = _problem(robot, stand, np.asarray(point, dtype=float))
     best, forces = problem.solve(friction=True)
     if best >= 0.999 * problem.ceiling:

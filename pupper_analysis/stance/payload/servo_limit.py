@@ -20,7 +20,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import lead, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.payload.first_order import FirstOrder
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
@@ -241,13 +241,13 @@ def loaded_pose(
     except NoEquilibriumError:
         return Bound(mass, Failure.BUCKLING, ())
     drive = servos(loaded, kp, None if kp is None else 0.0)
-    target = sunk.joint_positions(loaded) + balance.joint_torques / drive.kp
+    target = sunk.joint_positions(loaded) + lead(balance.joint_torques, drive.kp)
     if command is Command.UNLOADED:
         empty = loaded_stand(robot, stand)
         torques = stand_statics(
             robot, empty, distribution=ForceDistribution.MIN_TANGENTIAL
         ).joint_torques
-        target = empty.joint_positions(robot) + torques / drive.kp
+        target = empty.joint_positions(robot) + lead(torques, drive.kp)
     try:
         if command is Command.LOADED:
             pose = steady_state(loaded, sunk, kp=kp, feedforward=True)
@@ -284,7 +284,7 @@ def _settled_at(
 def strengths(robot: Robot) -> Array:
     """Returns the torque (nu,) that each motor can give by both files (N m)."""
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
-    limited = model.actuator_forcelimited[actuators].astype(bool)
+    limited = model.actuator_forcelimited[actuators].astype(bool) & (actuators >= 0)
     force = np.abs(model.actuator_forcerange[actuators]).min(axis=1)
     force = force * np.abs(model.actuator_gear[actuators, 0])
     strengths: Array = np.minimum(robot.effort_limits, np.where(limited, force, np.inf))
@@ -305,7 +305,7 @@ def _judge(
         return Failure.MOTOR, pose.saturated or joints(saturated)
     ctrl = target * model.actuator_gear[actuators, 0]
     low, high = model.actuator_ctrlrange[actuators].T
-    limited = model.actuator_ctrllimited[actuators].astype(bool)
+    limited = model.actuator_ctrllimited[actuators].astype(bool) & (actuators >= 0)
     if (beyond := limited & ((ctrl < low) | (ctrl > high))).any():
         return Failure.COMMAND, joints(beyond)
     angles = pose.qpos[7:]

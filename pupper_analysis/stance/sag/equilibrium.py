@@ -69,7 +69,7 @@ class Equilibrium:
     ) -> None:
         stiffness, _, gear, _ = gains(robot, kp, None if kp is None else 0.0)
         actuators = robot.mj_convention.actuator_index
-        limited = robot.mj_model.actuator_forcelimited[actuators].astype(bool)
+        limited = robot.mj_model.actuator_forcelimited[actuators].astype(bool) & (actuators >= 0)
         limits = robot.mj_model.actuator_forcerange[actuators] * gear[:, None]
         self.lower = np.where(limited, limits.min(axis=1), -np.inf)
         self.upper = np.where(limited, limits.max(axis=1), np.inf)
@@ -148,6 +148,8 @@ class Equilibrium:
         touch, places = self.touch(qpos), self.slips(qpos, forces)
         balance = touch.config.load() - touch.push(forces, self._turning())
         balance[6:] -= self.torques(qpos) + self.joint_friction
+        if self.robot.closure is not None:
+            balance[6:] -= self.robot.closure.springs(qpos)
         if self.feet == "sliding":
             places[:, :2] = forces[:, :2] + _WEAK * places[:, :2]
         for row, mu, tried in self._slipping(forces, places):
@@ -188,6 +190,8 @@ class Equilibrium:
         servos = self.kp * (self.target - qpos[7:])
         moving = (servos > self.lower) & (servos < self.upper)
         by_qpos[self._joints, self._joints] += np.where(moving, self.kp, 0.0)
+        if self.robot.closure is not None:
+            by_qpos[6:n, 6:] -= self.robot.closure.spring_rates(qpos)
         rates = by_qpos[n:].reshape(size, 3, n)  # a view
         rates[:] = touch.place_rates()
         if self.feet == "sliding":

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import NoEquilibriumError
+from pupper_analysis.robot.servos import lead
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
 from pupper_analysis.stance.sag.solution import Solution
 from pupper_analysis.stance.stand import stand_statics
@@ -142,7 +143,7 @@ class Way:
 
     def _command(self, share: float) -> None:
         system = self.system
-        full = system.stand.qpos[7:] + self.balance.joint_torques / system.kp
+        full = system.stand.qpos[7:] + lead(self.balance.joint_torques, system.kp)
         system.target = full + share * (self.end - full)
 
     def _at(self, share: float) -> Solution | None:

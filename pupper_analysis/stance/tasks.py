@@ -1,4 +1,4 @@
-"""A stand task as PlaCo's tasks, made once and aimed at goal after goal."""
+"""PlaCo's solver with a stand's tasks: what a programme is to satisfy, and how much it weighs."""
 
 from __future__ import annotations
 
@@ -6,12 +6,18 @@ import math
 
 import numpy as np
 import placo
+from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.footholds import fixing
-from pupper_analysis.stance.problem import TASK_TOLERANCE, Goal
+from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import support_polygon
+
+Array = NDArray[np.float64]
+
+TASK_TOLERANCE = 1e-9
+"""Error up to which a task counts as satisfied (m, rad)."""
 
 _TRIGGER = 0.02  # m: links that are further than this from their least distance are left alone
 
@@ -80,6 +86,11 @@ class Tasks:
             avoid.self_collisions_margin = least
             avoid.self_collisions_trigger = least + _TRIGGER
             avoid.configure("apart", "soft", _APART_WEIGHT)
+        self._loops = None
+        if robot.closure is not None:
+            nothing = np.zeros((0, robot.nq)), np.zeros(0)
+            self._loops = solver.add_joint_space_half_spaces_constraint(*nothing)
+            self._loops.configure("loops", "hard")
         # Decides between configurations that place the feet equally well; too small to move a foot.
         solver.add_regularization_task(1e-9)
 
@@ -103,6 +114,18 @@ class Tasks:
             self._height.target_world = np.array([0.0, 0.0, goal.height])
         if self._place is not None and goal.place is not before.place:
             self._place.target_world = np.array([*goal.place.tolist(), 0.0])
+
+    def bind(self, qpos: Array, q: Array) -> None:
+        """Keeps loops and couplings of joints as they are at a configuration, to first order."""
+        robot = self._shapes.robot
+        if self._loops is None or robot.closure is None:
+            return
+        rows, convention = robot.closure.bound(qpos)[0], robot.pin_convention
+        whole = np.zeros((len(rows), convention.nq))
+        whole[:, convention.q_index] = rows
+        here = whole @ q
+        # PlaCo has inequalities alone: A q <= b and -A q <= -b.
+        self._loops.A, self._loops.b = np.vstack([whole, -whole]), np.concatenate([here, -here])
 
     def look(self) -> None:
         """Has the tasks look at where PlaCo's robot is: of itself each does before a programme."""
