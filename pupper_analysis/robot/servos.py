@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import mujoco
 import mujoco.rollout
@@ -120,24 +121,37 @@ def servos(
     return Servos(model, stiffness, damping, gear, used)
 
 
-def retuned(robot: Robot, drive: Servos, kp: ArrayLike, kd: ArrayLike) -> Servos:
+class Gains(NamedTuple):
+    """Gains of a robot's motors, checked, and what they are used with.
+
+    Joints that follow others have gains of 0, and need no motor.
+
+    Attributes:
+        kp: (nu,) at the joints (N m/rad).
+        kd: (nu,) at the joints (N m s/rad).
+        gear: (nu,) actuator length per joint angle.
+        servo: (nu,) whether the motor is a servo in the robot's model.
+    """
+
+    kp: Array
+    kd: Array
+    gear: Array
+    servo: NDArray[np.bool_]
+
+
+def retuned(robot: Robot, drive: Servos, wanted: Gains) -> Servos:
     """Gives servos other gains, in their own model: a copy of it takes longer than its use.
 
     Args:
         robot: The robot.
         drive: Its servos, made with a kp and a kd; the model's gains are not theirs any more.
-        kp: Stiffness at the joints (N m/rad), one or (nu,).
-        kd: Damping at the joints (N m s/rad), one or (nu,).
-
-    Raises:
-        ConfigurationError: As ``servos``.
-        ModelError: Likewise.
+        wanted: The gains, by ``gains``.
     """
-    stiffness, damping, gear, _ = gains(robot, kp, kd)
     driven = robot.mj_convention.actuator_index >= 0
     actuators = robot.mj_convention.actuator_index[driven]
-    _put_gains(drive.model, actuators, *((g / gear**2)[driven] for g in (stiffness, damping)))
-    return replace(drive, kp=stiffness, kd=damping)
+    own = ((gain / wanted.gear**2)[driven] for gain in (wanted.kp, wanted.kd))
+    _put_gains(drive.model, actuators, *own)
+    return replace(drive, kp=wanted.kp, kd=wanted.kd)
 
 
 def _put_gains(
@@ -157,14 +171,8 @@ SOFTEST = 1e-9
 """N m/rad: commands are the torque divided by kp, and overflow far below."""
 
 
-def gains(
-    robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None) -> Gains:
     """Returns what ``servos`` works out, without a model that has it.
-
-    Returns:
-        kp and kd at the joints, gear (nu,), and which motors are servos in the robot's model.
-        Joints that follow others have gains of 0, and need no motor.
 
     Raises:
         ConfigurationError: As ``servos``.
@@ -198,7 +206,7 @@ def gains(
             "kp", f"{stiffness.min():g} N m/rad is none: it is to be at least {SOFTEST:g}"
         )
     stiffness[following], damping[following] = 0.0, 0.0
-    return stiffness, damping, gear, servo
+    return Gains(stiffness, damping, gear, servo)
 
 
 def own_servos(robot: Robot) -> dict[str, tuple[float, float]]:
