@@ -469,8 +469,8 @@ def test_a_stance() -> None:
         minimum stiffness of servos that carry it without feed-forward: 4.57 N m/rad
         simulated with its legs longer by what the feet sink into MuJoCo's soft ground (at most 4.22
             mm)
-        the MJCF's loops and couplings are open in it by up to 2.3e-05 m or rad, as their softness has
-            it
+        the MJCF's loops and couplings are open in it by up to 2.3e-05 m or rad, as their softness
+            has it
         HOLDS in MuJoCo: torques within 1.2e-02, forces within 2.4e-02 of the prediction
             (relative to the largest)
     """)
