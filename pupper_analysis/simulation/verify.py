@@ -20,7 +20,7 @@ from pupper_analysis.simulation.edges import several_contacts
 from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.loops import closed_loops, give_way
 from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
-from pupper_analysis.simulation.stability import creeping, too_stiff
+from pupper_analysis.simulation.stability import creeping, rattling, too_stiff
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import drop_at
@@ -170,6 +170,7 @@ def verify_stand(
         failures += [*too_stiff(robot, stand, drive), *creeping(robot, stand, prediction)]
     if feedforward:
         failures += _deviations(robot, stand, watch, found, prediction, alone=not failures)
+    failures += rattling(robot, drive, states, ctrl) if failures else []
     return replace(found, passed=not failures, failures=tuple(failures))
 
 
