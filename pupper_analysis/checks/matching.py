@@ -14,6 +14,7 @@ from lxml import etree
 
 from pupper_analysis.checks.alignment import with_base
 from pupper_analysis.checks.conventions import Conventions, conventions, pose_in_words, rewrite
+from pupper_analysis.checks.matching_loops import ball_joints, open_loops
 from pupper_analysis.checks.matching_mjcf import (
     bodies_of,
     delete_joint,
@@ -144,6 +145,7 @@ def match(
     name_all(spec, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
     drop_other_objects(spec, mjcf.path, root, notes)
+    at_bodies = ball_joints(spec)
     theirs, balls = hinges(spec, mjcf.path, notes)
     root = strip_roots(root, urdf.path, mjcf_tree(spec, mjcf.path), notes)
     mine, others = moving_joints(root, notes)
@@ -161,6 +163,8 @@ def match(
     only_mjcf = (*balls, *(name for name in theirs if name not in partners))
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
+    if complete:
+        open_loops(spec, at_bodies, only_mjcf, notes)
     ways = removable(root, spec, only_urdf, only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.

@@ -30,6 +30,7 @@ from pupper_analysis.prepare.feet import (
     with_feet,
 )
 from pupper_analysis.prepare.limits import stated, within_both
+from pupper_analysis.prepare.parts import with_parts
 from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.configuration import Configuration
@@ -190,7 +191,8 @@ def _prepared(
         lift_base_frame(spec, notes)
     matched = match(urdf, replace(mjcf, spec=spec), names=joints, complete=True)
     notes += [*matched.notes, *_said(matched)]
-    description = replace(matched.robot.description, name=name or spec.modelname)
+    whole = with_parts(matched, spec, notes) or matched.robot.description
+    description = replace(whole, name=name or spec.modelname)
     if fixed_base or not matched.robot.floating:
         if frames:
             raise ModelError(
