@@ -1,0 +1,82 @@
+"""What was made up for on loading, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from pupper_analysis.checks.matching import Match
+from pupper_analysis.prepare.feet import Foot, is_ball
+from pupper_analysis.prepare.soles import BALL
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.com_reach import moves_com
+
+
+def said(matched: Match) -> Iterator[str]:
+    """Says what became of joints whose names differ, or which only one file has."""
+    renamed = {o: n for n, o in matched.urdf_joint.items() if o != n}
+    if renamed:
+        pairs = ", ".join(f"{old} = {new}" for old, new in renamed.items())
+        yield f"joints that have another name in the URDF: {pairs}"
+    meant = matched.conventions
+    if meant.zeros:
+        moved = ", ".join(f"{name} by {angle:+.4g}" for name, angle in meant.zeros.items())
+        yield f"joints whose zero is elsewhere in the URDF (rad or m): {moved}; the MJCF's is taken"
+    if meant.base is not None and matched.robot.floating:
+        yield "the URDF's base frame is elsewhere on the base; it was put to the MJCF's"
+    for names, where in ((matched.only_urdf, "URDF"), (matched.only_mjcf, "MJCF")):
+        if names:
+            yield f"joints that only the {where} has, held at zero: {', '.join(names)}"
+
+
+def named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> str:
+    """Says which feet there are, and with how many contact points."""
+    texts = []
+    for foot in feet:
+        count = len(foot.points)
+        body = robot.mj_model.body(foot.body).name
+        texts.append(f"{foot.name} on {body}" + (f", {count} contact points" if count > 1 else ""))
+    how = "feet" if given else "no feet were named; taken were the lowest limbs' ends"
+    return f"{how}: {'; '.join(texts)}"
+
+
+def balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
+    """Says which meshes balls take the place of."""
+    kinds: dict[str, list[str]] = {}
+    for foot in feet:
+        if any(is_ball(robot.mj_model, point) for point in foot.points):
+            edgy = len(foot.points) == 1 and foot.points[0].radius == BALL
+            kind = "soles" if len(foot.points) > 1 else "edges" if edgy else "round"
+            kinds.setdefault(kind, []).append(foot.name)
+    why = "as MuJoCo's contacts of a mesh jump from vertex to vertex"
+    for kind, names in kinds.items():
+        which = ", ".join(names)
+        if kind == "round":
+            yield (
+                f"round meshes of {which}: balls that fit to them touch the ground instead, {why}"
+            )
+        elif kind == "soles":
+            yield (
+                f"soles of {which} are meshes: small balls at their corners touch the ground "
+                f"instead, {why}"
+            )
+        else:
+            yield (
+                f"feet {which} are meshes that are not round: small balls where they are lowest in "
+                f"the start pose touch the ground instead, {why}; a sphere as collision geom would "
+                "be the robot's own"
+            )
+
+
+def planar(robot: Robot) -> Iterator[str]:
+    """Says so if the legs cannot move the com to every place over the feet."""
+    if not moves_com(robot):
+        yield (
+            "the legs cannot move the com in every direction over feet that stay: by default a "
+            "stand has it anywhere inside the support polygon (com 'inside')"
+        )
+
+
+def bound(robot: Robot) -> Iterator[str]:
+    """Says which joints follow others."""
+    if robot.closure is not None:
+        yield robot.closure.in_words()
