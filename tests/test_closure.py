@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -403,6 +404,52 @@ def test_a_weld_closes_a_loop_in_a_plane_as_a_connect_does(tmp_path: Path) -> No
             assert at(two, torques, name) == pytest.approx(
                 at(one, wanted.joint_torques, name), abs=1e-2
             )
+
+
+@pytest.mark.slow
+def test_pins_may_turn_round_and_round_or_have_no_limits_stated(tmp_path: Path) -> None:
+    pair = four_bars(tmp_path)
+    limited = pair.mjcf.read_text()
+    free = re.sub(r'(_pin" axis="0 1 0") range="-3 3"', r"\1", limited)
+    assert free != limited
+    pair.mjcf.write_text(free)
+    text = pair.urdf.read_text()
+    pair.urdf.write_text(re.sub(r'("\w\w_pin" type=)"revolute"', r'\1"continuous"', text))
+    holds(load(pair))
+    ending = r'("\w\w_pin".*?<limit )lower="-?[\d.]+" upper="[\d.]+" '
+    silent, count = re.subn(ending, r"\1", text, flags=re.DOTALL)
+    assert count == 4
+    pair.urdf.write_text(silent)
+    robot = load(pair)
+    assert any("neither lower nor upper, which is none: FL_pin" in note for note in robot.notes)
+    holds(robot)
+
+
+@pytest.mark.slow
+def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
+    pair = belts(tmp_path)
+    text = pair.mjcf.read_text()
+    begin, end = text.index("<equality>"), text.index("</equality>")
+    tendons = "".join(
+        f'<fixed name="{leg}"><joint joint="{leg}_knee" coef="1"/>'
+        f'<joint joint="{leg}_motor" coef="0.8"/></fixed>'
+        for leg in LEGS
+    )
+    ties = "".join(f'<tendon tendon1="{leg}" polycoef="-0.2" solref="0.01 1"/>' for leg in LEGS)
+    pair.mjcf.write_text(f"{text[:begin]}<tendon>{tendons}</tendon><equality>{ties}{text[end:]}")
+    robot = load(pair)
+    assert not any("<mimic>" in note for note in robot.notes)
+    qpos = pa.solve_stand(robot).qpos
+    motor = at(robot, qpos, "FL_motor")
+    assert at(robot, qpos, "FL_knee") == pytest.approx(-0.2 - 0.8 * motor, abs=1e-9)
+    holds(robot)
+
+
+def test_a_robot_that_is_tied_to_the_world_is_not_predicted(tmp_path: Path) -> None:
+    pair = belts(tmp_path)
+    tie = '<equality><connect body1="trunk" anchor="0 0 0" solref="0.1 1"/>'
+    pair.mjcf.write_text(pair.mjcf.read_text().replace("<equality>", tie))
+    assert load(pair).closure is None
 
 
 def test_a_robot_without_any_has_none(tmp_path: Path) -> None:

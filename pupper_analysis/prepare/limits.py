@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from lxml import etree
+
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.robot import Robot
@@ -22,28 +24,37 @@ _TURNS = 2 * math.pi
 def stated(robot: Robot, notes: list[str]) -> Description | None:
     """Returns the description with the MJCF's limits where the URDF states none; None if it does.
 
-    A <limit> of effort alone is one from 0 to 0 to a parser, which holds the joint.
+    A <limit> of effort alone is one from 0 to 0 to a parser, which holds the joint. And where loops
+    bind joints, those that turn round and round get limits, too, as PlaCo's constraints on joints
+    know no others.
     """
-    model, root, given = robot.mj_model, parse_text(robot.description.urdf), []
+    model, root, given, changed = robot.mj_model, parse_text(robot.description.urdf), [], False
     for element in root.findall("joint"):
         name, limit = str(element.get("name")), element.find("limit")
         silent = limit is not None and limit.get("lower") is None and limit.get("upper") is None
-        if element.get("type") not in ("revolute", "prismatic") or not silent:
+        round_and_round = element.get("type") == "continuous" and robot.closure is not None
+        wanted = round_and_round or (element.get("type") in ("revolute", "prismatic") and silent)
+        if name not in robot.joint_names or not wanted:
             continue
-        if name not in robot.joint_names:
-            continue
+        if limit is None:
+            limit = etree.SubElement(element, "limit", effort="inf", velocity="inf")
         joint = model.joint(name).id
         limited = bool(model.jnt_limited[joint])
         ends = model.jnt_range[joint].tolist() if limited else (-_TURNS, _TURNS)
         for word, value in zip(("lower", "upper"), ends, strict=True):
             limit.set(word, repr(float(value)))
-        given.append(name)
-    if not given:
+        changed = True
+        if round_and_round:
+            element.set("type", "revolute")
+        else:
+            given.append(name)
+    if not changed:
         return None
-    notes.append(
-        "joints whose <limit> in the URDF has neither lower nor upper, which is none: "
-        f"{', '.join(given)}; the MJCF's range is taken"
-    )
+    if given:
+        notes.append(
+            "joints whose <limit> in the URDF has neither lower nor upper, which is none: "
+            f"{', '.join(given)}; the MJCF's range is taken"
+        )
     return replace(robot.description, urdf=to_text(root))
 
 

@@ -157,6 +157,8 @@ def _as_it_is(
         ):
             raise
         return None  # a body that is named for its sole, which is no sphere around its frame
+    if robot.floating and robot.closure is not None and robot.pin_convention.unbounded.any():
+        return None  # joints that turn round and round, which are given limits
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *words.bound(robot), *robot.notes))
 
 

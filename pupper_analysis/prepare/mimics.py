@@ -26,16 +26,18 @@ def coupled(matched: Match, description: Description, notes: list[str]) -> Descr
     """
     spec = description.mjcf.copy()
     driven = {actuator.target for actuator in spec.actuators}
+    closure, names = matched.robot.closure, matched.robot.joint_names
+    bound = {names[joint] for joint in closure.following} if closure is not None else set()
     stated = {
-        name: bool(equality.active)
-        for equality in sorted(spec.equalities, key=lambda each: bool(each.active))
+        name
+        for equality in spec.equalities
         if equality.type == mujoco.mjtEq.mjEQ_JOINT
         for name in (equality.name1, equality.name2)
     }
     joints = {joint.name: joint for joint in spec.joints}
     added, free = [], []
     for name, (leader, multiplier, offset) in matched.mimics.items():
-        if stated.get(name):
+        if name in bound:
             continue
         if name in stated or name in driven or leader not in joints or name not in joints:
             free.append(name)
