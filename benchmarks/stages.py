@@ -15,11 +15,12 @@ from scipy.linalg import lapack
 
 import pupper_analysis as pa
 from pupper_analysis.stance.clearance import shapes_of
+from pupper_analysis.stance.judge import measure
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
 from pupper_analysis.stance.sag.steady_state import pose_at, release_margin
 from pupper_analysis.stance.sag.way import Way
-from pupper_analysis.stance.solver import Solver, measure
+from pupper_analysis.stance.solver import Solver
 from pupper_analysis.statics.contacts import contacts_of
 
 Parts = dict[str, float]
@@ -72,10 +73,8 @@ def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
     wrapper = shapes.wrapper
 
     def run() -> None:
-        task = pa.StandTask()
-        watch.stop("the task, checked")
-        goal = goal_of(robot, task, {})
-        watch.stop("the task in numbers")
+        goal = goal_of(robot, None, {})
+        watch.stop("the nominal task in numbers")
         solver = Solver(shapes, goal)
         point = solver.run(home)
         watch.stop("PlaCo: aiming and steps")
@@ -83,16 +82,20 @@ def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
         watch.stop("errors by Pinocchio, clearance, result")
         pa.solve_stand(robot)
         watch.stop("solve_stand, all of it")
-        # What some of these are made of.
+        # What another task takes, and what some of these are made of.
+        goal_of(robot, pa.StandTask(height=0.95 * robot.stand_height), {})
+        watch.stop("another task: checked, in numbers")
         solver.begin(home, goal.place)
         watch.start()
         for _ in range(point.iterations):
             solver.tasks.solver.solve(True)
             wrapper.update_kinematics()
         watch.stop("of PlaCo: as many programmes alone")
-        pa.Configuration(robot, point.qpos)
-        watch.stop("of the errors: a Configuration")
-        shapes.above_ground(point.qpos, task.ground, goal.targets, goal.depths)
+        shapes.whereabouts.move(robot.structure.state(point.qpos))
+        shapes.whereabouts.com()
+        shapes.whereabouts.feet()
+        watch.stop("of the errors: where com and feet are")
+        shapes.above_ground(point.qpos, goal.task.ground, goal.targets, goal.depths, moved=True)
         watch.stop("of the errors: how high all parts are")
         pa.Stand(**vars(stand))
         watch.stop("of the errors: a Stand that is there already")

@@ -174,7 +174,7 @@ _HOME = {
     "StandVerification": "simulation.verify",
     "sweep_gains": "simulation.gain_sweep",
     "verify_stand": "simulation.verify",
-    "Stand": "stance.solver",
+    "Stand": "stance.judge",
     "Ground": "robot.ground",
     "StandTask": "stance.task",
     "solve_stand": "stance.stand",

@@ -119,9 +119,10 @@ def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
         fits = _tests(function)
         # What does not fit the signature is left to the call, whose TypeError is Python's own.
-        for name, value in (*zip(positional, args, strict=False), *kwargs.items()):
-            if name in fits and not fits[name](value):
-                check_type(name, value, _hints(function)[name])
+        for given in (zip(positional, args, strict=False), kwargs.items()):
+            for name, value in given:
+                if name in fits and not fits[name](value):
+                    check_type(name, value, _hints(function)[name])
         return function(*args, **kwargs)
 
     return call

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -66,9 +67,21 @@ def test_what_is_not_exact_is_noticed() -> None:
 def test_jobs_take_turns() -> None:
     order: list[str] = []
     jobs = [lambda name=name: order.append(name) for name in "abc"]  # type: ignore[misc]
-    times = measure.take_turns(jobs, 3, 0.0)
-    assert [len(taken) for taken in times] == [3, 3, 3]
-    assert "".join(order) == 4 * "abc"  # once more, before it counts
+    times = measure.take_turns(jobs, 60, 0.0)
+    assert [len(taken) for taken in times] == [60, 60, 60]
+    turns = ["".join(order[place : place + 3]) for place in range(0, len(order), 3)]
+    assert len(turns) == 61  # once more, before it counts
+    assert all(sorted(turn) == ["a", "b", "c"] for turn in turns)
+    # Nobody always comes after the same other.
+    assert len(set(turns)) == 6
+
+
+def test_each_time_is_its_own_jobs() -> None:
+    lasting = {"short": 0.0, "long": 2e-3}
+    jobs = [lambda name=name: time.sleep(lasting[name]) for name in lasting]  # type: ignore[misc]
+    short, long = measure.take_turns(jobs, 20, 0.0)
+    assert min(long) >= lasting["long"]
+    assert min(short) < lasting["long"]
 
 
 ROW = measure.Row(

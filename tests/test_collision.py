@@ -96,6 +96,19 @@ def test_height_above_slope_and_steps(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_height_above_a_slope(name: str) -> None:
+    """In closed form both, of two models: one of the URDF's links, one of the MJCF's geoms."""
+    robot, shapes = load(name), Shapes(load(name))
+    ground = pa.Ground(0.3, -2.1)
+    there = on_ground(robot, ground, {})
+    for seed in range(20):
+        qpos, _ = random_state(robot, seed)
+        found = shapes.above_ground(qpos, ground, {}, {})
+        assert found is not None
+        assert found.distance == pytest.approx(min(ground_distances(there, qpos)), abs=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_distance_between_links(name: str) -> None:
     robot, shapes = load(name), Shapes(load(name))
     model, seen = robot.mj_model, 0

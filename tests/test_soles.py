@@ -8,9 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 from legged import BIPED_FEET, Pair, aside, biped, held, quadruped, sole_mesh
+from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.soles import corners, stays_flat
+from pupper_analysis.report.html.document import Text
+from pupper_analysis.report.html.sentences import said
 from pupper_analysis.robot.robot import Robot
 
 
@@ -124,3 +127,42 @@ def test_legs_of_four_joints_that_tilt_their_feet_have_one_point_each(tmp_path: 
 def test_a_quadruped_with_boxes_at_three_joints_has_points(tmp_path: Path) -> None:
     foot = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2"/>'
     assert len(load(quadruped(tmp_path, foot=foot)).feet) == 4
+
+
+@pytest.mark.slow
+def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:
+    """Legs of three joints cannot lay them flat: corners carry that the prediction lacks."""
+    box = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2" euler="0 0.6 0"/>'
+    pair = quadruped(tmp_path, foot=box, floor=True)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    tilted = pa.verify_stand(robot, pa.sunk_stand(robot, pa.StandTask(height=0.3)))
+    assert tilted.passed  # on an edge each
+    found = pa.verify_stand(robot, pa.sunk_stand(robot, pa.StandTask(height=0.36)))
+    assert not found.passed
+    cause = found.failures[-1]
+    assert "and was taken for one point: its sole is flat, its leg cannot lay it flat" in cause
+    assert isinstance(said(cause), Text)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", ["0.02 0.02 0.02", "0.03 0.02 0.01"])
+def test_an_ellipsoid_touches_where_it_is_lowest(size: str, tmp_path: Path) -> None:
+    """Of three equal half axes it is a ball; of others its lowest point is a closed form."""
+    turn = Rotation.from_euler("xyz", (0.3, 0.5, 0.2))
+    quaternion = " ".join(map(repr, turn.as_quat(scalar_first=True).tolist()))
+    foot = f'<geom type="ellipsoid" size="{size}" pos="0 0 -0.2" quat="{quaternion}"/>'
+    pair = quadruped(tmp_path, foot=foot, floor=True)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    stand = pa.solve_stand(robot)
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    data.qpos[2] -= 1e-4
+    mujoco.mj_fwdPosition(model, data)
+    assert len(data.contact) == 4
+    for touch in data.contact:
+        away = [np.linalg.norm(touch.pos - place) for place in stand.contact_points.values()]
+        assert min(away) < 1.1e-4
+        assert touch.dist == pytest.approx(-1e-4, abs=1e-6)
+    if len(set(size.split())) == 1:
+        assert set(robot.foot_radius.values()) == {0.02}
+        assert pa.verify_stand(robot, pa.sunk_stand(robot)).torque_error < 1e-5

@@ -65,6 +65,7 @@ class Match:
             the same but for prefixes and suffixes.
         only_urdf: Joints that the MJCF does not have; fixed at zero for the comparison.
         only_mjcf: Joints that the URDF does not have; likewise.
+        opened: Those of these by which closed loops led, which were opened.
         notes: What was assumed or left out, in plain words.
         reference: The MJCF as it is, with all else in its scene. Where it has joints that the URDF
             lacks, these are fixed at zero.
@@ -82,6 +83,7 @@ class Match:
     guessed: Mapping[str, str]
     only_urdf: tuple[str, ...]
     only_mjcf: tuple[str, ...]
+    opened: tuple[str, ...]
     notes: tuple[str, ...]
     reference: Reference
     mimics: Mimics
@@ -163,8 +165,7 @@ def match(
     only_mjcf = (*balls, *(name for name in theirs if name not in partners))
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
-    if complete:
-        open_loops(spec, at_bodies, only_mjcf, notes)
+    opened = open_loops(spec, at_bodies, only_mjcf, notes) if complete else ()
     ways = removable(root, spec, only_urdf, only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
@@ -186,7 +187,8 @@ def match(
         guessed=guessed,
         only_urdf=only_urdf,
         only_mjcf=only_mjcf,
-        notes=(*notes, *(note for note in robot.notes if "free joint" in note)),
+        opened=opened,
+        notes=tuple(notes),
         reference=Reference(
             robot.mj_model if only_mjcf else mjcf.compile(),
             robot.mj_model if only_mjcf else whole,

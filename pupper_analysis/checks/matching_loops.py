@@ -20,7 +20,7 @@ def ball_joints(spec: mujoco.MjSpec) -> dict[str, list[str]]:
 
 def open_loops(
     spec: mujoco.MjSpec, balls: dict[str, list[str]], gone: Collection[str], notes: list[str]
-) -> None:
+) -> tuple[str, ...]:
     """Takes out what would bind joints through others that are about to be held, in place.
 
     A rod that is held at zero would hold the ankle that it turns. Opened, the tree of the URDF is
@@ -32,14 +32,18 @@ def open_loops(
         balls: {body: the ball joints that it had}.
         gone: The joints that only the MJCF has.
         notes: Where it is said.
+
+    Returns:
+        Those of the joints that are gone by which the loops led.
     """
     driven = {actuator.target for actuator in spec.actuators}
-    opened, freed = [], dict[str, None]()
+    opened, freed, through = [], dict[str, None](), dict[str, None]()
     for index, equality in enumerate(list(spec.equalities)):
         joints = _joints_between(spec, equality, balls)
         if equality.active and not joints.isdisjoint(gone):
             kind = mujoco.mjtEq(equality.type).name.removeprefix("mjEQ_").lower()
             opened.append(f"{kind} {equality.name or f'#{index}'}")
+            through |= dict.fromkeys(name for name in gone if name in joints)
             freed |= dict.fromkeys(sorted(joints - set(gone) - driven))
             spec.delete(equality)
     if opened:
@@ -49,6 +53,7 @@ def open_loops(
             f"{', '.join(opened)}{held}: torques are those at the URDF's joints, not those of "
             "motors behind rods"
         )
+    return tuple(through)
 
 
 def _joints_between(

@@ -304,9 +304,9 @@ def _in_urdf(
 
     Where the last joint's axis is one line in both files, it is the same place against the base:
     how far along its axis a joint's frame is says nothing. Where it is not, and the URDF has a
-    link in the place against the joint, it is there.
+    link in the place against the joint, it is there. A slide is a direction, and no line.
     """
-    joint = _last_joint(robot, body)
+    joint = _last_joint(robot, body, turning=True)
     if joint is None:
         return world
     apart = still.joint_position(joint) - data.xanchor[robot.mj_model.joint(joint).id]
@@ -325,8 +325,8 @@ def _in_urdf(
 
 
 def apart_at(robot: Robot, foot: Foot) -> float:
-    """Returns how far the last joints of a foot are from each other in the two files (m)."""
-    joint = _last_joint(robot, foot.body)
+    """Returns how far the last joints of a foot that turn are from each other in the files (m)."""
+    joint = _last_joint(robot, foot.body, turning=True)
     if joint is None:
         return 0.0
     data = posed(robot, np.zeros(robot.nu))
@@ -354,11 +354,20 @@ def _link_of(robot: Robot, body: int) -> str:
     return robot.base if joint is None else moved_links(robot.description.urdf)[joint]
 
 
-def _last_joint(robot: Robot, body: int) -> str | None:
-    """Returns the last joint that moves a body against the base."""
+def _last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
+    """Returns the last joint that moves a body against the base; if wanted, the last that turns."""
     model = robot.mj_model
-    joint = str(model.joint(int(model.body_jntadr[body] + model.body_jntnum[body] - 1)).name)
-    return joint if joint in robot.joint_names else None
+    slide = mujoco.mjtJoint.mjJNT_SLIDE.value
+    while body:
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        for joint in range(first + count - 1, first - 1, -1):
+            name = str(model.joint(joint).name)
+            if name not in robot.joint_names:
+                return None
+            if not (turning and model.jnt_type[joint] == slide):
+                return name
+        body = int(model.body_parentid[body])
+    return None
 
 
 def moved_links(urdf: str) -> Mapping[str, str]:

@@ -31,6 +31,7 @@ from pupper_analysis.prepare.feet import (
 )
 from pupper_analysis.prepare.limits import stated, within_both
 from pupper_analysis.prepare.mimics import coupled
+from pupper_analysis.prepare.motors import one_at_each_joint, several
 from pupper_analysis.prepare.parts import with_parts
 from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.configuration import Configuration
@@ -159,6 +160,8 @@ def _as_it_is(
         return None  # a body that is named for its sole, which is no sphere around its frame
     if robot.floating and robot.closure is not None and robot.pin_convention.unbounded.any():
         return None  # joints that turn round and round, which are given limits
+    if free and not fixed_base and several(robot.mj_model):
+        return None
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *words.bound(robot), *robot.notes))
 
 
@@ -207,6 +210,7 @@ def _prepared(
     ready = description.mjcf.copy()
     level_ground(ready, notes)
     free_of_friction(ready, notes)
+    one_at_each_joint(ready, mjcf.path, notes)
     bare = build_robot(replace(description, mjcf=ready))
     open_ended = stated(bare, notes)
     bare = bare if open_ended is None else build_robot(open_ended)

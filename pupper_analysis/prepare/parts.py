@@ -1,4 +1,4 @@
-"""Parts that only an MJCF has: their weight is given to the URDF, if that is all it lacks."""
+"""Parts of closed loops that a URDF lacks: their weight is given to it, if that is all it lacks."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ _TOLD = 4  # parts that a note names
 
 
 def with_parts(matched: Match, spec: mujoco.MjSpec, notes: list[str]) -> Description | None:
-    """Returns the description with the weight of parts that only the MJCF has in the URDF as well.
+    """Returns the description with the weight of loops' parts, the MJCF's alone, in the URDF too.
 
-    Rods and cranks behind motors, which a URDF leaves out, are held at zero: they weigh there. Only
-    where the two files then weigh the same, as a URDF may have its parts' weight in other links.
+    Rods and cranks behind motors, which a tree cannot close, are held at zero: they weigh there.
+    Only where the two files then weigh the same, as a URDF may have their weight in other links.
+    (A head that it lacks stays a difference of the files.)
 
     Args:
         matched: The two files.
@@ -34,7 +35,7 @@ def with_parts(matched: Match, spec: mujoco.MjSpec, notes: list[str]) -> Descrip
         None if there are none, or the files differ otherwise.
     """
     robot, model = matched.robot, matched.robot.mj_model
-    names = [name for name in _part_bodies(spec, matched.only_mjcf) if _known(model, name)]
+    names = [name for name in _part_bodies(spec, matched.opened) if _known(model, name)]
     bodies = [model.body(name).id for name in names if model.body(name).mass[0] > 0]
     mass = float(sum(model.body_mass[body] for body in bodies))
     whole = float(model.body_subtreemass[model.body(robot.mj_base).id])
@@ -69,8 +70,8 @@ def with_parts(matched: Match, spec: mujoco.MjSpec, notes: list[str]) -> Descrip
         etree.SubElement(joint, "child", link=str(part.get("name")))
     more = f" and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
     notes.append(
-        f"parts that only the MJCF has, of {mass:.4g} kg, which is what the URDF lacks, weigh in "
-        f"both: {', '.join(names[:_TOLD])}{more}"
+        f"parts of loops that only the MJCF has, of {mass:.4g} kg, which is what the URDF lacks, "
+        f"weigh in both: {', '.join(names[:_TOLD])}{more}"
     )
     return replace(robot.description, urdf=to_text(root))
 

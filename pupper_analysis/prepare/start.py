@@ -18,9 +18,10 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import branches, combinations, limbs
 from pupper_analysis.stance.clearance import Shapes, shapes_of
+from pupper_analysis.stance.judge import measure
 from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.search import begin_inside
-from pupper_analysis.stance.solver import Solver, measure
+from pupper_analysis.stance.solver import Solver
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.tasks import TASK_TOLERANCE

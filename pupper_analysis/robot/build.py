@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
-from pupper_analysis.models.conversion import gravity, joint_armature
+from pupper_analysis.models.conversion import gravity, is_at_one_joint, joint_armature
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.parameters import joint_placements
 from pupper_analysis.robot import contact
@@ -224,8 +224,8 @@ def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
             known.append(model.joint(joint).name)
     driven = [
         model.joint(int(model.actuator_trnid[actuator, 0])).name
-        for actuator in range(model.nu)
-        if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
+        for actuator in range(model.nactuator)
+        if is_at_one_joint(model, actuator)
     ]
     if not known:
         raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -49,17 +48,11 @@ class Configuration:
             check_type("robot", robot, Robot)
         self._structure = structure = robot.structure
         self.robot = robot
-        self.qpos = own = vector("qpos", qpos, structure.nq)
+        self.qpos = own = structure.state(qpos)
         self.qvel = structure.rest
         if qvel is not None:
             self.qvel = vector("qvel", qvel, structure.nv)
             self.qvel.flags.writeable = False
-        if structure.floating:
-            norm = math.hypot(*own[3:7].tolist())
-            if norm < 1e-9:
-                raise ConfigurationError("qpos", "its quaternion, qpos[3:7], is zero")
-            if norm != 1.0:
-                own[3:7] /= norm
         own.flags.writeable = False
 
         self._model = structure.model
@@ -220,13 +213,8 @@ class Configuration:
 
     def center_of_mass(self) -> Array:
         """Returns the centre of mass (3,) in the world (m)."""
-        moving: Array = np.array(pin.centerOfMass(self._model, self._data, self._q, False))
-        structure = self._structure
-        if not structure.fixed:
-            return moving
-        # Pinocchio leaves what does not move out of the com.
-        com: Array = moving + structure.fixed * (structure.lever - moving)
-        return com
+        moving = pin.centerOfMass(self._model, self._data, self._q, False)
+        return np.array(self._structure.centre(moving))
 
     def com_jacobian(self) -> Array:
         """Returns the Jacobian (3, nv) of the centre of mass: J qvel is its velocity (m/s)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import mujoco
 import mujoco.rollout
@@ -22,6 +23,13 @@ INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
 }
 """MuJoCo's integrators, as MJCF names them."""
+
+_HOLDING = (
+    mujoco.mjtDyn.mjDYN_NONE.value,
+    mujoco.mjtDyn.mjDYN_FILTER.value,
+    mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
+)
+"""Dynamics after which a command that stays is at last what is commanded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +66,7 @@ class Servos:
         actuators = robot.mj_convention.actuator_index
         driven, ctrl = actuators >= 0, np.zeros(self.model.nu)
         target = positions if torques is None else positions + lead(torques, self.kp)
-        ctrl[actuators[driven]] = (self.gear * target)[driven]
+        ctrl[self.model.actuator_ctrladr[actuators[driven]]] = (self.gear * target)[driven]
         return ctrl
 
 
@@ -99,7 +107,7 @@ def servos(
         model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
         model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
         _put_gains(model, actuators, *((g / gear**2)[driven] for g in (stiffness, damping)))
-        model.actuator_ctrllimited[actuators[~servo[driven]]] = 0
+        model.actuator_ctrllimited[model.actuator_ctrladr[actuators[~servo[driven]]]] = 0
     if integrator is not None:
         if integrator not in INTEGRATORS:
             raise ConfigurationError(
@@ -113,24 +121,37 @@ def servos(
     return Servos(model, stiffness, damping, gear, used)
 
 
-def retuned(robot: Robot, drive: Servos, kp: ArrayLike, kd: ArrayLike) -> Servos:
+class Gains(NamedTuple):
+    """Gains of a robot's motors, checked, and what they are used with.
+
+    Joints that follow others have gains of 0, and need no motor.
+
+    Attributes:
+        kp: (nu,) at the joints (N m/rad).
+        kd: (nu,) at the joints (N m s/rad).
+        gear: (nu,) actuator length per joint angle.
+        servo: (nu,) whether the motor is a servo in the robot's model.
+    """
+
+    kp: Array
+    kd: Array
+    gear: Array
+    servo: NDArray[np.bool_]
+
+
+def retuned(robot: Robot, drive: Servos, wanted: Gains) -> Servos:
     """Gives servos other gains, in their own model: a copy of it takes longer than its use.
 
     Args:
         robot: The robot.
         drive: Its servos, made with a kp and a kd; the model's gains are not theirs any more.
-        kp: Stiffness at the joints (N m/rad), one or (nu,).
-        kd: Damping at the joints (N m s/rad), one or (nu,).
-
-    Raises:
-        ConfigurationError: As ``servos``.
-        ModelError: Likewise.
+        wanted: The gains, by ``gains``.
     """
-    stiffness, damping, gear, _ = gains(robot, kp, kd)
     driven = robot.mj_convention.actuator_index >= 0
     actuators = robot.mj_convention.actuator_index[driven]
-    _put_gains(drive.model, actuators, *((g / gear**2)[driven] for g in (stiffness, damping)))
-    return replace(drive, kp=stiffness, kd=damping)
+    own = ((gain / wanted.gear**2)[driven] for gain in (wanted.kp, wanted.kd))
+    _put_gains(drive.model, actuators, *own)
+    return replace(drive, kp=wanted.kp, kd=wanted.kd)
 
 
 def _put_gains(
@@ -150,14 +171,8 @@ SOFTEST = 1e-9
 """N m/rad: commands are the torque divided by kp, and overflow far below."""
 
 
-def gains(
-    robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+def gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None) -> Gains:
     """Returns what ``servos`` works out, without a model that has it.
-
-    Returns:
-        kp and kd at the joints, gear (nu,), and which motors are servos in the robot's model.
-        Joints that follow others have gains of 0, and need no motor.
 
     Raises:
         ConfigurationError: As ``servos``.
@@ -191,7 +206,7 @@ def gains(
             "kp", f"{stiffness.min():g} N m/rad is none: it is to be at least {SOFTEST:g}"
         )
     stiffness[following], damping[following] = 0.0, 0.0
-    return stiffness, damping, gear, servo
+    return Gains(stiffness, damping, gear, servo)
 
 
 def own_servos(robot: Robot) -> dict[str, tuple[float, float]]:
@@ -213,12 +228,19 @@ def own_servos(robot: Robot) -> dict[str, tuple[float, float]]:
 def _of_model(
     model: mujoco.MjModel, actuators: NDArray[np.int64]
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Returns gain, damping and gear (n,) of actuators, and which of them are position servos."""
+    """Returns gain, damping and gear (n,) of actuators, and which of them are position servos.
+
+    One with a force of its own, or whose command is integrated or delayed, is none: its ctrl is not
+    where it holds a joint.
+    """
     gear = model.actuator_gear[actuators, 0].copy()
     gain = model.actuator_gainprm[actuators, 0] * gear**2
     bias = -model.actuator_biasprm[actuators, 1:3] * gear[:, None] ** 2
     affine = model.actuator_biastype[actuators] == mujoco.mjtBias.mjBIAS_AFFINE.value
-    return gain, bias[:, 1], gear, affine & np.isclose(gain, bias[:, 0]) & (gain > 0)
+    plain = affine & (model.actuator_gaintype[actuators] == mujoco.mjtGain.mjGAIN_FIXED.value)
+    plain &= (model.actuator_biasprm[actuators, 0] == 0) & (model.actuator_delay[actuators] == 0)
+    plain &= np.isin(model.actuator_dyntype[actuators], _HOLDING)
+    return gain, bias[:, 1], gear, plain & np.isclose(gain, bias[:, 0]) & (gain > 0)
 
 
 def _gain(name: str, value: ArrayLike, size: int) -> Array:

@@ -6,12 +6,15 @@ up no name, turns no axes, and allocates nothing of Pinocchio's.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import vector
+from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.coordinates import PinocchioConvention
 
 Array = NDArray[np.float64]
@@ -126,6 +129,29 @@ class Structure:
             armature[self._own.v_index] = given[self._convention.v_index]
             self.model.armature, self._armature = armature, given.tobytes()
         return self.model
+
+    def state(self, qpos: ArrayLike) -> Array:
+        """Returns a public qpos (nq,) of one's own, with its quaternion normalised.
+
+        Raises:
+            ConfigurationError: If it has a wrong length, a value is not finite, or the quaternion
+                is zero.
+        """
+        own = vector("qpos", qpos, self.nq)
+        if self.floating:
+            norm = math.hypot(*own[3:7].tolist())
+            if norm < 1e-9:
+                raise ConfigurationError("qpos", "its quaternion, qpos[3:7], is zero")
+            if norm != 1.0:
+                own[3:7] /= norm
+        return own
+
+    def centre(self, moving: Array) -> Array:
+        """Returns the com (3,), of that of what moves: Pinocchio leaves out what does not (m)."""
+        if not self.fixed:
+            return moving
+        com: Array = moving + self.fixed * (self.lever - moving)
+        return com
 
     def q(self, qpos: Array) -> Array:
         """Returns the model's q of a public qpos (nq,) whose quaternion is normalised."""

@@ -6,10 +6,11 @@ import itertools
 import math
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 
 import mujoco
 import numpy as np
@@ -165,6 +166,31 @@ def _widened(values: list[float], end: str | None) -> list[float]:
     return [*values, values[-1] * FACTORS[-1]] if end == "high" else values
 
 
+class _Drives:
+    """A model with servos, and data, for each worker, who gives it the gains of its next cell.
+
+    Args:
+        make: Returns another one; a worker who finds none makes it.
+    """
+
+    def __init__(self, make: Callable[[], Servos]) -> None:
+        self._make = make
+        self._idle: SimpleQueue[tuple[Servos, mujoco.MjData]] = SimpleQueue()
+
+    @contextmanager
+    def one(self) -> Iterator[tuple[Servos, mujoco.MjData]]:
+        """Yields one that nobody else has meanwhile."""
+        try:
+            own = self._idle.get_nowait()
+        except Empty:
+            drive = self._make()
+            own = drive, mujoco.MjData(drive.model)
+        try:
+            yield own
+        finally:
+            self._idle.put(own)
+
+
 class _Trial:
     """Rollouts of a stand under the disturbance; each pair of gains is simulated once."""
 
@@ -194,45 +220,37 @@ class _Trial:
         pairs = itertools.product(axes[0], axes[1])
         cells = [pair for pair in pairs if pair not in self.deviations]
         robot, stand = self.robot, self.stand
-        for cell in cells:
-            gains(robot, *cell)  # refused before anything is simulated
-        workers = min(len(cells), os.cpu_count() or 1)
-        # Each worker has a model of its own, and gives it the gains of its next cell.
-        idle: SimpleQueue[tuple[Servos, mujoco.MjData]] = SimpleQueue()
-        for _ in range(workers):
-            drive = servos(robot, *cells[0], self.integrator)
-            idle.put((drive, mujoco.MjData(drive.model)))
-        model = drive.model
-        ctrl = drive.command(robot, stand.joint_positions(robot))
+        # Refused before anything is simulated; nothing moves where a start is looked for, that kd
+        # could damp.
+        tuned = {cell: gains(robot, *cell) for cell in cells}
+        new = dict.fromkeys(kp for kp, _ in cells if kp not in self._starts)
+        soft = {kp: gains(robot, kp, 0.0) for kp in new}
+        drives = _Drives(lambda: servos(robot, *cells[0], self.integrator))
+        with drives.one() as (first, _):
+            model, ctrl = first.model, first.command(robot, stand.joint_positions(robot))
         control, force = forced_commands(robot, model, ctrl, 1, self.steps)
         phase = 2 * math.pi * self.frequency * self.timestep * np.arange(self.steps)
         force[0, :, 2] = self.amplitude * np.sin(phase)
 
         def place(kp: float) -> None:
-            drive, data = idle.get()
-            try:  # nothing moves yet that kd could damp
-                drive = retuned(robot, drive, kp, 0.0)
+            with drives.one() as (drive, _):
+                drive = retuned(robot, drive, soft[kp])
                 self._starts[kp] = place_on_ground(robot, drive, stand, self.torques)
-            finally:
-                idle.put((drive, data))
 
         def simulate(cell: tuple[float, float]) -> Array:
-            drive, data = idle.get()
-            try:
-                model, start = retuned(robot, drive, *cell).model, self._starts[cell[0]]
-                states: Array = roll_out(model, data, start, control, control_spec=FORCED)[0]
-            finally:
-                idle.put((drive, data))
+            with drives.one() as (drive, data):
+                own, start = retuned(robot, drive, tuned[cell]).model, self._starts[cell[0]]
+                states: Array = roll_out(own, data, start, control, control_spec=FORCED)[0]
             return states
 
         watcher = monitor.Watcher(robot, model)  # gains change no shapes
         began = time.monotonic()
         with (
-            ThreadPoolExecutor(workers) as pool,
+            ThreadPoolExecutor(min(len(cells), os.cpu_count() or 1)) as pool,
             Progress(transient=True, disable=not self.progress, auto_refresh=False) as bar,
         ):
             task = bar.add_task("gain sweep", total=len(cells), visible=False)
-            list(pool.map(place, dict.fromkeys(kp for kp, _ in cells) - self._starts.keys()))
+            list(pool.map(place, soft))
             for cell, states in zip(cells, pool.map(simulate, cells), strict=True):
                 self.deviations[cell] = self._deviation(watcher, states)
                 bar.update(task, advance=1, visible=time.monotonic() - began > 1.0)

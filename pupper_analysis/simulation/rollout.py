@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import mujoco
 import mujoco.rollout
@@ -18,8 +18,15 @@ from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 
-_SHALLOW, _DEEP = 1e-6, 0.05  # m: within what the feet are looked for that carry the weight
+_SHALLOW, _DEEP = 1e-6, 0.065536  # m: where the feet are looked for that carry the weight
 
+_FURTHER = 8.0  # a search looks so many times as deep: wider brackets than 2 take fewer looks
+
+_SAME = 1e-12  # m: drops that differ by no more are one
+
+
+_FILTERS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
+"""Of a servo with ``timeconst``: what it commands lags behind, and at rest is its command."""
 
 STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
 """What rollouts return: time, qpos, qvel ..."""
@@ -47,6 +54,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     model = drive.model
     data = mujoco.MjData(model)
     data.ctrl[:] = drive.command(robot, stand.joint_positions(robot), torques)
+    data.act[:] = settled_activations(model, data.ctrl)
     normal = stand.task.ground.normal()
 
     def surplus(drop: float) -> float:
@@ -60,13 +68,60 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         return float(normal @ pushing[robot.mj_convention.qvel_index[:3]])
 
     low, high = 0.0, _SHALLOW
-    while surplus(high) <= 0 and high < _DEEP:
-        low, high = high, 2 * high
-    while high - low > 1e-12:
-        middle = (low + high) / 2
-        low, high = (middle, high) if surplus(middle) < 0 else (low, middle)
-    surplus(high)
+    short, over = -math.inf, surplus(high)
+    while over <= 0 and high < _DEEP:
+        low, high, short = high, min(_FURTHER * high, _DEEP), over
+        over = surplus(high)
+    # Where nothing carries, however deep, it begins there and falls.
+    surplus(_carried(surplus, low, high, short, over) if over > 0 else high)
     return full_state(model, data)
+
+
+def settled_activations(model: mujoco.MjModel, ctrl: Array) -> Array:
+    """Returns what motors with a filter have at rest (na,): their command, as far as it goes."""
+    activations = np.zeros(model.na)
+    for motor in range(model.nactuator) if model.na else ():
+        if model.actuator_dyntype[motor] in _FILTERS:
+            control = int(model.actuator_ctrladr[motor])
+            low, high = (
+                model.actuator_ctrlrange[control]
+                if model.actuator_ctrllimited[control]
+                else (-np.inf, np.inf)
+            )
+            last = int(model.actuator_actadr[motor] + model.actuator_actnum[motor] - 1)
+            activations[last] = min(max(float(ctrl[control]), low), high)
+    return activations
+
+
+def _carried(
+    surplus: Callable[[float], float], low: float, high: float, short: float, over: float
+) -> float:
+    """Returns where a surplus crosses zero, or up to ``_SAME`` beyond.
+
+    By the Illinois method: secants between a drop that is short and one that is over; of an end
+    that stays for a second time half as much counts. Where ``low`` has not been looked at, that is
+    the middle.
+
+    Args:
+        surplus: It grows with the drop.
+        low: Where it is negative (m).
+        high: Where it is not (m).
+        short: What it is at ``low`` (N).
+        over: What it is at ``high`` (N).
+    """
+    kept = 0
+    while high - low > _SAME:
+        share = over / (over - short) if math.isfinite(short) else 0.5
+        # Not nearer to an end than half of what is the same: so both ends come.
+        middle = high - min(max(share * (high - low), _SAME / 2), high - low - _SAME / 2)
+        found = surplus(middle)
+        if found < 0:
+            low, short, over = middle, found, over / 2 if kept < 0 else over
+            kept = -1
+        else:
+            high, over, short = middle, found, short / 2 if kept > 0 else short
+            kept = 1
+    return high
 
 
 def full_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import math
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -21,6 +20,8 @@ from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.whereabouts import Whereabouts
+from pupper_analysis.stance.parts import Direction, part_of
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -64,14 +65,17 @@ class Shapes:
     Attributes:
         robot: The robot.
         wrapper: PlaCo's robot.
+        whereabouts: Where its com and feet are, by its own model.
         tasks: Whatever a solver made for this robot once, and uses again.
         limits: The joint limits that PlaCo's robot was given last.
+        begun: How a solver began last: what it was asked, and what it found.
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.robot = robot
+        self.robot, self.whereabouts = robot, Whereabouts(robot.structure)
         self.tasks: dict[object, Any] = {}
         self.limits: tuple[Array, Array] | None = None
+        self.begun: tuple[tuple[object, ...], Array, float, float] | None = None
         self.wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, _primitives(robot))
         _leave_names_to_links(self.wrapper.model)
         self._convention = robot.pin_convention
@@ -82,8 +86,16 @@ class Shapes:
         self._data = self.wrapper.model.createData()
         self._placed = pin.GeometryData(self.wrapper.collision_model)
         self._looked_at = [*self._not_feet()]
-        self._forms = [_form(shape) for _, shape, _ in self._looked_at]
-        self._plain = None not in self._forms
+        self._parts = [
+            part_of(self._links[index], shape, self._in_link(index))
+            for index, shape, _ in self._looked_at
+        ]
+
+    def _in_link(self, index: int) -> pin.SE3:
+        """Returns where a shape is in its link's frame."""
+        shape = self._objects[index]
+        link: pin.SE3 = self.wrapper.model.frames[shape.parentFrame].placement
+        return link.actInv(shape.placement)
 
     def pair(self) -> None:
         """Makes PlaCo look at the distances between links, but not between neighbours.
@@ -130,16 +142,22 @@ class Shapes:
         return Clearance(float(nearest.min_distance), links)
 
     def above_ground(
-        self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
+        self,
+        qpos: Array,
+        ground: Ground,
+        places: Mapping[str, Array],
+        depths: Mapping[str, float],
+        *,
+        moved: bool = False,
     ) -> Clearance | None:
         """Returns how high the lowest part other than the feet is above slope and steps.
 
-        See ``heights``.
+        See ``heights``; ``moved`` says that ``whereabouts`` have been taken there.
         """
-        found = self._heights(qpos, ground, places, depths)
+        found = self._heights(qpos, ground, places, depths, moved=moved)
         if not found:
             return None
-        lowest, height = min(found, key=lambda one: one[1])
+        lowest, height = min(found, key=_height)
         return Clearance(height, (self._links[lowest],))
 
     def heights(
@@ -162,39 +180,33 @@ class Shapes:
         return heights
 
     def _heights(
-        self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
+        self,
+        qpos: Array,
+        ground: Ground,
+        places: Mapping[str, Array],
+        depths: Mapping[str, float],
+        *,
+        moved: bool = False,
     ) -> list[tuple[int, float]]:
         """Returns number and height of each shape that is no foot; see ``heights``."""
         steps = ground.heights and any(height > 0 for height in ground.heights.values())
-        if self._plain and not steps:
-            return self._above_plane(qpos, ground.normal(), depths)
+        if None not in self._parts and not steps:
+            if not moved:
+                self.whereabouts.move(self.robot.structure.state(qpos))
+            return self._above_plane(ground, depths)
         return [
             (index, float(near.min_distance) + depth)
             for index, near, depth in self._above(qpos, ground, places, depths)
         ]
 
-    def _above_plane(
-        self, qpos: Array, normal: Array, depths: Mapping[str, float]
-    ) -> list[tuple[int, float]]:
-        """Returns number and height above a plane through the origin of what is no foot (m).
-
-        A shape reaches below its centre by its support function, which of a sum of convex sets is
-        the sum of theirs.
-        """
-        self._place(qpos)
-        at, (a, b, c) = self._placed.oMg, normal.tolist()
-        found = []
-        for (index, _, sunk), form in zip(self._looked_at, self._forms, strict=True):
-            assert form is not None
-            place, (half_x, half_y, half_z, disc, ball) = at[index], form
-            (xx, xy, xz, x), (yx, yy, yz, y), (zx, zy, zz, z), _ = place.homogeneous.tolist()
-            along_x = a * xx + b * yx + c * zx
-            along_y = a * xy + b * yy + c * zy
-            along_z = a * xz + b * yz + c * zz
-            box = half_x * abs(along_x) + half_y * abs(along_y) + half_z * abs(along_z)
-            reach = box + disc * math.hypot(along_x, along_y) + ball
-            depth = 0.0 if sunk is None else depths.get(sunk, 0.0)
-            found.append((index, a * x + b * y + c * z - reach + depth))
+    def _above_plane(self, ground: Ground, depths: Mapping[str, float]) -> list[tuple[int, float]]:
+        """Returns number and height of what is no foot above a plane, where ``whereabouts`` are."""
+        normal: Direction = tuple(ground.normal().tolist())
+        found, link_of = [], self.whereabouts.link
+        for (index, _, sunk), part in zip(self._looked_at, self._parts, strict=True):
+            assert part is not None
+            height = part.height(link_of(part.link), normal)
+            found.append((index, height if sunk is None else height + depths.get(sunk, 0.0)))
         return found
 
     def _place(self, qpos: Array) -> None:
@@ -293,20 +305,8 @@ class Shapes:
             yield index, shape.geometry, sunk
 
 
-def _form(shape: coal.CollisionGeometry) -> tuple[float, ...] | None:
-    """Returns a shape as the sum of a box (half x, y, z), a disc across z, and a ball (radii, m).
-
-    None for a shape of another form.
-    """
-    if isinstance(shape, coal.Box):
-        return (*shape.halfSide.tolist(), 0.0, 0.0)
-    if isinstance(shape, coal.Sphere):
-        return 0.0, 0.0, 0.0, 0.0, shape.radius
-    if isinstance(shape, coal.Cylinder):
-        return 0.0, 0.0, shape.halfLength, shape.radius, 0.0
-    if isinstance(shape, coal.Capsule):
-        return 0.0, 0.0, shape.halfLength, 0.0, shape.radius
-    return None
+def _height(found: tuple[int, float]) -> float:
+    return found[1]
 
 
 def _nearest(

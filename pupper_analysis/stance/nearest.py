@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.judge import TOUCHING, Stand, measure
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.stance.solver import TOUCHING, Stand, measure
 from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.statics.support_polygon import polygon_sides
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.com_reach import moves_com
 from pupper_analysis.stance.footholds import footholds, sunk_into
@@ -35,6 +36,7 @@ class Goal:
         depths: {foot that carries: m} how deep these are in the ground.
         stance_feet: The feet that carry.
         contacts: (n, 3) contact points of these.
+        corners: Where these are, seen from above: (x, y) of each.
         centre: (3,) the mean of these.
         height: z of the base frame.
         turn: Its orientation, a unit quaternion (w, x, y, z).
@@ -50,6 +52,7 @@ class Goal:
     depths: dict[str, float]
     stance_feet: tuple[str, ...]
     contacts: Array
+    corners: tuple[tuple[float, float], ...]
     centre: Array
     height: float
     turn: tuple[float, float, float, float]
@@ -59,15 +62,25 @@ class Goal:
     upper: Array
     give: Array | None = None
 
+    def again(self) -> Goal:
+        """Returns the same goal, with a task of its own: who changes that changes that alone.
+
+        For one whose task is the nominal stand's.
+        """
+        other = object.__new__(Goal)
+        task = self.task.filled(feet={}, foot_offsets={}, swing={}, ground=Ground())
+        vars(other).update(vars(self), task=task, depths=self.depths.copy())
+        return other
+
 
 def goal_of(
-    robot: Robot, task: StandTask, depths: Mapping[str, float], like: Goal | None = None
+    robot: Robot, task: StandTask | None, depths: Mapping[str, float], like: Goal | None = None
 ) -> Goal:
     """Works out what a task means for a robot.
 
     Args:
         robot: The robot.
-        task: How to stand.
+        task: How to stand; the nominal stand if None.
         depths: {foot that carries: how deep it sinks into the ground (m)}; 0 where not given.
         like: Another goal of the robot, as it is, with these depths: if its feet are to be in the
             same places, they are not worked out again; nor are equal limits. By default the nominal
@@ -78,12 +91,16 @@ def goal_of(
             nothing.
         UnknownNameError: If the task, or depths, name a foot that the robot does not have.
     """
-    if task.ik_seed is not None and len(task.ik_seed) != robot.nu:
-        raise ConfigurationError("ik_seed", f"it must have {robot.nu} values")
     if like is None and not depths:
         model = robot.pin_model
         limits = model.lowerPositionLimit.tobytes(), model.upperPositionLimit.tobytes()
         like = _nominal(robot, limits)
+        if task is None and like is not None:
+            return like.again()
+    if task is None:
+        task = StandTask()
+    if task.ik_seed is not None and len(task.ik_seed) != robot.nu:
+        raise ConfigurationError("ik_seed", f"it must have {robot.nu} values")
     return _goal_of(robot, task, depths, like)
 
 
@@ -102,7 +119,7 @@ def _nominal(robot: Robot, _limits: tuple[bytes, bytes]) -> Goal | None:
 def _goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float], like: Goal | None) -> Goal:
     if like is not None and _same_feet(like.task, task):
         stance_feet, contacts, targets = like.stance_feet, like.contacts, like.targets
-        centre = like.centre
+        corners, centre = like.corners, like.centre
     else:
         stance_feet = _stance_feet(robot, task, depths)
         normal = task.ground.normal()
@@ -114,6 +131,7 @@ def _goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float], like: G
         targets = sunk_into(
             robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
         )
+        corners = tuple([(x, y) for x, y, _ in contacts.tolist()])
         centre = contacts.mean(axis=0)
     task = _filled(robot, task)
     assert task.height is not None
@@ -145,6 +163,7 @@ def _goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float], like: G
         depths={foot: float(depths.get(foot, 0.0)) for foot in stance_feet},
         stance_feet=stance_feet,
         contacts=contacts,
+        corners=corners,
         centre=centre,
         height=float(centre[2]) + task.height,
         turn=turn,
@@ -176,11 +195,7 @@ def _filled(robot: Robot, task: StandTask) -> StandTask:
     com, height = task.com, task.height
     if com is None:
         com = "inside" if task.offset is None and not moves_com(robot) else "centre"
-    filled = object.__new__(StandTask)  # its values have been checked
-    vars(filled).update(
-        vars(task), com=com, height=robot.stand_height if height is None else height
-    )
-    return filled
+    return task.filled(com=com, height=robot.stand_height if height is None else height)
 
 
 def _centred(task: StandTask) -> bool:

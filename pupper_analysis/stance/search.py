@@ -15,9 +15,10 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import Branch, Limb, branches, combinations
 from pupper_analysis.stance.clear_starts import clear_starts
 from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.judge import Stand, measure
 from pupper_analysis.stance.nearest import in_place_and_clear, nearest
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.stance.solver import Point, Solver, Stand, measure
+from pupper_analysis.stance.solver import Point, Solver
 from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.stance.yielding import as_the_legs_can
 from pupper_analysis.statics.support_polygon import support_polygon
@@ -85,7 +86,9 @@ def search(shapes: Shapes, goal: Goal, hints: Sequence[Array] = ()) -> Stand:
         where they are in place, with something in the way.
     """
     there = _At(shapes, goal)
-    best = there.search(hints)
+    if found := there.search(hints):
+        return found
+    best = there.result()
     if best.solved or goal.task.com != "inside" or goal.by_base:
         return best
     return _search_inside(shapes, goal, best, there.found, hints)
@@ -130,6 +133,11 @@ def begin_at(shapes: Shapes, goal: Goal, joints: Array) -> Stand | None:
     return _At(shapes, goal).add(Solver(shapes, goal).run(joints))
 
 
+def go_on(shapes: Shapes, goal: Goal, qpos: Array) -> Stand | None:
+    """Looks for a stand from a configuration (nq,) alone that is next to it."""
+    return _At(shapes, goal).add(Solver(shapes, goal).go_on(qpos))
+
+
 class _At:
     """The search with the com, or the base, at the goal's place.
 
@@ -139,11 +147,12 @@ class _At:
     def __init__(self, shapes: Shapes, goal: Goal) -> None:
         self.shapes, self.goal = shapes, goal
         self.points: list[Point] = []
+        self.iterations = 0
         self.reached: list[Stand] = []
         self.found: dict[Limb, tuple[Branch, ...]] = {}
 
-    def search(self, hints: Sequence[Array]) -> Stand:
-        """Tries all starts, until one leads to a stand."""
+    def search(self, hints: Sequence[Array]) -> Stand | None:
+        """Tries all starts, until one leads to a stand; ``result`` has what else came of them."""
         robot, goal = self.shapes.robot, self.goal
         solver = Solver(self.shapes, goal)
         if found := self._any(solver, chain(hints, starts(robot, goal))):
@@ -161,8 +170,8 @@ class _At:
                 break
         if goal.task.self_clearance is not None:  # without the avoidance they may be apart as well
             solver = Solver(self.shapes, goal, apart=False)
-            self._any(solver, (*starts(robot, goal), *bent))
-        return self.result()
+            return self._any(solver, (*starts(robot, goal), *bent))
+        return None
 
     def _nearest(self) -> Point:
         return min(self.points, key=lambda point: point.miss)
@@ -178,6 +187,7 @@ class _At:
     def add(self, point: Point) -> Stand | None:
         """Adds where a solver ended; returns the stand if it is solved."""
         self.points.append(point)
+        self.iterations += point.iterations
         goal = as_the_legs_can(self.shapes.robot, self.goal, point)
         if point.miss >= 2 * TASK_TOLERANCE and goal is self.goal:
             return None
@@ -192,8 +202,7 @@ class _At:
         return self._measure(self._nearest())
 
     def _measure(self, point: Point, goal: Goal | None = None) -> Stand:
-        iterations = sum(tried.iterations for tried in self.points)
-        return measure(self.shapes, goal or self.goal, point.qpos, iterations)
+        return measure(self.shapes, goal or self.goal, point.qpos, self.iterations)
 
 
 def _search_inside(

@@ -8,19 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import angle_between
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import Result
-from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import limbs
-from pupper_analysis.stance.clearance import Clearance, Shapes
+from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.tasks import TASK_TOLERANCE, Tasks
-from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]
+
+
+Step = tuple[Array, float]
+"""PlaCo's q after a step, and the step's length squared (rad^2, m^2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +29,20 @@ class Point:
     iterations: int
 
 
-TOUCHING = 1e-6
-"""How much nearer than allowed parts may come (m): rounding."""
-
 _STEP_TOLERANCE = 1e-13
-"""Largest step (rad, m) that is not taken any more. The last one is not taken to find that out: a
+"""Longest step (rad, m) that is not taken any more. The last one is not taken to find that out: a
 step is followed by one that is smaller by the same factor at least, where steps converge at all."""
+
+_STRAIGHT, _QUICKLY = 8, 1 / 16
+"""Steps that are not looked at, as long as the square of each is so much less than that of the one
+before: where steps converge as these do, the last of eight is below all rounding."""
+
+_NEXT = 1e-10
+"""Square of a first step that may be the only one: it is looked whether it has led there."""
+
+_EXACT = 1e-14
+"""Root of the sum of squares of what feet and com are off (m) that is rounding: a leg whose joints
+move its foot by a centimetre a radian has them within 1e-12."""
 
 _MAX_ITERATIONS = 200
 
@@ -48,115 +53,6 @@ _SIZE = 10.0  # of the robot, in heights of its stand: no foot moves by more for
 _SETTLED = 1e-11  # m: feet that are off by less twice are in place, though the com may drift
 
 _SLOW = 2  # iterations in a row at a pace that leads nowhere
-
-
-@dataclass(frozen=True, eq=False)
-class Stand(Result):
-    """A solved stand. Its errors are Pinocchio's, computed anew from ``qpos``.
-
-    Attributes:
-        task: The task, with its height and com filled in.
-        qpos: (nq,) the configuration.
-        foot_targets: {foot: (3,)} where the centre of each foot's sphere shall be (m).
-        depths: {foot that carries: how deep it has sunk into the ground (m)}; 0 on rigid ground.
-        stance_feet: The feet that carry.
-        normals: {foot that carries: (3,) direction out of the ground}.
-        contact_points: {foot that carries: (3,) where it touches the ground (m)}.
-        foot_error: The largest distance of a foot from its target (m), or by how much a closed loop
-            or a coupling of joints is open, if that is more (m, rad).
-        orientation_error: Angle between the base's orientation and the task's (rad).
-        height_error: Of the base frame (m).
-        com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
-            base frame.
-        com_margin: Distance of the com's projection from the support polygon's edge (m); negative
-            outside.
-        ground_clearance: How high the lowest part other than the feet is above the ground, by the
-            URDF's shapes; None if it has none.
-        self_clearance: The least distance between links that are not neighbours; None if it was
-            not asked for.
-        iterations: Quadratic programmes solved.
-        robot: Whose stand it is: the ``fingerprint`` of the robot.
-    """
-
-    task: StandTask
-    qpos: Array
-    foot_targets: dict[str, Array]
-    depths: dict[str, float]
-    stance_feet: tuple[str, ...]
-    normals: dict[str, Array]
-    contact_points: dict[str, Array]
-    foot_error: float
-    orientation_error: float
-    height_error: float
-    com_error: float
-    com_margin: float
-    ground_clearance: Clearance | None
-    self_clearance: Clearance | None
-    iterations: int
-    robot: str
-
-    @property
-    def blocked(self) -> tuple[str, ...]:
-        """What comes nearer to the ground, to another link or to tipping than the task allows."""
-        found = []
-        if self.com_short > TASK_TOLERANCE:
-            inside = (
-                f"{1e3 * abs(self.com_margin):.1f} mm {'in' if self.com_margin >= 0 else 'out'}side"
-            )
-            found.append(f"the com is {inside} the support polygon")
-        near, least = self.ground_clearance, self.task.ground_clearance
-        if near is not None and near.distance < least - TOUCHING:
-            found.append(f"{near.links[0]} is {_distance(near, 'above', 'in')} the ground")
-        near, least = self.self_clearance, self.task.self_clearance or 0.0
-        if near is not None and near.distance < least - TOUCHING:
-            found.append(f"{near.links[0]} is {_distance(near, 'from', 'in')} {near.links[1]}")
-        return tuple(found)
-
-    @property
-    def com_short(self) -> float:
-        """How much nearer than asked the com is to the support polygon's edge (m).
-
-        With an offset only, and a margin that was asked for: the com is then a result. Otherwise it
-        is where it was asked to be.
-        """
-        if self.task.offset is None or self.task.com_margin == 0.0:
-            return 0.0
-        return max(0.0, self.task.com_margin - self.com_margin)
-
-    @property
-    def room(self) -> float:
-        """How much nearer than allowed anything is, negative (m)."""
-        least = -self.com_short
-        if self.ground_clearance is not None:
-            least = min(least, self.ground_clearance.distance - self.task.ground_clearance)
-        if self.self_clearance is not None:
-            least = min(least, self.self_clearance.distance - (self.task.self_clearance or 0.0))
-        return least
-
-    @property
-    def solved(self) -> bool:
-        """Whether the feet are where they shall be, and nothing is in the way."""
-        return self.foot_error < TASK_TOLERANCE and not self.blocked
-
-    def check(self, robot: Robot) -> None:
-        """Checks that it is a robot's stand.
-
-        Raises:
-            ConfigurationError: If it is another robot's.
-        """
-        if self.robot.rpartition(" ")[2] != robot.fingerprint.rpartition(" ")[2]:
-            whose = self.robot.rpartition(" ")[0]
-            raise ConfigurationError(
-                "stand", f"it is a stand of {whose}, as that was loaded; solve it for {robot.name}"
-            )
-
-    def joint_positions(self, robot: Robot) -> Array:
-        """Returns the joints' part (nu,) of ``qpos`` (rad)."""
-        return self.qpos[robot.nq - robot.nu :]
-
-
-def _distance(near: Clearance, apart: str, inside: str) -> str:
-    return f"{1e3 * abs(near.distance):.1f} mm {apart if near.distance >= 0 else inside}"
 
 
 class Solver:
@@ -212,55 +108,126 @@ class Solver:
             joints: (nu,) where to start (rad).
             place: (2,) where the com, or the base, begins (m); by default where it shall be.
         """
-        wrapper, convention = self.shapes.wrapper, self.shapes.robot.pin_convention
-        tasks = self.tasks
-        tasks.aim(self.goal)
+        self.tasks.aim(self.goal)
         q = self.begin(joints, self.goal.place if place is None else place)
-        if not self._closes(q):
-            return Point(convention.qpos(q), math.inf, 0)
-        q = wrapper.state.q.copy()
-        # A trust region: where a step makes things worse it is undone, and the next one is shorter.
+        return self._solved(q)
+
+    def go_on(self, qpos: Array) -> Point:
+        """Solves from a configuration (nq,) that is next to the goal's, as far as can be foreseen.
+
+        The base begins there, with the turn and the height that it shall have.
+        """
+        self.tasks.aim(self.goal)
+        q = self._bent(qpos[7:])
+        q[0], q[1], q[2] = qpos[0], qpos[1], self.goal.height
+        self._put(q)
+        return self._solved(q)
+
+    def _solved(self, q: Array) -> Point:
+        if self.shapes.robot.closure is not None:
+            if not self._closes(q):
+                return Point(self.shapes.robot.pin_convention.qpos(q), math.inf, 0)
+            return self._watched(self.shapes.wrapper.state.q.copy(), [])
+        if self.inside:
+            return self._watched(q, [])
+        steps: list[Step] = []
+        return self._straight(steps) or self._watched(q, steps)
+
+    def _straight(self, steps: list[Step]) -> Point | None:
+        """Takes full steps for as long as they converge quickly; adds them to ``steps``.
+
+        What is ever less of a step leads somewhere, and whether the feet are in place there is
+        looked at when it has come there. None where that is not the way, or not the place.
+        """
+        tasks, wrapper = self.tasks, self.shapes.wrapper
+        solve, move = tasks.solver.solve, wrapper.update_kinematics
+        tasks.solver.dt = _TRUST_RADIUS
+        last = math.inf
+        for _ in range(_STRAIGHT):
+            try:
+                step = solve(True)
+            except RuntimeError:
+                return None
+            move()
+            moved = float(step.dot(step))
+            q = wrapper.state.q.copy()
+            steps.append((q, moved))
+            if _arrives(moved, last) or (moved < _NEXT and last == math.inf and self._exact()):
+                point = self._point(q, len(steps))
+                return point if point.miss < TASK_TOLERANCE / 2 else None
+            if moved > _QUICKLY * last:
+                return None
+            last = moved
+        return None
+
+    def _exact(self) -> bool:
+        """Whether feet and com are in place to rounding."""
+        self.tasks.look()
+        return self.tasks.error() < _EXACT**2
+
+    def _watched(self, q: Array, ahead: list[Step]) -> Point:
+        """Takes steps that are forward: in a trust region, looking at the tasks after each.
+
+        Where a step makes things worse it is undone, and the next one is shorter.
+
+        Args:
+            q: Where it begins.
+            ahead: Full steps from there that have been taken already.
+        """
+        wrapper, tasks = self.shapes.wrapper, self.tasks
+        convention = self.shapes.robot.pin_convention
         radius, iterations, slow = _TRUST_RADIUS, 0, 0
-        error, last = math.inf, 0.0
+        error, last = math.inf, math.inf
+        self._put(q)
         while iterations < _MAX_ITERATIONS and radius > _STEP_TOLERANCE and slow < _SLOW:
             iterations += 1
             left = _MAX_ITERATIONS - iterations
             if radius * self._size * left < math.sqrt(error) / 2 < math.inf:
                 break  # too far for all steps that are left, though the feet are not in place
-            tasks.solver.dt = radius
-            tasks.bind(convention.qpos(q), q)
-            try:
-                step = tasks.solver.solve(True)
-            except RuntimeError:
-                # An infeasible programme: within a shorter step it may be feasible.
-                radius /= 4
-                wrapper.state.q = q
+            if ahead:
+                closes, (after, moved) = True, ahead.pop(0)
+                self._put(after)
+            else:
+                tasks.solver.dt = radius
+                tasks.bind(convention.qpos(q), q)
+                try:
+                    step = tasks.solver.solve(True)
+                except RuntimeError:
+                    # An infeasible programme: within a shorter step it may be feasible.
+                    radius /= 4
+                    self._put(q)
+                    continue
                 wrapper.update_kinematics()
-                continue
-            wrapper.update_kinematics()
-            closes = self._closes(wrapper.state.q)
+                closes = self._closes(wrapper.state.q)
+                after, moved = wrapper.state.q.copy(), float(step.dot(step))
+            tasks.look()
             new_error = tasks.error() if closes else math.inf
             if new_error > error and new_error > TASK_TOLERANCE**2:
-                radius, last = radius / 4, 0.0
-                wrapper.state.q = q
-                wrapper.update_kinematics()
+                radius, last = radius / 4, math.inf
+                ahead.clear()
+                self._put(q)
                 continue
             nearer = math.sqrt(error) - math.sqrt(new_error)
             settled = self.inside and max(error, new_error) < _SETTLED**2
             hopeless = new_error > TASK_TOLERANCE**2 and nearer * left < math.sqrt(new_error) / 2
             slow = slow + 1 if hopeless else 0
-            error, q = new_error, wrapper.state.q.copy()
-            moved = max(map(abs, step.tolist()))
-            following = moved * min(1.0, moved / last) if last else moved
-            if settled or following < _STEP_TOLERANCE:
+            error, q = new_error, after
+            if settled or _arrives(moved, last):
                 break
             last = moved
-        miss = max([foot.error_norm() for _, foot in tasks.feet])
-        return Point(convention.qpos(wrapper.state.q), miss, iterations)
+        return self._point(wrapper.state.q, iterations)
+
+    def _point(self, q: Array, iterations: int) -> Point:
+        """Returns where PlaCo's robot is, at its q."""
+        miss = self.tasks.miss()
+        if miss >= TASK_TOLERANCE / 2:  # it may be what it was before the last step
+            self.tasks.look()
+            miss = self.tasks.miss()
+        return Point(self.shapes.robot.pin_convention.qpos(q), miss, iterations)
 
     def _closes(self, q: Array) -> bool:
         """Closes the loops of PlaCo's robot, which is at q; tells if it can."""
-        robot, wrapper = self.shapes.robot, self.shapes.wrapper
+        robot = self.shapes.robot
         if robot.closure is None:
             return True
         qpos = robot.pin_convention.qpos(q)
@@ -271,59 +238,52 @@ class Solver:
         beyond = np.maximum(self.goal.lower - joints, joints - self.goal.upper)
         if beyond.max(initial=0.0) > TASK_TOLERANCE:
             return False
-        wrapper.state.q = robot.pin_convention.with_joints(q, joints)
-        wrapper.update_kinematics()
+        self._put(robot.pin_convention.with_joints(q, joints))
         return True
 
-    def begin(self, joints: Array, place: Array) -> Array:
-        """Puts PlaCo's robot upright, its com or base over a place (2,) (m); returns its q."""
-        convention, goal = self.shapes.robot.pin_convention, self.goal
+    def _put(self, q: Array) -> None:
         wrapper = self.shapes.wrapper
-        w, i, j, k = goal.turn
-        base = (*place.tolist(), goal.height, w, i, j, k)
-        bent = np.minimum(np.maximum(joints, goal.lower), goal.upper)
-        q = convention.unit_q(np.concatenate([base, bent]))
         wrapper.state.q = q
         wrapper.update_kinematics()
-        if not goal.by_base:
-            q[:2] += place - wrapper.com_world()[:2]
-            wrapper.state.q = q
-            wrapper.update_kinematics()
+
+    def begin(self, joints: Array, place: Array) -> Array:
+        """Puts PlaCo's robot as the goal turns it, its com or base over a place (2,) (m).
+
+        Returns:
+            Its q.
+        """
+        goal, begun = self.goal, self.shapes.begun
+        # Searches begin at home, as a rule; and with it the com is where it was under the base.
+        bent = joints.tobytes(), goal.lower.tobytes(), goal.upper.tobytes()
+        key = bent, goal.turn, goal.by_base
+        if begun is None or begun[0] != key:
+            begun = self.shapes.begun = key, *self._at_origin(joints)
+        q = begun[1].copy()
+        x, y = place.tolist()
+        q[0], q[1], q[2] = x - begun[2], y - begun[3], goal.height
+        self._put(q)
         return q
 
+    def _at_origin(self, joints: Array) -> tuple[Array, float, float]:
+        """Returns q with the base at the origin, and what shall be over a place: its x and y."""
+        q = self._bent(joints)
+        if self.goal.by_base:
+            return q, 0.0, 0.0
+        self._put(q)
+        x, y, _ = self.shapes.wrapper.com_world().tolist()
+        return q, x, y
 
-def measure(shapes: Shapes, goal: Goal, qpos: Array, iterations: int) -> Stand:
-    """Returns the stand at a configuration, with its errors and clearances."""
-    robot, task = shapes.robot, goal.task
-    config = Configuration(robot, qpos)
-    com = config.center_of_mass()
-    at = config.qpos if goal.by_base else com
-    # Who changes a stand changes that alone: goals share their arrays.
-    targets = {foot: target.copy() for foot, target in goal.targets.items()}
-    contacts = dict(zip(goal.stance_feet, goal.contacts.copy(), strict=True))
-    missed = [
-        math.dist(position.tolist(), targets[foot].tolist())
-        for foot, position in config.foot_positions().items()
-    ]
-    if robot.closure is not None:
-        missed.append(robot.closure.open_by(config.qpos, goal.give))
-    above = shapes.above_ground(config.qpos, task.ground, targets, goal.depths)
-    apart = None if task.self_clearance is None else shapes.between_links(config.qpos)
-    return Stand(
-        task=task,
-        qpos=config.qpos.copy(),
-        foot_targets=targets,
-        depths=goal.depths,
-        stance_feet=goal.stance_feet,
-        normals=dict.fromkeys(goal.stance_feet, task.ground.normal()),
-        contact_points=contacts,
-        foot_error=max(missed),
-        orientation_error=angle_between(goal.turn, config.qpos[3:7].tolist()),
-        height_error=abs(float(config.qpos[2]) - goal.height),
-        com_error=math.dist(at[:2].tolist(), goal.place.tolist()),
-        com_margin=com_margin(com, contacts),
-        ground_clearance=above,
-        self_clearance=apart,
-        iterations=iterations,
-        robot=robot.fingerprint,
-    )
+    def _bent(self, joints: Array) -> Array:
+        """Returns q with the base at the origin and turned as it shall be, joints inside limits."""
+        goal = self.goal
+        qpos = np.empty(7 + len(joints))
+        qpos[:7] = 0.0, 0.0, 0.0, *goal.turn
+        np.maximum(joints, goal.lower, qpos[7:])
+        np.minimum(qpos[7:], goal.upper, qpos[7:])
+        return self.shapes.robot.pin_convention.unit_q(qpos)
+
+
+def _arrives(moved: float, last: float) -> bool:
+    """Whether no step need follow one, by its length squared, and that of the one before."""
+    following = moved * min(1.0, moved / last) if last < math.inf else moved
+    return following < _STEP_TOLERANCE**2

@@ -9,11 +9,11 @@ from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Shapes, shapes_of
+from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.nearest import nearest
 from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.relaxation import unreachable
 from pupper_analysis.stance.search import search
-from pupper_analysis.stance.solver import Stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.statics.equilibrium import (
@@ -62,7 +62,7 @@ def solve_stand(
             demands of which one would have to give.
     """
     check_bodies(robot)
-    return stand_for(robot, goal_of(robot, task or StandTask(), depths or {}), explain=explain)
+    return stand_for(robot, goal_of(robot, task, depths or {}), explain=explain)
 
 
 def stand_for(robot: Robot, goal: Goal, *, explain: bool) -> Stand:

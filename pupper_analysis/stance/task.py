@@ -130,6 +130,12 @@ class StandTask:
             return False
         return all(map(operator.is_, map(vars(self).__getitem__, _PLAIN), _PLAIN.values()))
 
+    def filled(self, **values: object) -> StandTask:
+        """Returns the task with other values, which are not checked: nobody's but our own."""
+        other = object.__new__(StandTask)
+        vars(other).update(vars(self), **values)
+        return other
+
     def rotation(self) -> Array:
         """Returns the base's rotation (3, 3) in the world."""
         rotation: Array = pin.rpy.rpyToMatrix(self.roll, self.pitch, self.yaw)

@@ -110,7 +110,8 @@ class Tasks:
                 task.target_world = goal.targets[point]
         if goal.turn is not before.turn:
             self._orientation.R_world_frame = goal.task.rotation()
-        self._height.target_world = np.array([0.0, 0.0, goal.height])
+        if goal.height != before.height:
+            self._height.target_world = np.array([0.0, 0.0, goal.height])
         if self._place is not None and goal.place is not before.place:
             self._place.target_world = np.array([*goal.place.tolist(), 0.0])
 
@@ -126,8 +127,20 @@ class Tasks:
         # PlaCo has inequalities alone: A q <= b and -A q <= -b.
         self._loops.A, self._loops.b = np.vstack([whole, -whole]), np.concatenate([here, -here])
 
+    def look(self) -> None:
+        """Has the tasks look at where PlaCo's robot is: of itself each does before a programme."""
+        for _, foot in self.feet:
+            foot.update()
+        if self._place is not None:
+            self._place.update()
+
+    def miss(self) -> float:
+        """Returns how far the feet are from where they shall be, at most (m), by the last look."""
+        worst: float = max([foot.error_norm() for _, foot in self.feet])
+        return worst
+
     def error(self) -> float:
-        """Returns the sum of squares of what feet and com, or base, are off (m^2)."""
+        """Returns the sum of squares of what feet and com, or base, are off (m^2), likewise."""
         error: float = sum([foot.error_norm() ** 2 for _, foot in self.feet])
         if self._place is not None:
             error += self._place.error_norm() ** 2

@@ -39,13 +39,17 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
         number, as the zero-moment point of feet that would have to pull.
     """
     x, y, *_ = com.tolist()
-    if not math.isfinite(x) or not math.isfinite(y):
+    return margin_inside((x, y), tuple([_corner(point) for point in points.values()]))
+
+
+def margin_inside(place: Corner, points: tuple[Corner, ...]) -> float:
+    """Returns ``com_margin`` of a place (x, y) and the places of contacts, seen from above (m)."""
+    if not math.isfinite(place[0]) or not math.isfinite(place[1]):
         return -math.inf
-    inside = _depth_inside((x, y), tuple([_corner(point) for point in points.values()]))
+    inside = _depth_inside(place, points)
     if inside is not None:
         return inside
-    polygon = shapely.MultiPoint([point[:2] for point in points.values()]).convex_hull
-    projection = shapely.Point(com[:2])
+    polygon, projection = shapely.MultiPoint(points).convex_hull, shapely.Point(place)
     if polygon.geom_type == "Polygon" and polygon.contains(projection):
         return float(polygon.exterior.distance(projection))
     return -float(polygon.distance(projection))

@@ -1,0 +1,175 @@
+"""A stand, judged: Pinocchio's errors of a configuration, and how near its parts come."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.arrays import angle_between
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.results import Result
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.clearance import Clearance, Shapes
+from pupper_analysis.stance.problem import Goal
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.stance.tasks import TASK_TOLERANCE
+from pupper_analysis.statics.support_polygon import margin_inside
+
+Array = NDArray[np.float64]
+
+TOUCHING = 1e-6
+"""How much nearer than allowed parts may come (m): rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stand(Result):
+    """A solved stand. Its errors are Pinocchio's, computed anew from ``qpos``.
+
+    Attributes:
+        task: The task, with its height and com filled in.
+        qpos: (nq,) the configuration.
+        foot_targets: {foot: (3,)} where the centre of each foot's sphere shall be (m).
+        depths: {foot that carries: how deep it has sunk into the ground (m)}; 0 on rigid ground.
+        stance_feet: The feet that carry.
+        normals: {foot that carries: (3,) direction out of the ground}.
+        contact_points: {foot that carries: (3,) where it touches the ground (m)}.
+        foot_error: The largest distance of a foot from its target (m), or by how much a closed loop
+            or a coupling of joints is open, if that is more (m, rad).
+        orientation_error: Angle between the base's orientation and the task's (rad).
+        height_error: Of the base frame (m).
+        com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
+            base frame.
+        com_margin: Distance of the com's projection from the support polygon's edge (m); negative
+            outside.
+        ground_clearance: How high the lowest part other than the feet is above the ground, by the
+            URDF's shapes; None if it has none.
+        self_clearance: The least distance between links that are not neighbours; None if it was
+            not asked for.
+        iterations: Quadratic programmes solved.
+        robot: Whose stand it is: the ``fingerprint`` of the robot.
+    """
+
+    task: StandTask
+    qpos: Array
+    foot_targets: dict[str, Array]
+    depths: dict[str, float]
+    stance_feet: tuple[str, ...]
+    normals: dict[str, Array]
+    contact_points: dict[str, Array]
+    foot_error: float
+    orientation_error: float
+    height_error: float
+    com_error: float
+    com_margin: float
+    ground_clearance: Clearance | None
+    self_clearance: Clearance | None
+    iterations: int
+    robot: str
+
+    @property
+    def blocked(self) -> tuple[str, ...]:
+        """What comes nearer to the ground, to another link or to tipping than the task allows."""
+        found = []
+        if self.com_short > TASK_TOLERANCE:
+            inside = (
+                f"{1e3 * abs(self.com_margin):.1f} mm {'in' if self.com_margin >= 0 else 'out'}side"
+            )
+            found.append(f"the com is {inside} the support polygon")
+        near, least = self.ground_clearance, self.task.ground_clearance
+        if near is not None and near.distance < least - TOUCHING:
+            found.append(f"{near.links[0]} is {_distance(near, 'above', 'in')} the ground")
+        near, least = self.self_clearance, self.task.self_clearance or 0.0
+        if near is not None and near.distance < least - TOUCHING:
+            found.append(f"{near.links[0]} is {_distance(near, 'from', 'in')} {near.links[1]}")
+        return tuple(found)
+
+    @property
+    def com_short(self) -> float:
+        """How much nearer than asked the com is to the support polygon's edge (m).
+
+        With an offset only, and a margin that was asked for: the com is then a result. Otherwise it
+        is where it was asked to be.
+        """
+        if self.task.offset is None or self.task.com_margin == 0.0:
+            return 0.0
+        return max(0.0, self.task.com_margin - self.com_margin)
+
+    @property
+    def room(self) -> float:
+        """How much nearer than allowed anything is, negative (m)."""
+        least = -self.com_short
+        if self.ground_clearance is not None:
+            least = min(least, self.ground_clearance.distance - self.task.ground_clearance)
+        if self.self_clearance is not None:
+            least = min(least, self.self_clearance.distance - (self.task.self_clearance or 0.0))
+        return least
+
+    @property
+    def solved(self) -> bool:
+        """Whether the feet are where they shall be, and nothing is in the way."""
+        return self.foot_error < TASK_TOLERANCE and not self.blocked
+
+    def check(self, robot: Robot) -> None:
+        """Checks that it is a robot's stand.
+
+        Raises:
+            ConfigurationError: If it is another robot's.
+        """
+        if self.robot.rpartition(" ")[2] != robot.fingerprint.rpartition(" ")[2]:
+            whose = self.robot.rpartition(" ")[0]
+            raise ConfigurationError(
+                "stand", f"it is a stand of {whose}, as that was loaded; solve it for {robot.name}"
+            )
+
+    def joint_positions(self, robot: Robot) -> Array:
+        """Returns the joints' part (nu,) of ``qpos`` (rad)."""
+        return self.qpos[robot.nq - robot.nu :]
+
+
+def _distance(near: Clearance, apart: str, inside: str) -> str:
+    return f"{1e3 * abs(near.distance):.1f} mm {apart if near.distance >= 0 else inside}"
+
+
+def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:
+    """Returns the stand at a configuration, with its errors and clearances.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: What is asked of the stand.
+        qpos: (nq,) the configuration.
+        iterations: Quadratic programmes that it took.
+    """
+    robot, task = shapes.robot, goal.task
+    own = robot.structure.state(qpos)
+    there = shapes.whereabouts
+    there.move(own)
+    com, feet = there.com(), there.feet()
+    x, y, z, *turn = own[:7].tolist()
+    at = (x, y) if goal.by_base else (com[0], com[1])
+    # Who changes a stand changes that alone: goals share their arrays.
+    targets = {foot: target.copy() for foot, target in goal.targets.items()}
+    missed = [math.dist(feet[foot], target.tolist()) for foot, target in targets.items()]
+    if robot.closure is not None:
+        missed.append(robot.closure.open_by(own, goal.give))
+    contacts = dict(zip(goal.stance_feet, goal.contacts.copy(), strict=True))
+    return Stand(
+        task=task,
+        qpos=own,
+        foot_targets=targets,
+        depths=goal.depths,
+        stance_feet=goal.stance_feet,
+        normals=dict.fromkeys(goal.stance_feet, task.ground.normal()),
+        contact_points=contacts,
+        foot_error=max(missed),
+        orientation_error=angle_between(goal.turn, turn),
+        height_error=abs(z - goal.height),
+        com_error=math.dist(at, goal.place.tolist()),
+        com_margin=margin_inside((com[0], com[1]), goal.corners),
+        ground_clearance=shapes.above_ground(own, task.ground, targets, goal.depths, moved=True),
+        self_clearance=None if task.self_clearance is None else shapes.between_links(own),
+        iterations=iterations,
+        robot=robot.fingerprint,
+    )
