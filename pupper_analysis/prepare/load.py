@@ -212,18 +212,18 @@ def _prepared(
     free_of_friction(ready, notes)
     one_at_each_joint(ready, mjcf.path, notes)
     bare = build_robot(replace(description, mjcf=ready))
-    open_ended = stated(bare, notes)
-    bare = bare if open_ended is None else build_robot(open_ended)
-    narrower = within_both(bare, notes)
-    bare = bare if narrower is None else build_robot(narrower)
+    for limited in (stated, within_both):
+        other = limited(bare, notes)
+        bare = bare if other is None else build_robot(other)
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
     try:
         feet = _feet(bare, frames, poses)
     except ModelError as error:
-        gone = next((note for note in mjcf.notes if "mesh file(s) missing" in note), None)
-        if gone is None:
+        gone = [note for note in mjcf.notes if "mesh file(s) missing" in note]
+        if not gone:
             raise
-        raise ModelError(mjcf.path, f"{error.problem}; {gone}: put them there") from error
+        gone += [note for note in mjcf.notes if "of Git LFS" in note] or ["put them there"]
+        raise ModelError(mjcf.path, "; ".join([error.problem, *gone])) from error
     if not feet:
         return replace(bare, notes=(*notes, *bare.notes))
     notes.append(words.named(bare, feet, given=frames is not None))
