@@ -21,11 +21,12 @@ _TURNS = 2 * math.pi
 """What a joint without limits may turn, either way, where loops bind it (rad): round."""
 
 
-def bounded(robot: Robot) -> Description | None:
+def bounded(robot: Robot, notes: list[str]) -> Description | None:
     """Returns the description with limits for joints that turn round and round; None without loops.
 
     Where loops bind joints, PlaCo's constraints on joints know no others.
     """
+    del notes  # the limits are further than such a joint has to turn
     if robot.closure is None or not robot.pin_convention.unbounded.any():
         return None
     root = parse_text(robot.description.urdf)

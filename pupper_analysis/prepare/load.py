@@ -29,7 +29,7 @@ from pupper_analysis.prepare.feet import (
     named_foot,
     with_feet,
 )
-from pupper_analysis.prepare.limits import stated, within_both
+from pupper_analysis.prepare.limits import bounded, within_both
 from pupper_analysis.prepare.mimics import coupled
 from pupper_analysis.prepare.motors import one_at_each_joint, several
 from pupper_analysis.prepare.parts import with_parts
@@ -212,7 +212,7 @@ def _prepared(
     free_of_friction(ready, notes)
     one_at_each_joint(ready, mjcf.path, notes)
     bare = build_robot(replace(description, mjcf=ready))
-    for limited in (stated, within_both):
+    for limited in (bounded, within_both):
         other = limited(bare, notes)
         bare = bare if other is None else build_robot(other)
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
