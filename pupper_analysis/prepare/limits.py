@@ -21,12 +21,12 @@ _TURNS = 2 * math.pi
 """What a joint without limits may turn, either way, where loops bind it (rad): round."""
 
 
-def bounded(robot: Robot, notes: list[str]) -> Description | None:
+def bounded(robot: Robot, _notes: list[str]) -> Description | None:
     """Returns the description with limits for joints that turn round and round; None without loops.
 
-    Where loops bind joints, PlaCo's constraints on joints know no others.
+    Where loops bind joints, PlaCo's constraints on joints know no others. No note tells, as the
+    limits are further away than such a joint has to turn.
     """
-    del notes  # the limits are further than such a joint has to turn
     if robot.closure is None or not robot.pin_convention.unbounded.any():
         return None
     root = parse_text(robot.description.urdf)
