@@ -140,7 +140,9 @@ def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
             _delete_sensors(spec, actuator.name)
             spec.delete(actuator)
     for equality in list(spec.equalities):
-        if name in (equality.name1, equality.name2):
+        # A connect or weld names bodies, which may be called like joints.
+        joints = equality.type == mujoco.mjtEq.mjEQ_JOINT
+        if joints and name in (equality.name1, equality.name2):
             spec.delete(equality)
     _delete_sensors(spec, name)
     spec.delete(joint)

@@ -27,6 +27,10 @@ _AS_LOW = 0.15
 """Limbs that end no higher than this above the lowest, in parts of the base's height above it, are
 legs: hands and heads are higher, and feet in a start pose rarely at more than a few percent."""
 
+_LEVEL = 0.05
+"""Or in parts of how far the limbs' last bodies are from the base: legs that are spread as a
+spider's end at the base's height, or so."""
+
 _NEAR = 0.02
 """A sphere whose centre is no further from a URDF's link is the foot that the link means (m)."""
 
@@ -111,7 +115,10 @@ def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
             f"(the limbs end at {bare}); give the feet's collision geoms, or name the feet",
         )
     bottom = min(heights.values())
-    legs = [b for b, height in heights.items() if height < bottom + _AS_LOW * (base - bottom)]
+    away = data.xpos[list(heights)] - data.xpos[model.body(robot.mj_base).id]
+    reach = float(np.linalg.norm(away, axis=1).max())
+    near = max(_AS_LOW * (base - bottom), _LEVEL * reach)
+    legs = [b for b, height in heights.items() if height < bottom + near]
     found = [
         (body, contact_points(model, data, body, ends[body], joints_to(robot, body)))
         for body in legs
