@@ -114,7 +114,7 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     trial = built(*first, 1, IMPLICIT)
     timestep = float(trial.mj_model.opt.timestep)
     resting = None
-    for integrator, parts, sag in itertools.product(_integrators(robot), _FINER, _SAGS):
+    for integrator, parts, sag in itertools.product(integrators(robot), _FINER, _SAGS):
         kp, kd = _kept(robot, own, *_gains(robot, stand.qpos, torques, sag, parts))
         trial.mj_model.opt.timestep = timestep / parts
         trial.mj_model.opt.integrator = integrator
@@ -126,12 +126,13 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     return built(kp, kd, parts, integrator), kp, kd, resting is not None
 
 
-def _integrators(robot: Robot) -> list[int]:
+def integrators(robot: Robot) -> list[int]:
     """Returns the integrators that are tried.
 
-    The implicit ones damp joints after the constraints' forces are known: the rods of a loop, of
-    grammes, are torn from the legs that they drive (ToddlerBot's within two steps). Where a file
-    with loops has another one, that is tried, too.
+    The implicit ones compute accelerations anew from the constraints' forces, which the constraint
+    solver leaves inexact: by 15 N m where ToddlerBot's rods of 3e-9 kg m^2 are welded, which tears
+    them off within two steps. Euler without ``eulerdamp`` takes the solver's accelerations. Where a
+    file with loops has another integrator, that is tried, too.
     """
     own = int(robot.mj_model.opt.integrator)
     return [IMPLICIT] if robot.closure is None else list(dict.fromkeys([IMPLICIT, own]))
