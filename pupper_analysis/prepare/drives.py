@@ -19,7 +19,12 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servos
 from pupper_analysis.simulation.monitor import DIVERGED
 from pupper_analysis.simulation.stability import too_stiff
-from pupper_analysis.simulation.verify import ANOTHER_ROBOT, SETTLED_DRIFT, verify_stand
+from pupper_analysis.simulation.verify import (
+    ANOTHER_ROBOT,
+    SETTLED_DRIFT,
+    StandVerification,
+    verify_stand,
+)
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.sunk import sunk_stand
 
@@ -139,9 +144,7 @@ def advice(robot: Robot, stand: Stand) -> str | None:
     They are the robot's, and so they stay as they are.
     """
     seen = verify_stand(robot, stand)
-    if seen.passed or not (
-        seen.tilt > _UPRIGHT or verify_stand(robot, stand, duration=_FALL).tilt > _UPRIGHT
-    ):
+    if seen.passed or not (_falls(seen) or _falls(verify_stand(robot, stand, duration=_FALL))):
         return None
     own = np.array(list(own_servos(robot).values()))  # of those that have a motor
     torques = stand_statics(robot, stand).joint_torques
@@ -151,7 +154,7 @@ def advice(robot: Robot, stand: Stand) -> str | None:
     drive = servos(robot)
     if too_stiff(robot, stand, drive):
         seen = verify_stand(robot, stand, integrator="implicitfast", duration=_FALL)
-        if seen.tilt <= _UPRIGHT:
+        if not _falls(seen):
             step = 1e3 * robot.mj_model.opt.timestep
             return (
                 f"{said}: they are too stiff for the integrator {drive.integrator} at {step:g} ms; "
@@ -188,13 +191,16 @@ def _rests(
             seen = verify_stand(
                 robot, stand, kp=kp, kd=kd, feedforward=feedforward, duration=duration
             )
-            if any(text.startswith(DIVERGED) for text in seen.failures):
-                return False  # MuJoCo began anew, and may have come to rest
-            if max(seen.foot_slip.values()) > _STAYED or seen.tilt > _UPRIGHT:
+            if max(seen.foot_slip.values()) > _STAYED or _falls(seen):
                 return False
         if not seen.height_deviation < _STILL or abs(seen.height_drift) > SETTLED_DRIFT:
             return False
     return True
+
+
+def _falls(seen: StandVerification) -> bool:
+    """Tells whether a robot does not stay up; MuJoCo begins anew where a simulation diverges."""
+    return seen.tilt > _UPRIGHT or any(text.startswith(DIVERGED) for text in seen.failures)
 
 
 def _as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
