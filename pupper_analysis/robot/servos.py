@@ -178,11 +178,14 @@ def gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
     for name, motor in zip(robot.joint_names, (actuators >= 0) | following, strict=True):
         if not motor:
             raise ModelError(robot.description.mjcf_source, f"joint {name!r} has no actuator")
-    gain, damped, gear = np.zeros(robot.nu), np.zeros(robot.nu), np.ones(robot.nu)
-    servo = following.copy()
-    gain[~following], damped[~following], gear[~following], servo[~following] = _of_model(
-        robot.mj_model, actuators[~following]
-    )
+    if robot.closure is None:
+        gain, damped, gear, servo = _of_model(robot.mj_model, actuators)
+    else:
+        gain, damped, gear = np.zeros(robot.nu), np.zeros(robot.nu), np.ones(robot.nu)
+        servo = following.copy()
+        gain[~following], damped[~following], gear[~following], servo[~following] = _of_model(
+            robot.mj_model, actuators[~following]
+        )
     if (kp is None or kd is None) and not servo.all():
         index = int(np.flatnonzero(~servo)[0])
         raise ModelError(
@@ -226,7 +229,9 @@ def _of_model(
     gain = model.actuator_gainprm[actuators, 0] * gear**2
     bias = -model.actuator_biasprm[actuators, 1:3] * gear[:, None] ** 2
     affine = model.actuator_biastype[actuators] == mujoco.mjtBias.mjBIAS_AFFINE.value
-    return gain, bias[:, 1], gear, affine & np.isclose(gain, bias[:, 0]) & (gain > 0)
+    # The bounds of np.isclose, which takes as long as all else here.
+    as_stiff = np.abs(gain - bias[:, 0]) <= 1e-8 + 1e-5 * np.abs(bias[:, 0])
+    return gain, bias[:, 1], gear, affine & as_stiff & (gain > 0)
 
 
 def _gain(name: str, value: ArrayLike, size: int) -> Array:
