@@ -306,3 +306,67 @@ def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
     output, result = converted(path, "marked.xml")
     compiled(output)
     assert [note for note in (*result.notes, *result.left) if "size 0 0 0 was left out" in note]
+
+
+@pytest.mark.slow
+def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path: Path) -> None:
+    """As Kuavo's toes, which sank in by 20 mm; and as Drake's Atlas, whose points were left out."""
+    urdf = standing_urdf(tmp_path)
+    text = urdf.read_text()
+    ball = _shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
+    assert ball in text
+    text = text.replace(ball, "")
+    point = '<sphere radius="0.0"/>'
+    toes = "".join(
+        f'<link name="{leg}_toe">{_shape("collision", point, "0.01 0 -0.02")}</link>'
+        f'<joint name="{leg}_on" type="fixed"><parent link="{leg}_calf"/><child link="{leg}_toe"/>'
+        '<origin xyz="0 0 -0.2" rpy="0 1.5707963267948966 0"/></joint>'
+        for leg in ("FL", "FR", "RL", "RR")
+    )
+    urdf.write_text(text.replace("</robot>", f"{toes}</robot>"))
+    mjcf, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    assert any("links without mass" in note and "FL_toe" in note for note in found.notes)
+    assert "spheres of radius 0, points that touch, have a radius of 0.001 m" in found.left
+    model = compiled(mjcf)
+    calf = model.body("FL_calf").id
+    point = model.geom("FL_toe_collision")
+    assert model.geom_bodyid[point.id] == calf
+    assert model.geom_size[point.id, 0] == 0.001
+    # Turned by 90 degrees about y, (x, z) is (z, -x) in the calf.
+    np.testing.assert_allclose(point.pos, (-0.02, 0.0, -0.2 - 0.01), atol=1e-9)
+    np.testing.assert_allclose(model.body("FL_toe").pos, (0, 0, -0.2), atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_base_that_floats_in_the_link_world(tmp_path: Path) -> None:
+    """As Centauro's: the link is the world itself, and no body that moves."""
+    floating = (
+        '<link name="world"/><joint name="reference" type="floating"><parent link="world"/>'
+        '<child link="trunk"/><origin xyz="0 0 0.9"/></joint></robot>'
+    )
+    urdf = _changed(tmp_path, ("</robot>", floating))
+    mjcf, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    assert compiled(mjcf).body("trunk").parentid == 0
+
+
+@pytest.mark.slow
+def test_legs_that_are_spread_as_a_spiders_have_feet(tmp_path: Path) -> None:
+    """At zero angles they end at the base's height, one a little lower than the others."""
+    urdf = standing_urdf(tmp_path)
+    text = urdf.read_text()
+    for leg, turn, out in (("F", -1.57, 0.05), ("R", 1.57, 0.05)):
+        for side, sign in (("L", 1), ("R", -1)):
+            name = f'name="{leg}{side}_pitch"'
+            start = text.index(name)
+            old = f'<origin xyz="0.0 {sign * out!r} 0.0"/>'
+            at = text.index(old, start)
+            new = f'<origin xyz="0 {sign * out!r} 0" rpy="0 {turn - 0.01 * sign!r} 0"/>'
+            text = text[:at] + new + text[at + len(old) :]
+    text = text.replace('lower="-1.5" upper="2.5"', 'lower="-2.6" upper="2.6"')
+    urdf.write_text(text.replace('lower="-2.6" upper="-0.4"', 'lower="-2.6" upper="2.6"'))
+    _, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    note = next(note for note in found.notes if note.startswith("no feet were named"))
+    assert note.count("_calf_collision") == 4

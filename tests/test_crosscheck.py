@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from robots import Frame, arm, compared, mjcf_text, numbers, urdf_text, write
 
 import pupper_analysis as pa
 from pupper_analysis.checks.engines import EDGES, cross_check
@@ -166,3 +168,17 @@ def test_armature_matters() -> None:
     assert {"armature", "mass matrix", "forward dynamics"} <= failed
     assert "gravity" not in failed
     assert np.isfinite([quantity.relative for quantity in check.quantities]).all()
+
+
+def test_an_axis_of_another_length_is_a_direction(tmp_path: Path) -> None:
+    """Both engines take it so; yourdfpy would move a slide by its length times q."""
+    tip = (Frame("tip", "rod", (0.1, 0.0, 0.0)),)
+    text = urdf_text(arm(), tip)
+    one, two = (f'<axis xyz="{numbers((length, 0.0, 0.0))}"/>' for length in (1.0, 2.5))
+    assert one in text
+    text = text.replace(one, two)
+    assert text.count(two) == 1
+    files = write(tmp_path, text, mjcf_text(arm(), tip, free=False))
+    comparison = compared(files)
+    assert comparison.agree
+    assert comparison.engines == ()

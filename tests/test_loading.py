@@ -8,11 +8,13 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
 import corpus
 import mujoco
+import numpy as np
 import pinocchio as pin
 import pytest
 from corpus import LIMIT, joint, link, mjcf, urdf
@@ -438,6 +440,49 @@ def test_what_refers_to_nothing_is_found_in_the_included_file(tmp_path: Path) ->
     body = f"{BODY}</body></worldbody>"
     path = write(tmp_path, m=mjcf(body, "<custom/>", '<include file="a.xml"/>'), a=part)
     assert refused(lambda: read_mjcf(path)).startswith(f"{tmp_path / 'a.xml'}:4: MuJoCo cannot ")
+
+
+def test_attributes_that_mujoco_once_had_are_passed_over(tmp_path: Path) -> None:
+    """Those on which nothing depends that moves; of others MuJoCo's refusal stays, at its line."""
+    body = f'<worldbody><body name="b">{EXPLICIT}</body></worldbody>'
+    path = write(
+        tmp_path,
+        robot=f"<mujoco>\n<option apirate='9'>\n<flag sensornoise = \"enable\"\n"
+        f' energy="enable"/></option><include file="part.xml"/>{body}</mujoco>',
+        part='<mujocoinclude><option mpr_iterations="50"/></mujocoinclude>',
+    )
+    file = read_mjcf(path)
+    passed_over = [note for note in file.notes if "no longer has, is passed over" in note]
+    assert [note.split()[0] for note in passed_over] == ["sensornoise", "apirate", "mpr_iterations"]
+    model = file.compile()
+    assert model.opt.enableflags == mujoco.mjtEnableBit.mjENBL_ENERGY
+    assert file.place("body", "b").line == 4
+    for other in ('<option collision="predefined"/>', '<option><flag passive="disable"/></option>'):
+        path = write(tmp_path, robot=f"<mujoco>\n{other}{body}</mujoco>")
+        assert ".xml:2: not a valid MJCF" in refused(partial(read_mjcf, path))
+
+
+def test_the_ground_of_a_scene_that_pairs_name_is_put_there(tmp_path: Path) -> None:
+    """As K-Bot's and T1's, whose ground is in the file that includes theirs."""
+    ball = f'<body name="b"><freejoint/>{EXPLICIT}<geom name="foot" size="0.1"/></body>'
+    robot = (
+        f"<mujoco><default><geom contype='0' friction='3 1 1'/></default><worldbody>{ball}"
+        '</worldbody>\n<contact><pair geom1="foot" geom2="{}"/></contact></mujoco>'
+    )
+    file = read_mjcf(write(tmp_path, robot=robot.format("floor")))
+    assert "a plane at z = 0 was added" in file.notes[0]
+    model = file.compile()
+    floor = model.geom("floor")
+    assert floor.type == mujoco.mjtGeom.mjGEOM_PLANE
+    assert (floor.contype, floor.bodyid) == (1, 0)
+    np.testing.assert_allclose(floor.friction, (1, 0.005, 1e-4))
+    data = mujoco.MjData(model)
+    data.qpos[2] = 0.05
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 1
+    for meant in ("left_hand", "foot2"):
+        path = write(tmp_path, robot=robot.format(meant))
+        assert f"'{meant}' not found" in refused(partial(read_mjcf, path))
 
 
 def test_undeclared_prefixes_are_left_out_of_a_urdf(tmp_path: Path) -> None:

@@ -559,3 +559,33 @@ def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
     assert max(found[name] for name in names) <= 0.6
     stands(robot)
     assert not [note for note in load(quadruped(tmp_path)).notes if "limits" in note]
+
+
+@pytest.mark.slow
+def test_feet_behind_a_slide_are_where_they_are(tmp_path: Path) -> None:
+    """A slide is a direction: where a file puts its origin says nothing of the foot's place."""
+    pair = quadruped(tmp_path, floor=True, keyframe="0 0.1 0")
+    urdf, mjcf = pair.urdf.read_text(), pair.mjcf.read_text()
+    urdf, knees = re.subn(
+        r'(<joint name="\w+_knee" type=")revolute(".*?<axis xyz=")0 1 0(".*?lower=")[^"]*'
+        r'(" upper=")[^"]*',
+        r"\g<1>prismatic\g<2>0 0 1\g<3>-0.08\g<4>0.08",
+        urdf,
+    )
+    assert knees == 4
+    pair.urdf.write_text(urdf)
+    mjcf, knees = re.subn(
+        r'(_knee") axis="0 1 0" range="[^"]*"',
+        r'\1 type="slide" axis="0 0 1" range="-.08 .08"',
+        mjcf,
+    )
+    assert knees == 4
+    # The calf's frame 30 mm aside and 50 mm up; the com and the foot's sphere stay.
+    mjcf = re.sub(r'(_calf" pos=")0 0 -0.2', r"\g<1>0.03 0 -0.15", mjcf)
+    mjcf = mjcf.replace('pos="0 0 -0.1" mass="0.2"', 'pos="-0.03 0 -0.15" mass="0.2"')
+    mjcf = mjcf.replace('size="0.02" pos="0 0 -0.2"', 'size="0.02" pos="-0.03 0 -0.25"')
+    pair.mjcf.write_text(mjcf)
+    assert pa.compare_models(pair.urdf, pair.mjcf).differences[0].kind == "effort"  # the motors'
+    robot = load(pair)
+    assert not [note for note in robot.notes if "not of one robot" in note]
+    stands(robot)

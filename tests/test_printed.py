@@ -440,6 +440,7 @@ def stance(**changes: Any) -> Stub:
         "unsettled": "",
         "minimum_stiffness": 4.567,
         "sunk": Stub(depths={"FR": 0.00311, "RL": 0.00422}),
+        "loops_open": 2.34e-5,
     }
     return Stub(**{**fields, **changes})
 
@@ -468,6 +469,8 @@ def test_a_stance() -> None:
         minimum stiffness of servos that carry it without feed-forward: 4.57 N m/rad
         simulated with its legs longer by what the feet sink into MuJoCo's soft ground (at most 4.22
             mm)
+        the MJCF's loops and couplings are open in it by up to 2.3e-05 m or rad, as their softness
+            has it
         HOLDS in MuJoCo: torques within 1.2e-02, forces within 2.4e-02 of the prediction
             (relative to the largest)
     """)
@@ -476,7 +479,7 @@ def test_a_stance() -> None:
 def test_a_stance_that_fails() -> None:
     failing = stance(
         verification=run(0.0, passed=False), sunk=None, settled=None, unsettled="why",
-        minimum_stiffness=None, overloaded=(),
+        minimum_stiffness=None, overloaded=(), loops_open=None,
     )  # fmt: skip
     text = " ".join(printed(stance_report.print_stance, failing))
     assert "without feed-forward, no sag is predicted: why note: the feet of stub, sunk" in text

@@ -72,8 +72,8 @@ class Stance(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether it holds."""
-        return self.verification.passed
+        """Whether it holds, and within the limits of the motors, which an MJCF may not have."""
+        return self.verification.passed and not self.overloaded
 
 
 def study_stance(

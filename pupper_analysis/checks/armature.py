@@ -22,8 +22,21 @@ _AWAY = 0.01  # m: nor is the joint further from the one above it
 def armature_differences(
     values: Parameters, behaviour: Behaviour, judge: Judge
 ) -> list[Difference]:
-    """Returns armatures unlike those of the other legs, which a URDF cannot state."""
+    """Returns armatures of no rotor, and unlike those of the other legs.
+
+    A URDF can state neither. Before a free joint there is no rotor: the armature of a default class
+    has reached it, and adds to the base's mass in every direction what weighs nothing.
+    """
     differences = []
+    if values.base_armature:
+        value = values.base_armature
+        message = (
+            f"free joint of {values.base}: no armature in the URDF, of {value:.6g} kg and kg m^2 "
+            "in the MJCF (a default class reaches it; use <freejoint/>)"
+        )
+        effects = judge.effects(behaviour(replace(values, base_armature=0.0)), judge.one)
+        unit = "kg and kg m^2"
+        differences.append(Difference("armature", values.base, None, value, unit, message, effects))
     for name, usual in _unusual_armatures(values).items():
         joint = replace(values.joints[name], armature=usual)
         alone = behaviour(replace(values, joints={**values.joints, name: joint}))

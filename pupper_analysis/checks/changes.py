@@ -72,6 +72,13 @@ def changes_between(
             f"{two.base_damping:g} N s/m {sides.two} (a default class reaches it; use <freejoint/>)"
         )
         yield _whole("damping", one.base, "base_damping", one, two, "N s/m", message)
+    # A URDF is given the MJCF's: see `armature.armature_differences`.
+    if sides.alike and two.base_armature != one.base_armature:
+        message = (
+            f"free joint of {one.base}: armature {one.base_armature:g} {sides.one}, "
+            f"{two.base_armature:g} kg and kg m^2 {sides.two}"
+        )
+        yield _whole("armature", one.base, "base_armature", one, two, "kg and kg m^2", message)
     for name, (owner, position) in one.frames.items():
         other_owner, other = two.frames[name]
         apart = float(np.linalg.norm(other - position))

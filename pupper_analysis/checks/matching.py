@@ -182,7 +182,7 @@ def match(
         guessed=guessed,
         only_urdf=only_urdf,
         only_mjcf=only_mjcf,
-        notes=(*notes, *(note for note in robot.notes if "free joint" in note)),
+        notes=tuple(notes),
         reference=Reference(
             robot.mj_model if only_mjcf else mjcf.compile(),
             robot.mj_model if only_mjcf else whole,

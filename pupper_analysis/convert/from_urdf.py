@@ -14,6 +14,7 @@ from pupper_analysis.convert.meshes import Meshes
 from pupper_analysis.convert.xml_text import element, free_name, halved, is_zero, words
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.places import refusal_at
+from pupper_analysis.models.unlimited import states_no_limits
 from pupper_analysis.models.urdf_file import UrdfFile
 
 WORLD = "world"
@@ -23,6 +24,9 @@ FLOOR = "floor"
 """What the floor that is added, and its material, are called."""
 
 _ZERO = "0 0 0"
+
+_POINT = "0.001"
+"""Radius of a sphere that a URDF gives none (m): Drake's models have points at a sole's corners."""
 
 _SIZES = {
     "box": ("size",),
@@ -87,6 +91,10 @@ class UrdfBodies:
             return True
         return False
 
+    def _carried(self, link: str) -> bool:
+        """Tells whether a joint of the URDF carries a link."""
+        return any(end_link(joint, "child") == link for joint in self.urdf.root.findall("joint"))
+
     def add(self, worldbody: etree._Element, *, free: bool) -> None:
         """Adds all bodies to an MJCF's <worldbody>.
 
@@ -94,7 +102,9 @@ class UrdfBodies:
             ModelError: If a link cannot be a body of MuJoCo.
         """
         for link in self._links:
-            if link == WORLD and (link != self.root or free):
+            # One that carries the base's floating joint is the world, and no body.
+            above = link != self.root and self.floats and not self._carried(link)
+            if link == WORLD and not above and (link != self.root or free):
                 raise refusal_at(
                     self.urdf.path,
                     self._links[link],
@@ -149,7 +159,7 @@ class UrdfBodies:
         self._check_axis(joint)
         axis, limit, dynamics = (joint.find(tag) for tag in ("axis", "limit", "dynamics"))
         bounds = None
-        if kind != "continuous":
+        if kind != "continuous" and not states_no_limits(joint):
             bounds = f"{limit.get('lower') or 0} {limit.get('upper') or 0}"
             low, high = (float(word) for word in bounds.split())
             if not low < high:
@@ -253,7 +263,11 @@ class UrdfBodies:
         """Returns the attributes of a geom; None if there is none for it."""
         tag = str(geometry.tag)
         sizes = " ".join(str(geometry.get(word)) for word in _SIZES.get(tag, ()))
-        if any(float(size) <= 0 for size in sizes.split()):
+        point = tag == "sphere" and is_zero(sizes) and kind == "collision"
+        if point:
+            said = f"spheres of radius 0, points that touch, have a radius of {_POINT} m"
+            self.notes += [said] if said not in self.notes else []
+        elif any(float(size) <= 0 for size in sizes.split()):
             said = f"a shape <{tag}> of size {sizes} was left out: MuJoCo has no flat ones"
             self.notes += [said] if said not in self.notes else []
             return None
@@ -261,7 +275,7 @@ class UrdfBodies:
             name = self.meshes.name(geometry, touches=kind == "collision")
             return None if name is None else {"type": "mesh", "mesh": name}
         if tag == "sphere":
-            return {"type": "sphere", "size": str(geometry.get("radius"))}
+            return {"type": "sphere", "size": _POINT if point else str(geometry.get("radius"))}
         if tag == "box":
             return {"type": "box", "size": halved(str(geometry.get("size")))}
         if tag in ("cylinder", "capsule"):

@@ -42,6 +42,32 @@ def merge_fixed(worldbody: etree._Element) -> list[str]:
     return merged[::-1]
 
 
+def carry_shapes(worldbody: etree._Element) -> list[str]:
+    """Moves collision shapes of bodies without joint and mass to the body that carries them.
+
+    MuJoCo's ground is the softer under a shape the more lightly the shape's body can be pushed, at
+    that body's own frame: a toe's sphere in a massless body of its own, at the end of a foot with
+    light ankles, sinks in 25 times as far as in the foot's body. MuJoCo's own importer merges both.
+
+    Returns:
+        The names of the bodies whose shapes were moved.
+    """
+    moved = []
+    # From the ends of the tree, so that a parent passes on what its child has passed on.
+    for body in reversed(list(worldbody.iter("body"))):
+        parent = body.getparent()
+        weighs = any(body.find(tag) is not None for tag in ("joint", "freejoint", "inertial"))
+        geoms = [geom for geom in body.findall("geom") if geom.get("class") == "collision"]
+        if weighs or not geoms or parent.tag == "worldbody":
+            continue
+        placement = placement_of(body)
+        for geom in geoms:
+            _place(geom, placement * placement_of(geom))
+            parent.insert(parent.index(body), geom)
+        moved.append(str(body.get("name")))
+    return moved[::-1]
+
+
 def _place(node: etree._Element, placement: pin.SE3) -> None:
     """Writes a placement."""
     for name in ("pos", "euler", "quat"):

@@ -19,7 +19,7 @@ from pupper_analysis.convert import equip
 from pupper_analysis.convert.conversion import Draft
 from pupper_analysis.convert.from_urdf import WORLD, UrdfBodies
 from pupper_analysis.convert.inertials import mend_inertials
-from pupper_analysis.convert.merge import merge_fixed
+from pupper_analysis.convert.merge import carry_shapes, merge_fixed
 from pupper_analysis.convert.meshes import Meshes
 from pupper_analysis.convert.servo_gains import held_gains, stand_gains
 from pupper_analysis.convert.tidy import put_defaults, to_text
@@ -85,6 +85,12 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
         merged = merge_fixed(worldbody)
         if merged:
             notes.append(f"{len(merged)} links on fixed joints are sites: {', '.join(merged)}")
+    carried = carry_shapes(worldbody)
+    if carried:
+        notes.append(
+            f"collision shapes of links without mass are those of the body that carries them: "
+            f"{', '.join(carried)}"
+        )
     asset = root.find("asset")
     for name, rgba in bodies.materials.items():
         element(asset, "material", name=name, rgba=rgba)

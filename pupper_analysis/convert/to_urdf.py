@@ -323,7 +323,7 @@ def _others(model: mujoco.MjModel) -> list[str]:
         some.append(f"springs of {int((model.jnt_stiffness[moving] != 0).sum())} joints")
     if model.body_gravcomp.any():
         some.append(f"gravity compensation of {int((model.body_gravcomp != 0).sum())} bodies")
-    elsewhere = sum(not is_at_one_joint(model, number) for number in range(model.nu))
+    elsewhere = sum(not is_at_one_joint(model, number) for number in range(model.nactuator))
     for count, what in (
         (model.ntendon, "tendons"),
         (model.nkey, "keyframes"),

@@ -116,6 +116,19 @@ def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
     return gear[:1] if is_at_one_joint(model, actuator) else gear
 
 
+def drives_of(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Returns the actuators at a hinge or slide.
+
+    Of one, ``jointinparent`` is the same as ``joint``. An actuator may have several controls, so
+    that there are fewer of them than ``model.nu``.
+    """
+    return [
+        actuator
+        for actuator in range(model.nactuator)
+        if is_at_one_joint(model, actuator) and model.actuator_trnid[actuator, 0] == joint
+    ]
+
+
 def _of_actuators(model: mujoco.MjModel, values: Array) -> Array:
     total = np.zeros(model.nv)
     for actuator in range(model.nactuator):
@@ -180,8 +193,7 @@ def effort_limit(model: mujoco.MjModel, joint: int) -> float:
     limit = np.inf
     if model.jnt_actfrclimited[joint]:
         limit = float(np.abs(model.jnt_actfrcrange[joint]).max())
-    at_joints = model.actuator_trntype[: model.nu] == mujoco.mjtTrn.mjTRN_JOINT.value
-    drives = np.flatnonzero(at_joints & (model.actuator_trnid[: model.nu, 0] == joint)).tolist()
+    drives = drives_of(model, joint)
     if not drives:
         return limit
     return min(limit, sum(_actuator_limit(model, actuator) for actuator in drives))
@@ -196,10 +208,11 @@ def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
         model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE.value
         and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED.value
     )
-    if plain and model.actuator_ctrllimited[actuator]:
+    control = int(model.actuator_ctrladr[actuator])
+    if plain and model.actuator_ctrllimited[control]:
         gain = abs(float(model.actuator_gainprm[actuator, 0]))
-        force = min(force, gain * float(np.abs(model.actuator_ctrlrange[actuator]).max()))
-    return force * abs(float(model.actuator_gear[actuator, 0]))
+        force = min(force, gain * float(np.abs(model.actuator_ctrlrange[control]).max()))
+    return force * abs(float(actuator_gear(model, actuator)[0]))
 
 
 def mujoco_from_urdf(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import standard_input
+from pupper_analysis.models.lenient import is_retired, without_retired
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import MAX_NUMBER
 
@@ -42,18 +43,28 @@ def load(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def spec_of(path: Path) -> mujoco.MjSpec:
-    """Parses an MJCF, whatever its name ends with: MuJoCo reads files ``*.xml`` alone."""
+def spec_of(path: Path, notes: list[str] | None = None) -> mujoco.MjSpec:
+    """Parses an MJCF, whatever its name ends with: MuJoCo reads files ``*.xml`` alone.
+
+    Args:
+        path: The file.
+        notes: To say in what was passed over, of what MuJoCo once knew.
+    """
     if path.suffix.lower() == ".xml":
-        return mujoco.MjSpec.from_file(str(path))
+        try:
+            return mujoco.MjSpec.from_file(str(path))
+        except ValueError as error:
+            if notes is None or not is_retired(str(error)):
+                raise
+    passed_over: list[str] = [] if notes is None else notes
     included: dict[str, bytes] = {}
-    text = standard_input.content(path)
+    text = without_retired(standard_input.content(path), passed_over)
     waiting = [text]
     while waiting:
         for name in re.findall(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)', waiting.pop()):
             file = path.parent / name.decode()
             if name.decode() not in included and file.is_file():
-                included[name.decode()] = file.read_bytes()
+                included[name.decode()] = without_retired(file.read_bytes(), passed_over)
                 waiting.append(included[name.decode()])
     spec = mujoco.MjSpec.from_string(text.decode("utf-8-sig"), include=included)
     spec.modelfiledir = str(path.parent)

@@ -14,6 +14,7 @@ from lxml import etree
 
 from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.lenient import put_ground
 from pupper_analysis.models.missing import leave_out_missing
 from pupper_analysis.models.mjcf import no_number, quiet, spec_of
 from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating, walk
@@ -184,13 +185,15 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
 
 def _spec(tree: Tree, index: Mapping[tuple[str, str], Node]) -> tuple[mujoco.MjSpec, list[str]]:
     """Returns what MuJoCo reads, without what needs files that are missing, and what that is."""
+    notes: list[str] = []
     try:
         with quiet():
-            spec = spec_of(tree.path)
+            spec = spec_of(tree.path, notes)
     except _MUJOCO_ERRORS as error:
         message, place = _mujoco_refusal(tree, index, "not a valid MJCF", error)
         raise ModelError(source_name(place.file, place.line), message) from error
-    return spec, leave_out_missing(spec, tree, index)
+    notes += leave_out_missing(spec, tree, index)
+    return spec, notes + put_ground(spec)
 
 
 def _mujoco_refusal(

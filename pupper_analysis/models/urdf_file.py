@@ -16,6 +16,7 @@ from pupper_analysis.errors import ModelError
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.packages import existing, folders_of_package
 from pupper_analysis.models.places import Place, innermost, line_of, refusal_at, source_name
+from pupper_analysis.models.unlimited import note_on_limits
 from pupper_analysis.models.urdf_checks import (
     MAX_LINKS,
     UNTIDY_NUMBER,
@@ -158,6 +159,8 @@ def urdf_from(
     if spaces or UNTIDY_NUMBER.search(text):
         rewritten = True
         notes.append("white space in numbers was normalised: Pinocchio takes single spaces only")
-    if rewritten or next(root.iter("capsule"), None) is not None:
+    limits = note_on_limits(root)
+    notes += [] if limits is None else [limits]
+    if rewritten or limits or next(root.iter("capsule"), None) is not None:
         text = for_engines(root)
     return UrdfFile(path, text, root, MappingProxyType(dict(packages or {})), tuple(notes))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from pupper_analysis.prepare.balls import fitted, osculating
 from pupper_analysis.prepare.soles import BALL, TILT, TILTS, corners, stays_flat
 from pupper_analysis.robot.contact import ground_geom
 
@@ -30,12 +31,6 @@ _JOINTS_OF_A_SOLE = 5
 
 _LEAST_JOINTS_OF_A_SOLE = 4
 """Legs of four joints may lay a foot flat: not everywhere, but at any height."""
-
-_CAP = math.radians(50.0)
-"""How far from a foot's lowest point, seen from its middle, its shape is compared with a ball's."""
-
-_BALL = 0.1
-"""A foot is a ball if no point of that cap is off the sphere by more than this part of it."""
 
 _ROUND = 24  # points on the rim of a cylinder, and on each circle of an ellipsoid
 
@@ -111,7 +106,7 @@ def _outline(
     kinds = mujoco.mjtGeom
     radius = 0.0
     circle = np.linspace(0, 2 * math.pi, _ROUND, endpoint=False)
-    if kind == kinds.mjGEOM_SPHERE:
+    if kind == kinds.mjGEOM_SPHERE or (kind == kinds.mjGEOM_ELLIPSOID and np.ptp(size) == 0):
         local, radius = np.zeros((1, 3)), float(size[0])
     elif kind == kinds.mjGEOM_CAPSULE:
         local, radius = np.array([[0, 0, -size[1]], [0, 0, size[1]]]), float(size[0])
@@ -127,7 +122,8 @@ def _outline(
             for u in ups
             for c in circle
         ]
-        local = np.array(unit) * size
+        tip = -size * turn[2] / np.linalg.norm(size * turn[2])  # no point of the grid is lowest
+        local = np.array([*unit, tip]) * size
     elif kind == kinds.mjGEOM_MESH:
         local = _hull_of(model, int(model.geom_dataid[geom]))
     else:
@@ -165,9 +161,11 @@ def _tip(
         return ()
     outline = list(_outline(model, data, geom))
     place, radius = min(outline, key=lambda sphere: float(sphere[0][2]) - sphere[1])
-    if not radius and len(outline) > 3:
+    if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID.value:
+        place, radius = osculating(model, data, geom, down)
+    elif not radius and len(outline) > 3:
         points = np.array([point for point, _ in outline])
-        place, radius = _fitted(points, place, down)
+        place, radius = fitted(points, place, down)
         if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value:
             on = points[(place - points) @ down < _FLAT]
             radius = BALL
@@ -175,30 +173,6 @@ def _tip(
     own = int(model.geom_bodyid[geom])
     center = data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own])
     return (ContactPoint(geom, center, radius),)
-
-
-def _fitted(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
-    """Returns centre (3,) and radius of the sphere at the lower end of points (n, 3), if it is one.
-
-    Else the tip itself, and no radius. A sphere |p - c| = r is linear in c and r^2 - |c|^2.
-    """
-    found = tip, 0.0
-    for size in (0.01, 0.02, 0.03, 0.045):  # m: of the part that is looked at, from the tip up
-        near = points[(tip - points) @ down < size]
-        if len(near) < 6:
-            continue
-        table = np.column_stack([2 * near, np.ones(len(near))])
-        solution, _, rank, _ = np.linalg.lstsq(table, (near**2).sum(axis=1))
-        center = solution[:3]
-        radius = math.sqrt(max(0.0, float(solution[3] + center @ center)))
-        if rank < 4 or radius == 0.0:
-            continue
-        away = near - center
-        cap = away @ down > math.cos(_CAP) * radius
-        off = np.abs(np.linalg.norm(away[cap], axis=1) - radius)
-        if cap.sum() >= 6 and off.max() < _BALL * radius and radius > size / 2:
-            found = center, float((tip - center) @ down)
-    return found
 
 
 def lowest(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> float:
@@ -316,7 +290,11 @@ def _alike(one: Sequence[ContactPoint], two: Sequence[ContactPoint]) -> bool:
 def _cornered(
     model: mujoco.MjModel, body: int, geoms: Sequence[int], out: Array
 ) -> tuple[ContactPoint, ...]:
-    """Returns balls at the corners of a sole, ``out`` (3,) being the direction out of it."""
+    """Returns balls at the corners of a sole, ``out`` (3,) being the direction out of it.
+
+    All in one plane: a mesh's corners that are a tenth of a millimetre off it would have the foot
+    tilt by milliradians to rest on three of them.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     down = data.xmat[body].reshape(3, 3) @ out
@@ -326,10 +304,12 @@ def _cornered(
         for point, radius in _outline(model, data, geom)
     ]
     found = []
+    level = max(float(point @ down) for _, point in surface)
     for number in corners(np.array([point for _, point in surface]), down, 2 * _PRESSED):
         geom, point = surface[number]
         own = int(model.geom_bodyid[geom])
-        middle = data.xmat[own].reshape(3, 3).T @ (point - BALL * down - data.xpos[own])
+        place = point + (level - float(point @ down) - BALL) * down
+        middle = data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own])
         found.append(ContactPoint(geom, middle, BALL))
     return tuple(found)
 

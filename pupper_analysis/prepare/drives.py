@@ -16,8 +16,9 @@ from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot.servos import own_servos, servos
 from pupper_analysis.simulation.monitor import DIVERGED
+from pupper_analysis.simulation.stability import too_stiff
 from pupper_analysis.simulation.verify import ANOTHER_ROBOT, SETTLED_DRIFT, verify_stand
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.sunk import sunk_stand
@@ -148,6 +149,15 @@ def advice(robot: Robot, stand: Stand) -> str | None:
     said = (
         f"the MJCF's own servos (kp {span(own[:, 0])} N m/rad) let it fall over in the start pose"
     )
+    drive = servos(robot)
+    if too_stiff(robot, stand, drive):
+        seen = verify_stand(robot, stand, integrator="implicitfast", duration=_FALL)
+        if seen.tilt <= _UPRIGHT:
+            step = 1e3 * robot.mj_model.opt.timestep
+            return (
+                f"{said}: they are too stiff for the integrator {drive.integrator} at {step:g} ms; "
+                "--integrator implicitfast would hold it, with feed-forward"
+            )
     for sag in _SAGS:
         kp, kd = (
             np.full(robot.nu, gains.min()) for gains in _gains(robot, stand.qpos, torques, sag, 1)
@@ -278,7 +288,8 @@ def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujo
         actuator.set_to_position(
             kp=float(stiffness) / gear**2, kv=float(damping) / gear**2, inheritrange=0.0
         )
-        actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        actuator.ctrllimited = actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        actuator.actrange, actuator.delay, actuator.nsample = (0.0, 0.0), 0.0, 0
         if math.isfinite(limit):
             actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
             actuator.forcerange = (-limit / abs(gear), limit / abs(gear))

@@ -27,6 +27,10 @@ _AS_LOW = 0.15
 """Limbs that end no higher than this above the lowest, in parts of the base's height above it, are
 legs: hands and heads are higher, and feet in a start pose rarely at more than a few percent."""
 
+_LEVEL = 0.05
+"""Or in parts of how far the limbs' last bodies are from the base: legs that are spread as a
+spider's end at the base's height, or so."""
+
 _NEAR = 0.02
 """A sphere whose centre is no further from a URDF's link is the foot that the link means (m)."""
 
@@ -111,7 +115,10 @@ def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
             f"(the limbs end at {bare}); give the feet's collision geoms, or name the feet",
         )
     bottom = min(heights.values())
-    legs = [b for b, height in heights.items() if height < bottom + _AS_LOW * (base - bottom)]
+    away = data.xpos[list(heights)] - data.xpos[model.body(robot.mj_base).id]
+    reach = float(np.linalg.norm(away, axis=1).max())
+    near = max(_AS_LOW * (base - bottom), _LEVEL * reach)
+    legs = [b for b, height in heights.items() if height < bottom + near]
     found = [
         (body, contact_points(model, data, body, ends[body], joints_to(robot, body)))
         for body in legs
@@ -304,9 +311,9 @@ def _in_urdf(
 
     Where the last joint's axis is one line in both files, it is the same place against the base:
     how far along its axis a joint's frame is says nothing. Where it is not, and the URDF has a
-    link in the place against the joint, it is there.
+    link in the place against the joint, it is there. A slide is a direction, and no line.
     """
-    joint = _last_joint(robot, body)
+    joint = _last_joint(robot, body, turning=True)
     if joint is None:
         return world
     apart = still.joint_position(joint) - data.xanchor[robot.mj_model.joint(joint).id]
@@ -325,8 +332,8 @@ def _in_urdf(
 
 
 def apart_at(robot: Robot, foot: Foot) -> float:
-    """Returns how far the last joints of a foot are from each other in the two files (m)."""
-    joint = _last_joint(robot, foot.body)
+    """Returns how far the last joints of a foot that turn are from each other in the files (m)."""
+    joint = _last_joint(robot, foot.body, turning=True)
     if joint is None:
         return 0.0
     data = posed(robot, np.zeros(robot.nu))
@@ -354,11 +361,20 @@ def _link_of(robot: Robot, body: int) -> str:
     return robot.base if joint is None else moved_links(robot.description.urdf)[joint]
 
 
-def _last_joint(robot: Robot, body: int) -> str | None:
-    """Returns the last joint that moves a body against the base."""
+def _last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
+    """Returns the last joint that moves a body against the base; if wanted, the last that turns."""
     model = robot.mj_model
-    joint = str(model.joint(int(model.body_jntadr[body] + model.body_jntnum[body] - 1)).name)
-    return joint if joint in robot.joint_names else None
+    slide = mujoco.mjtJoint.mjJNT_SLIDE.value
+    while body:
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        for joint in range(first + count - 1, first - 1, -1):
+            name = str(model.joint(joint).name)
+            if name not in robot.joint_names:
+                return None
+            if not (turning and model.jnt_type[joint] == slide):
+                return name
+        body = int(model.body_parentid[body])
+    return None
 
 
 def moved_links(urdf: str) -> Mapping[str, str]:

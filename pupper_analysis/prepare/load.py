@@ -25,12 +25,12 @@ from pupper_analysis.prepare.feet import (
     Foot,
     apart_at,
     find_feet,
-    is_ball,
     named_foot,
     with_feet,
 )
 from pupper_analysis.prepare.limits import stated, within_both
-from pupper_analysis.prepare.soles import BALL
+from pupper_analysis.prepare.motors import one_at_each_joint, several
+from pupper_analysis.prepare.words import balls, named
 from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.feet import limb_ends
@@ -155,6 +155,8 @@ def _as_it_is(
         ):
             raise
         return None  # a body that is named for its sole, which is no sphere around its frame
+    if free and not fixed_base and several(robot.mj_model):
+        return None
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *robot.notes))
 
 
@@ -202,22 +204,23 @@ def _prepared(
     ready = description.mjcf.copy()
     level_ground(ready, notes)
     free_of_friction(ready, notes)
+    one_at_each_joint(ready, mjcf.path, notes)
     bare = build_robot(replace(description, mjcf=ready))
-    open_ended = stated(bare, notes)
-    bare = bare if open_ended is None else build_robot(open_ended)
-    narrower = within_both(bare, notes)
-    bare = bare if narrower is None else build_robot(narrower)
+    for limited in (stated, within_both):
+        other = limited(bare, notes)
+        bare = bare if other is None else build_robot(other)
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
     try:
         feet = _feet(bare, frames, poses)
     except ModelError as error:
-        gone = next((note for note in mjcf.notes if "mesh file(s) missing" in note), None)
-        if gone is None:
+        gone = [note for note in mjcf.notes if "mesh file(s) missing" in note]
+        if not gone:
             raise
-        raise ModelError(mjcf.path, f"{error.problem}; {gone}: put them there") from error
+        gone += [note for note in mjcf.notes if "of Git LFS" in note] or ["put them there"]
+        raise ModelError(mjcf.path, "; ".join([error.problem, *gone])) from error
     if not feet:
         return replace(bare, notes=(*notes, *bare.notes))
-    notes.append(_named(bare, feet, given=frames is not None))
+    notes.append(named(bare, feet, given=frames is not None))
     apart = {foot.name: apart_at(bare, foot) for foot in feet}
     worst = max(apart, key=apart.__getitem__)
     if apart[worst] > _APART:
@@ -225,7 +228,7 @@ def _prepared(
             f"at zero angles the last joint of foot {worst} is {1e3 * apart[worst]:.0f} mm off in "
             "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
         )
-    notes += _balls(bare, feet)
+    notes += balls(bare, feet)
     robot = drives.with_motors(build_robot(with_feet(bare, feet)))
     notes += _planar(robot)
     robot = _started(robot, known, notes)
@@ -263,45 +266,6 @@ def _feet(
     if frames is None:
         return find_feet(robot, poses) if limb_ends(robot.mj_model) else ()
     return tuple(named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
-
-
-def _named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> str:
-    """Says which feet there are, and with how many contact points."""
-    texts = []
-    for foot in feet:
-        count = len(foot.points)
-        body = robot.mj_model.body(foot.body).name
-        texts.append(f"{foot.name} on {body}" + (f", {count} contact points" if count > 1 else ""))
-    how = "feet" if given else "no feet were named; taken were the lowest limbs' ends"
-    return f"{how}: {'; '.join(texts)}"
-
-
-def _balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
-    """Says which meshes balls take the place of."""
-    kinds: dict[str, list[str]] = {}
-    for foot in feet:
-        if any(is_ball(robot.mj_model, point) for point in foot.points):
-            edgy = len(foot.points) == 1 and foot.points[0].radius == BALL
-            kind = "soles" if len(foot.points) > 1 else "edges" if edgy else "round"
-            kinds.setdefault(kind, []).append(foot.name)
-    why = "as MuJoCo's contacts of a mesh jump from vertex to vertex"
-    for kind, names in kinds.items():
-        which = ", ".join(names)
-        if kind == "round":
-            yield (
-                f"round meshes of {which}: balls that fit to them touch the ground instead, {why}"
-            )
-        elif kind == "soles":
-            yield (
-                f"soles of {which} are meshes: small balls at their corners touch the ground "
-                f"instead, {why}"
-            )
-        else:
-            yield (
-                f"feet {which} are meshes that are not round: small balls where they are lowest in "
-                f"the start pose touch the ground instead, {why}; a sphere as collision geom would "
-                "be the robot's own"
-            )
 
 
 def _bound(robot: Robot) -> Iterator[str]:

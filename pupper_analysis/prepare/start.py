@@ -20,7 +20,7 @@ from pupper_analysis.stance.branches import branches, combinations, limbs
 from pupper_analysis.stance.clearance import Shapes, shapes_of
 from pupper_analysis.stance.judge import measure
 from pupper_analysis.stance.problem import Goal, goal_of
-from pupper_analysis.stance.search import begin_inside
+from pupper_analysis.stance.search import begin_inside, flattest
 from pupper_analysis.stance.solver import Solver
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
@@ -47,6 +47,10 @@ _CALMING = 3
 
 _MARGINS = (0.2, 0.05, 0.0)
 """How far a start pose has its joints off their limits (rad); the first with which there is one."""
+
+_SPREAD, _INWARDS, _BENT = 0.6, 0.4, 0.5
+"""Feet that are further aside from their hips than the first part of their distance are drawn in to
+the second, and stand below the hips by the third."""
 
 _LOWEST, _HIGHEST = 0.25, 0.98  # parts of a leg's length
 
@@ -126,6 +130,10 @@ def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         The robot with that as its nominal stand; None if it stands nowhere.
     """
     poses = list(poses)
+    return _found(robot, poses) or _found(robot, [_drawn_in(robot, pose) for pose in poses])
+
+
+def _found(robot: Robot, poses: Sequence[Array]) -> Robot | None:
     for margin in _MARGINS:
         best: tuple[list[Stand], Robot] = [], robot
         for pose in poses:
@@ -141,6 +149,33 @@ def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
                 placed, home=np.concatenate([robot.home[:7], joints]), stand_height=height
             )
     return None
+
+
+def _drawn_in(robot: Robot, pose: Array) -> Array:
+    """Returns joint positions (nu,) with feet that are spread in a pose nearer to their hips.
+
+    Legs that are straight to the side, as a spider's at zero angles, reach no ground where they
+    end.
+    """
+    qpos = robot.posed(pose)
+    config = Configuration(robot, qpos)
+    feet = config.foot_positions()
+    targets, drops = dict(feet), []
+    for limb in limbs(robot):
+        names = {robot.joint_names[index] for index in limb.joints}
+        first = next(name for name in robot.pin_model.names if name in names)
+        hip = config.joint_position(first)
+        for foot in limb.feet:
+            out = feet[foot] - hip
+            length = float(np.linalg.norm(out))
+            aside = float(np.linalg.norm(out[:2]))
+            if aside > _SPREAD * length:
+                targets[foot] = hip + _INWARDS / aside * length * np.append(out[:2], 0.0)
+            drops.append(float(hip[2]) - _BENT * length)
+    for foot, place in targets.items():
+        targets[foot] = np.array([*place[:2], min(drops)])
+    found = branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
+    return next(combinations(found, pose), pose)
 
 
 def _longest_run(robot: Robot, pose: Array, margin: float) -> list[Stand]:
@@ -236,6 +271,8 @@ def _first_solved(shapes: Shapes, goal: Goal, seeds: Sequence[Array]) -> Stand |
         reached = as_the_legs_can(shapes.robot, goal, point)
         if point.miss < TASK_TOLERANCE or reached is not goal:
             stand = measure(shapes, reached, point.qpos, point.iterations)
+            if reached is not goal:
+                stand = flattest(shapes, goal, stand)
             if stand.solved:
                 return stand
         inside = begin_inside(shapes, goal, joints, goal.place)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
-from pupper_analysis.models.conversion import gravity, joint_armature
+from pupper_analysis.models.conversion import gravity, is_at_one_joint, joint_armature
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.parameters import joint_placements
 from pupper_analysis.robot import contact
@@ -28,6 +28,8 @@ from pupper_analysis.robot.options import options_in_words
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
+
+_TOLD = 3  # joints that a note tells
 
 
 def build_robot(
@@ -56,7 +58,7 @@ def build_robot(
     pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
     notes += [*options_in_words(mj_model), *_at_rest(mj_model)]
-    notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention)
+    notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention, joint_names)
     foot_frames = {foot: frames[0] for foot, frames in description.feet.items()}
     for frame in foot_frames.values():
         if not pin_model.existFrame(frame, pin.FrameType.BODY):
@@ -144,14 +146,33 @@ def _at_rest(mj_model: mujoco.MjModel) -> list[str]:
     return notes
 
 
+def _unknown_efforts(
+    model: pin.Model, convention: PinocchioConvention, joint_names: Sequence[str]
+) -> list[str]:
+    """Says which joints have no effort limit in the URDF; exporters write 0 where none is known."""
+    efforts = model.effortLimit[convention.v_index]
+    names = [name for name, effort in zip(joint_names, efforts, strict=True) if effort == 0]
+    if not names:
+        return []
+    more = f", and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
+    return [
+        f"joints whose effort is 0 in the URDF have the MJCF's, or no limit: "
+        f"{', '.join(names[:_TOLD])}{more}"
+    ]
+
+
 def _take_armature(
     mj_model: mujoco.MjModel,
     mj_convention: MujocoConvention,
     pin_model: pin.Model,
     pin_convention: PinocchioConvention,
+    joint_names: Sequence[str],
 ) -> list[str]:
-    """Gives Pinocchio's model the armature of MuJoCo's, in place; returns notes about it."""
-    notes = []
+    """Gives Pinocchio's model the armature of MuJoCo's, in place; returns notes about it.
+
+    And about efforts that the URDF does not know.
+    """
+    notes = _unknown_efforts(pin_model, pin_convention, joint_names)
     armature = np.zeros(pin_model.nv)
     dofs = mj_convention.qvel_index[pin_convention.base_nv :]
     armature[pin_convention.v_index] = joint_armature(mj_model)[dofs]
@@ -224,8 +245,8 @@ def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
             known.append(model.joint(joint).name)
     driven = [
         model.joint(int(model.actuator_trnid[actuator, 0])).name
-        for actuator in range(model.nu)
-        if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
+        for actuator in range(model.nactuator)
+        if is_at_one_joint(model, actuator)
     ]
     if not known:
         raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")

@@ -27,6 +27,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.models.conversion import is_at_one_joint
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -145,7 +146,8 @@ class MujocoConvention:
     """Maps public coordinates to those of a MuJoCo model.
 
     MuJoCo's are the public ones but for the order: ``data.qpos[qpos_index]`` is the public qpos,
-    and likewise for velocities, and ``data.ctrl[actuator_index]`` is in the order of the joints.
+    and likewise for velocities. A motor's first control is in ``data.ctrl`` at
+    ``model.actuator_ctrladr[actuator_index]``.
 
     Attributes:
         actuator_index: (n,) the actuator of each joint, -1 where it has none.
@@ -168,8 +170,8 @@ class MujocoConvention:
             qvel += range(model.jnt_dofadr[free[0]], model.jnt_dofadr[free[0]] + 6)
         drives = {
             model.joint(int(model.actuator_trnid[a, 0])).name: a
-            for a in range(model.nu)
-            if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT.value
+            for a in range(model.nactuator)
+            if is_at_one_joint(model, a)
         }
         for name in joint_names:
             joint = model.joint(name).id

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import plain_state
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.models.conversion import gravity
+from pupper_analysis.models.conversion import effort_limit, gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.closure import Closure, closure_of
@@ -151,14 +151,24 @@ class Robot:
 
     @property
     def effort_limits(self) -> Array:
-        """(nu,) effort limits of the URDF (N m)."""
+        """(nu,) effort limits of the URDF (N m); where it says 0, the MJCF's: inf if it has none.
+
+        Exporters write 0 where nothing is known.
+        """
         limits: Array = self.pin_model.effortLimit.take(self.pin_convention.v_index)
-        return limits
+        return limits if limits.all() else np.where(limits == 0, self._mjcf_efforts, limits)
+
+    @cached_property
+    def _mjcf_efforts(self) -> Array:
+        model = self.mj_model
+        limits = [effort_limit(model, model.joint(name).id) for name in self.joint_names]
+        return np.array(limits, dtype=float)
 
     @property
     def velocity_limits(self) -> Array:
-        """(nu,) velocity limits of the URDF (rad/s)."""
-        return np.array(self.pin_model.velocityLimit[self.pin_convention.v_index])
+        """(nu,) velocity limits of the URDF (rad/s); inf where it says 0, as exporters do."""
+        limits = np.array(self.pin_model.velocityLimit[self.pin_convention.v_index])
+        return np.where(limits == 0, np.inf, limits)
 
     def _positional(self, values: Array, unbounded: float) -> Array:
         limits = np.array(values[self.pin_convention.q_index])

@@ -24,6 +24,13 @@ INTEGRATORS = {
 }
 """MuJoCo's integrators, as MJCF names them."""
 
+_HOLDING = (
+    mujoco.mjtDyn.mjDYN_NONE.value,
+    mujoco.mjtDyn.mjDYN_FILTER.value,
+    mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
+)
+"""Dynamics after which a command that stays is at last what is commanded."""
+
 
 @dataclass(frozen=True, eq=False)
 class Servos:
@@ -59,7 +66,7 @@ class Servos:
         actuators = robot.mj_convention.actuator_index
         driven, ctrl = actuators >= 0, np.zeros(self.model.nu)
         target = positions if torques is None else positions + lead(torques, self.kp)
-        ctrl[actuators[driven]] = (self.gear * target)[driven]
+        ctrl[self.model.actuator_ctrladr[actuators[driven]]] = (self.gear * target)[driven]
         return ctrl
 
 
@@ -100,7 +107,7 @@ def servos(
         model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
         model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
         _put_gains(model, actuators, *((g / gear**2)[driven] for g in (stiffness, damping)))
-        model.actuator_ctrllimited[actuators[~servo[driven]]] = 0
+        model.actuator_ctrllimited[model.actuator_ctrladr[actuators[~servo[driven]]]] = 0
     if integrator is not None:
         if integrator not in INTEGRATORS:
             raise ConfigurationError(
@@ -224,14 +231,22 @@ def own_servos(robot: Robot) -> dict[str, tuple[float, float]]:
 def _of_model(
     model: mujoco.MjModel, actuators: NDArray[np.int64]
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Returns gain, damping and gear (n,) of actuators, and which of them are position servos."""
+    """Returns gain, damping and gear (n,) of actuators, and which of them are position servos.
+
+    One with a force of its own, or whose command is integrated or delayed, is none: its ctrl is not
+    where it holds a joint.
+    """
     gear = model.actuator_gear[actuators, 0].copy()
     gain = model.actuator_gainprm[actuators, 0] * gear**2
     bias = -model.actuator_biasprm[actuators, 1:3] * gear[:, None] ** 2
     affine = model.actuator_biastype[actuators] == mujoco.mjtBias.mjBIAS_AFFINE.value
+    plain = affine & (model.actuator_gaintype[actuators] == mujoco.mjtGain.mjGAIN_FIXED.value)
+    plain &= (model.actuator_biasprm[actuators, 0] == 0) & (model.actuator_delay[actuators] == 0)
+    kinds = model.actuator_dyntype[actuators].tolist()
+    plain &= np.array([kind in _HOLDING for kind in kinds], dtype=bool)
     # The bounds of np.isclose, which takes as long as all else here.
     as_stiff = np.abs(gain - bias[:, 0]) <= 1e-8 + 1e-5 * np.abs(bias[:, 0])
-    return gain, bias[:, 1], gear, affine & as_stiff & (gain > 0)
+    return gain, bias[:, 1], gear, plain & as_stiff & (gain > 0)
 
 
 def _gain(name: str, value: ArrayLike, size: int) -> Array:

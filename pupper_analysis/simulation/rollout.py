@@ -25,6 +25,9 @@ _FURTHER = 8.0  # a search looks so many times as deep: wider brackets than 2 ta
 _SAME = 1e-12  # m: drops that differ by no more are one
 
 
+_FILTERS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
+"""Of a servo with ``timeconst``: what it commands lags behind, and at rest is its command."""
+
 STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
 """What rollouts return: time, qpos, qvel ..."""
 
@@ -51,6 +54,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     model = drive.model
     data = mujoco.MjData(model)
     data.ctrl[:] = drive.command(robot, stand.joint_positions(robot), torques)
+    data.act[:] = settled_activations(model, data.ctrl)
     normal = stand.task.ground.normal()
 
     def surplus(drop: float) -> float:
@@ -71,6 +75,22 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     # Where nothing carries, however deep, it begins there and falls.
     surplus(_carried(surplus, low, high, short, over) if over > 0 else high)
     return full_state(model, data)
+
+
+def settled_activations(model: mujoco.MjModel, ctrl: Array) -> Array:
+    """Returns what motors with a filter have at rest (na,): their command, as far as it goes."""
+    activations = np.zeros(model.na)
+    for motor in range(model.nactuator) if model.na else ():
+        if model.actuator_dyntype[motor] in _FILTERS:
+            control = int(model.actuator_ctrladr[motor])
+            low, high = (
+                model.actuator_ctrlrange[control]
+                if model.actuator_ctrllimited[control]
+                else (-np.inf, np.inf)
+            )
+            last = int(model.actuator_actadr[motor] + model.actuator_actnum[motor] - 1)
+            activations[last] = min(max(float(ctrl[control]), low), high)
+    return activations
 
 
 def _carried(

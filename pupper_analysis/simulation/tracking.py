@@ -179,7 +179,7 @@ def _torques(plan: PathCommands, states: Array) -> tuple[list[str], float]:
     before = np.vstack([plan.start, states[:-1]])
     joints = slice(robot.nq - robot.nu, None)
     dofs = 1 + model.nq + public.qvel_index[robot.nv - robot.nu :]
-    target = plan.ctrl[:, public.actuator_index] / drive.gear
+    target = plan.ctrl[:, model.actuator_ctrladr[public.actuator_index]] / drive.gear
     position = before[:, 1 + public.qpos_index[joints]]
     velocity = (states if drive.implicit else before)[:, dofs]
     asked = drive.kp * (target - position) - drive.kd * velocity

@@ -16,6 +16,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.edges import several_contacts
 from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.loops import closed_loops, give_way
 from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
@@ -316,6 +317,8 @@ def _deviations(
         return [*off, acts]
     if off and (opens := give_way(robot, stand, prediction)):
         return [*off, opens]
+    if off and (edges := several_contacts(robot, stand)):
+        return [*off, edges]
     deepest = max(float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
     if off and alone and deepest > SOFT and not any(stand.depths.values()):
         off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")

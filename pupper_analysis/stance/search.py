@@ -7,7 +7,6 @@ from dataclasses import replace
 from itertools import chain, islice
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
@@ -15,6 +14,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import Branch, Limb, branches, combinations
 from pupper_analysis.stance.clear_starts import clear_starts
 from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.com_places import first_places, inner, pushed_inside
 from pupper_analysis.stance.judge import Stand, measure
 from pupper_analysis.stance.nearest import in_place_and_clear, nearest
 from pupper_analysis.stance.problem import Goal
@@ -59,9 +59,6 @@ _ALMOST = 1e-3
 
 _SCATTERED = 64
 """How many: in the hardest case found, one of eight led to the stand."""
-
-_OUTWARDS = 0.8
-"""How far towards the support polygon's corners searches begin: there the com can still move."""
 
 _SAME = 1e-3
 """Configurations that differ by less come to the same stand (rad, m)."""
@@ -133,6 +130,28 @@ def begin_at(shapes: Shapes, goal: Goal, joints: Array) -> Stand | None:
     return _At(shapes, goal).add(Solver(shapes, goal).run(joints))
 
 
+def flattest(shapes: Shapes, goal: Goal, stand: Stand) -> Stand:
+    """Returns a stand whose soles lie flatter, if the com may be elsewhere, or the one given.
+
+    Legs that lay their soles as they can tilt them by as much as they may, to have the com in its
+    place; and servos that press them flat then give torques that no balance knows of.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: The goal.
+        stand: A stand of it, with feet where the legs have them.
+    """
+    robot = shapes.robot
+    com = Configuration(robot, stand.qpos).center_of_mass()[:2]
+    other = begin_inside(shapes, goal, stand.joint_positions(robot), com)
+
+    def off(tried: Stand) -> float:
+        places = Configuration(robot, tried.qpos).foot_positions()
+        return max(float(np.linalg.norm(places[f] - goal.targets[f])) for f in goal.stance_feet)
+
+    return stand if other is None else min(other, stand, key=off)
+
+
 def go_on(shapes: Shapes, goal: Goal, qpos: Array) -> Stand | None:
     """Looks for a stand from a configuration (nq,) alone that is next to it."""
     return _At(shapes, goal).add(Solver(shapes, goal).go_on(qpos))
@@ -192,6 +211,8 @@ class _At:
         if point.miss >= 2 * TASK_TOLERANCE and goal is self.goal:
             return None
         stand = self._measure(point, goal)
+        if goal is not self.goal:
+            stand = flattest(self.shapes, self.goal, stand)
         self.reached.append(stand)
         return stand if stand.solved else None
 
@@ -240,7 +261,7 @@ def _search_inside(
             found.append(_exactly(shapes, goal, point))
         return found[-1].solved
 
-    for place in _places(goal):
+    for place in first_places(goal):
         if any(solves(start, place) for start in candidates):
             return found[-1]
     for _ in range(_ROUNDS):
@@ -264,7 +285,7 @@ def _search_inside(
     reached = [stand for stand in found if stand.foot_error < TASK_TOLERANCE]
     if reached:  # and a part is in the ground: elsewhere, or bent otherwise, it may not be
         least_off = max(reached, key=lambda stand: stand.room)
-        clear_of_it = clear_starts(shapes, goal, least_off.qpos, _inner(goal))
+        clear_of_it = clear_starts(shapes, goal, least_off.qpos, inner(goal))
         for start, place in islice(clear_of_it, _CLEAR_STARTS):
             if solves(start, place):
                 return found[-1]
@@ -322,29 +343,6 @@ def _exactly(shapes: Shapes, goal: Goal, point: Point) -> Stand:
     iterations = stand.iterations + firm.iterations
     along = measure(shapes, replace(exact, place=com), firm.qpos, iterations)
     return min(along, stand, key=lambda tried: tried.foot_error)
-
-
-def _places(goal: Goal) -> list[Array]:
-    """Returns where a com that may be anywhere inside begins: the centre, corners and sides."""
-    centre = goal.contacts[:, :2].mean(axis=0)
-    corners = centre + _OUTWARDS * (support_polygon(goal.contacts) - centre)
-    sides = (corners + np.roll(corners, 1, axis=0)) / 2
-    return [pushed_inside(place, goal) for place in (centre, *corners, *sides)]
-
-
-def pushed_inside(place: Array, goal: Goal) -> Array:
-    """Returns the nearest place (2,) to one that has the task's margin in the support polygon."""
-    inner, point = _inner(goal), shapely.Point(place)
-    if inner.is_empty or inner.contains(point):
-        return place
-    line = shapely.shortest_line(inner, point)  # from the polygon to the point
-    return np.array(line.coords[0])
-
-
-def _inner(goal: Goal) -> shapely.Polygon:
-    """Returns where in the support polygon the com has the task's margin."""
-    polygon = shapely.Polygon(support_polygon(goal.contacts))
-    return polygon.buffer(-(goal.task.com_margin + TASK_TOLERANCE), join_style="mitre")
 
 
 def starts(robot: Robot, goal: Goal) -> Iterator[Array]:

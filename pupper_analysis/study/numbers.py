@@ -313,7 +313,7 @@ def with_gains(
         actuator.dyntype = mujoco.mjtDyn(int(model.actuator_dyntype[index]))
         actuator.gainprm = model.actuator_gainprm[index]
         actuator.biasprm = model.actuator_biasprm[index]
-        actuator.ctrllimited = int(model.actuator_ctrllimited[index])
+        actuator.ctrllimited = int(model.actuator_ctrllimited[model.actuator_ctrladr[index]])
     return replace(robot, description=replace(robot.description, mjcf=spec), mj_model=model)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from pupper_analysis.models.conversion import effort_limit
+from pupper_analysis.models.conversion import actuator_gear, drives_of, effort_limit
 from pupper_analysis.sync.digits import SAME
 from pupper_analysis.sync.frames import Key
 from pupper_analysis.sync.xml_bytes import Element
@@ -27,12 +27,7 @@ def write_effort(side: MjcfSide, key: Key) -> None:
     wanted = side.wanted.joints[name].effort
     joint = model.joint(name).id
     element = side.joint_in_file(name)
-    drives = [
-        index
-        for index in range(model.nu)
-        if model.actuator_trntype[index] == mujoco.mjtTrn.mjTRN_JOINT.value
-        and model.actuator_trnid[index, 0] == joint
-    ]
+    drives = drives_of(model, joint)
     motors = side.elements.drives(name)
     if element is None or len(motors) != len(drives):
         side.left[key] = "its actuators stand in no elements of their own (replicate, attach)"
@@ -77,7 +72,7 @@ class _Bounds:
         for motor, index in zip(self.motors, self.drives, strict=True):
             if model.actuator_forcelimited[index]:
                 motor.set("forcelimited", "false")
-            if model.actuator_ctrllimited[index] and self._gain(index):
+            if model.actuator_ctrllimited[model.actuator_ctrladr[index]] and self._gain(index):
                 motor.set("ctrllimited", "false")
         self.side.notes[self.key] = "the URDF states no limit, so that of the MJCF was switched off"
 
@@ -88,7 +83,7 @@ class _Bounds:
             model.actuator_biastype[index] == mujoco.mjtBias.mjBIAS_NONE.value
             and model.actuator_gaintype[index] == mujoco.mjtGain.mjGAIN_FIXED.value
         )
-        gear = abs(float(model.actuator_gear[index, 0]))
+        gear = abs(float(actuator_gear(model, index)[0]))
         return abs(float(model.actuator_gainprm[index, 0])) * gear if plain else 0.0
 
     def write_joint(self, wanted: float) -> None:
@@ -103,7 +98,7 @@ class _Bounds:
         """Writes the forcerange or the ctrlrange of the one actuator."""
         model, index = self.side.model, self.drives[0]
         motor = self.motors[0]
-        gear = abs(float(model.actuator_gear[index, 0]))
+        gear = abs(float(actuator_gear(model, index)[0]))
         if gear == 0:
             self.side.left[self.key] = "the gear of its actuator is 0"
             return
@@ -111,8 +106,9 @@ class _Bounds:
         stated = []
         if model.actuator_forcelimited[index]:
             stated.append(("forcerange", np.array(model.actuator_forcerange[index]), gear))
-        if model.actuator_ctrllimited[index] and gain:
-            stated.append(("ctrlrange", np.array(model.actuator_ctrlrange[index]), gain))
+        control = int(model.actuator_ctrladr[index])
+        if model.actuator_ctrllimited[control] and gain:
+            stated.append(("ctrlrange", np.array(model.actuator_ctrlrange[control]), gain))
         for attribute, old, factor in stated:
             bound = float(np.abs(old).max()) * factor
             # What is looser than the least bound does no harm, unless it is below what is wanted.

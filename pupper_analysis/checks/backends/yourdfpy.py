@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks.backends.quantities import Evaluation, state_quantities
 from pupper_analysis.checks.states import States
+from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.robot import Robot
 
 
@@ -18,9 +19,8 @@ def yourdfpy_evaluation(robot: Robot, states: States) -> Evaluation:
     """Returns the feet's positions by yourdfpy's forward kinematics of the URDF."""
     import yourdfpy  # slow to import
 
-    urdf = yourdfpy.URDF.load(
-        io.BytesIO(robot.description.urdf.encode()), build_scene_graph=True, load_meshes=False
-    )
+    file = io.BytesIO(_with_unit_axes(robot.description.urdf))
+    urdf = yourdfpy.URDF.load(file, build_scene_graph=True, load_meshes=False)
     order = [robot.joint_names.index(name) for name in urdf.actuated_joint_names]
     rows = []
     for qpos in states.qpos:
@@ -36,6 +36,19 @@ def yourdfpy_evaluation(robot: Robot, states: States) -> Evaluation:
             )
         )
     return state_quantities(robot, {"foot positions": rows})
+
+
+def _with_unit_axes(text: str) -> bytes:
+    """Returns a URDF whose axes are of length 1.
+
+    The engines take an axis for a direction; yourdfpy moves a slide by its length times q.
+    """
+    root = parse_text(text)
+    for axis in root.iter("axis"):
+        direction = np.array([float(word) for word in str(axis.get("xyz", "1 0 0")).split()])
+        unit = direction / np.linalg.norm(direction)
+        axis.set("xyz", " ".join(map(repr, unit.tolist())))
+    return to_text(root).encode()
 
 
 def _base(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:

@@ -14,6 +14,7 @@ from pupper_analysis.checks.patterns.case import Case
 from pupper_analysis.checks.patterns.dropped import dropped
 from pupper_analysis.checks.patterns.exchanged import exchanged
 from pupper_analysis.checks.patterns.inertials import other_inertials
+from pupper_analysis.checks.patterns.lines import other_lines
 from pupper_analysis.checks.patterns.units import other_units
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import trees
@@ -27,7 +28,7 @@ class Cause(Result):
     """One slip that explains several differences.
 
     Attributes:
-        kind: ``units``, ``angles``, ``exchanged``, ``products`` or ``inertial``.
+        kind: ``units``, ``angles``, ``exchanged``, ``products``, ``inertial`` or ``line``.
         message: What it is, in plain words.
         differences: Which of the differences it explains, by number, from 0.
     """
@@ -58,7 +59,7 @@ def causes(
     case = Case(robot, first, replace(raw, gravity=first.gravity), second, keys, tolerances)
     found: list[Cause] = []
     taken: set[int] = set()
-    for look in (other_angles, exchanged, other_units, dropped, other_inertials):
+    for look in (other_angles, exchanged, other_units, dropped, other_inertials, other_lines):
         for kind, message, explained in look(case):
             numbers = tuple(n for n, key in enumerate(keys) if key in explained and n not in taken)
             if len(numbers) > 1:

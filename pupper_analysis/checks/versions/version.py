@@ -130,15 +130,18 @@ def _base(model: mujoco.MjModel, names: list[str]) -> str:
 def _motors(scene: Scene) -> dict[tuple[str, str], Any]:
     """Returns what commands make motors do, {("motor", name): numbers}; limits are the joints'."""
     model, found = scene.model, {}
-    for motor in range(model.nu):
+    for motor in range(model.nactuator):
         value: dict[str, Any] = {
             "at": _target(scene, motor),
             "gear": _short(actuator_gear(model, motor)),
             "gain": _short(model.actuator_gainprm[motor]),
             "bias": _short(model.actuator_biasprm[motor]),
         }
-        if model.actuator_ctrllimited[motor]:
-            value["ctrlrange"] = _short(model.actuator_ctrlrange[motor], trim=False)
+        first = int(model.actuator_ctrladr[motor])
+        for control in range(first, first + int(model.actuator_ctrlnum[motor])):
+            if model.actuator_ctrllimited[control]:
+                word = "ctrlrange" if control == first else f"ctrlrange {control - first + 1}"
+                value[word] = _short(model.actuator_ctrlrange[control], trim=False)
         found["motor", scene.name("actuator", motor)] = value
     return found
 

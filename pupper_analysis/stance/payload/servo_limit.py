@@ -304,8 +304,9 @@ def _judge(
     if pose.saturated or saturated.any():
         return Failure.MOTOR, pose.saturated or joints(saturated)
     ctrl = target * model.actuator_gear[actuators, 0]
-    low, high = model.actuator_ctrlrange[actuators].T
-    limited = model.actuator_ctrllimited[actuators].astype(bool) & (actuators >= 0)
+    controls = model.actuator_ctrladr[actuators]
+    low, high = model.actuator_ctrlrange[controls].T
+    limited = model.actuator_ctrllimited[controls].astype(bool) & (actuators >= 0)
     if (beyond := limited & ((ctrl < low) | (ctrl > high))).any():
         return Failure.COMMAND, joints(beyond)
     angles = pose.qpos[7:]

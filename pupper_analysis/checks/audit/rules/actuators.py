@@ -18,6 +18,7 @@ from pupper_analysis.checks.audit.from_mjcf import joint_name
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import MjcfView
+from pupper_analysis.models.conversion import actuator_gear, is_at_one_joint
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Drive:
     Attributes:
         name: Its own or, if it has none, its joint's.
         id: Its number.
+        control: The number of its first control.
         joint: Its joint's number.
         joint_name: Its joint's name.
         kp: The gain (N m/rad for a servo, N m per unit of ctrl for a motor).
@@ -37,6 +39,7 @@ class Drive:
 
     name: str
     id: int
+    control: int
     joint: int
     joint_name: str
     kp: float
@@ -52,14 +55,11 @@ class Drive:
 
 def drives(model: mujoco.MjModel) -> Iterator[Drive]:
     """Yields the actuators with a constant gain on hinges and slides."""
-    transmissions = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
-    angular = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
-    for actuator in range(model.nu):
+    for actuator in range(model.nactuator):
         joint = int(model.actuator_trnid[actuator, 0])
         if (
-            model.actuator_trntype[actuator] not in transmissions
+            not is_at_one_joint(model, actuator)
             or model.actuator_gaintype[actuator] != mujoco.mjtGain.mjGAIN_FIXED.value
-            or model.jnt_type[joint] not in angular
         ):
             continue
         affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value
@@ -67,12 +67,13 @@ def drives(model: mujoco.MjModel) -> Iterator[Drive]:
         yield Drive(
             name=model.actuator(actuator).name or joint_name(model, joint),
             id=actuator,
+            control=int(model.actuator_ctrladr[actuator]),
             joint=joint,
             joint_name=joint_name(model, joint),
             kp=float(model.actuator_gainprm[actuator, 0]),
             stiffness=-float(bias[1]),
             kd=-float(bias[2]),
-            gear=float(model.actuator_gear[actuator, 0]),
+            gear=float(actuator_gear(model, actuator)[0]),
         )
 
 
@@ -109,7 +110,7 @@ def actuator_unlimited(view: MjcfView) -> Iterator[Found]:
     """Finds drives without forcerange, actuatorfrcrange and, for motors, ctrlrange."""
     for model, drive in _drives(view):
         limited = model.actuator_forcelimited[drive.id] or model.jnt_actfrclimited[drive.joint]
-        by_input = not drive.servo and model.actuator_ctrllimited[drive.id]
+        by_input = not drive.servo and model.actuator_ctrllimited[drive.control]
         if not limited and not by_input:
             what = "position servo" if drive.servo else "motor"
             text = f"this {what} of gain {drive.kp:g} has no forcerange, and its joint none either"
@@ -136,10 +137,10 @@ def forcerange_above_joint(view: MjcfView) -> Iterator[Found]:
 def ctrlrange_differs(view: MjcfView) -> Iterator[Found]:
     """Compares the ranges; INFO where the ctrlrange is wider, or narrower by less than 10 %."""
     for model, drive in _drives(view):
-        limited = model.actuator_ctrllimited[drive.id] and model.jnt_limited[drive.joint]
+        limited = model.actuator_ctrllimited[drive.control] and model.jnt_limited[drive.joint]
         if not drive.servo or not limited or drive.gear == 0:
             continue
-        ctrl = np.sort(model.actuator_ctrlrange[drive.id] / drive.gear)
+        ctrl = np.sort(model.actuator_ctrlrange[drive.control] / drive.gear)
         joint = model.jnt_range[drive.joint]
         lost = np.array([ctrl[0] - joint[0], joint[1] - ctrl[1]]) / (joint[1] - joint[0])
         narrower = lost.max() > 0.01

@@ -1,0 +1,112 @@
+"""One motor at each joint where an MJCF has several: a position and a velocity servo, say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.models.conversion import actuator_gear, is_at_one_joint
+from pupper_analysis.models.mjcf import compile_spec
+
+
+def one_at_each_joint(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> None:
+    """Takes the motors at a joint together, in place.
+
+    A stand has one command per joint, from which all of them would have to be told: MuJoCo adds up
+    what position and velocity servos do, and so are their gains added. Motors beside a servo, and
+    all but one of several, are left out: they are not commanded.
+
+    Args:
+        spec: The MJCF's; it has no keyframes.
+        source: Its file.
+        notes: What was done is added.
+    """
+    model = compile_spec(spec.copy(), source)
+    joints = several(model)
+    if not joints:
+        return
+    actuators = list(spec.actuators)
+    gone = set[int]()
+    for drives in joints.values():
+        kept = _kept(model, drives)
+        _take_gains(model, actuators[kept], kept, [drive for drive in drives if drive != kept])
+        gone |= set(drives) - {kept}
+    for index in sorted(gone, reverse=True):
+        _delete(spec, actuators[index])
+    names = [str(model.joint(joint).name) for joint in joints]
+    listed = ", ".join(names[:4]) + (" …" if names[4:] else "")
+    notes.append(
+        f"several motors at {len(names)} joints ({listed}) were taken together as one each: gains "
+        "of position and velocity servos were added, and other motors beside one left out"
+    )
+
+
+def several(model: mujoco.MjModel) -> dict[int, list[int]]:
+    """Returns {hinge or slide: its motors} of those that have several."""
+    found: dict[int, list[int]] = {}
+    for motor in range(model.nactuator):
+        if is_at_one_joint(model, motor):
+            found.setdefault(int(model.actuator_trnid[motor, 0]), []).append(motor)
+    return {joint: motors for joint, motors in found.items() if len(motors) > 1}
+
+
+def _gains(model: mujoco.MjModel, motor: int) -> tuple[float, float, float]:
+    """Returns -dF/dq and -dF/dqdot at the joint under no command, and the gear."""
+    gear = float(actuator_gear(model, motor)[0])
+    if model.actuator_biastype[motor] != mujoco.mjtBias.mjBIAS_AFFINE.value:
+        return 0.0, 0.0, gear
+    _, stiffness, damping = -model.actuator_biasprm[motor, :3] * gear**2
+    return float(stiffness), float(damping), gear
+
+
+def _kept(model: mujoco.MjModel, drives: list[int]) -> int:
+    """Returns the motor that stays: a position servo, else a plain motor, else the first."""
+
+    def rank(motor: int) -> int:
+        if _gains(model, motor)[0] > 0:
+            return 0
+        plain = model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_FIXED.value
+        return 1 if plain and not _gains(model, motor)[1] else 2
+
+    return min(drives, key=rank)
+
+
+def _take_gains(
+    model: mujoco.MjModel, servo: mujoco.MjsActuator, kept: int, others: list[int]
+) -> None:
+    """Adds other servos' gains, and their limits, to a servo."""
+    stiffness, _, gear = _gains(model, kept)
+    if not (stiffness > 0 and gear):
+        return
+    given = [_gains(model, motor) for motor in others]
+    more = sum(each[0] for each in given) / gear**2
+    bias = np.array(servo.biasprm)
+    bias[1] -= more
+    bias[2] -= sum(each[1] for each in given) / gear**2
+    servo.biasprm = bias
+    if more:
+        gain = np.array(servo.gainprm)
+        gain[0] += more
+        servo.gainprm = gain
+    acting = [m for m, each in zip(others, given, strict=True) if each[0] or each[1]]
+    if not acting:
+        return
+    if model.actuator_forcelimited[[kept, *acting]].all():
+        gears = [abs(float(actuator_gear(model, motor)[0]) / gear) for motor in acting]
+        limits = np.array(servo.forcerange)
+        for motor, ratio in zip(acting, gears, strict=True):
+            most = float(np.abs(model.actuator_forcerange[motor]).max()) * ratio
+            limits += (-most, most)
+        servo.forcerange = limits
+    else:
+        servo.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+
+
+def _delete(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
+    """Deletes an actuator with the sensors of it."""
+    for sensor in list(spec.sensors):
+        if sensor.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and sensor.objname == actuator.name:
+            spec.delete(sensor)
+    spec.delete(actuator)

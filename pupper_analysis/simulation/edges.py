@@ -1,0 +1,37 @@
+"""Flat soles on legs that cannot lay them flat, in words: MuJoCo has more contacts than one."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.stand import Stand
+
+_APART = 1e-3
+"""Contacts of a round foot are at one place (m)."""
+
+
+def several_contacts(robot: Robot, stand: Stand) -> str | None:
+    """Says so if a foot that is one point in the prediction touches at several places in MuJoCo."""
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_fwdPosition(model, data)
+    places: dict[str, list[np.ndarray]] = {}
+    for touch in data.contact:
+        for geom in touch.geom:
+            foot = robot.foot_geoms.get(int(geom))
+            if len(robot.soles.get(str(foot), ())) == 1 and touch.dist < 0:
+                places.setdefault(str(foot), []).append(np.array(touch.pos))
+    spread = {
+        foot: max(float(np.linalg.norm(one - two)) for one in found for two in found)
+        for foot, found in places.items()
+    }
+    foot = max(spread, key=spread.__getitem__, default=None)
+    if foot is None or spread[foot] < _APART:
+        return None
+    return (
+        f"foot {foot} touches at {len(places[foot])} places, {1e3 * spread[foot]:.3g} mm apart, "
+        "and was taken for one point: its sole is flat, its leg cannot lay it flat, and the ground "
+        "is soft; a sphere as its collision geom would touch at one"
+    )
