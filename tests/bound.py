@@ -23,6 +23,7 @@ def belts(
     words: str = 'solref="0.01 1"',
     actuators: str = "motor",
     free: bool = True,
+    in_mjcf: bool = True,
 ) -> Pair:
     """Knees follow motors in the thighs: q_knee = a0 + a1 q_motor + ...; a <mimic> in the URDF."""
     pair = quadruped(folder, actuators=actuators, free=free)
@@ -38,6 +39,8 @@ def belts(
         )
         _add(_named(mjcf, "body", f"{leg}_thigh"), _turning(f"{leg}_pulley", f"{leg}_motor", place))
         numbers = " ".join(map(str, polynomial))
+        if not in_mjcf:
+            continue
         _add(
             equality,
             f'<joint joint1="{leg}_knee" joint2="{leg}_motor" polycoef="{numbers}" {words}/>',

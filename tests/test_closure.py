@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -12,6 +14,7 @@ from conftest import run_command
 from legged import Pair, quadruped
 
 import pupper_analysis as pa
+from pupper_analysis.prepare.drives import IMPLICIT, integrators
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation.rollout import place_on_ground, run
@@ -33,6 +36,31 @@ def holds(robot: Robot, task: pa.StandTask | None = None) -> pa.Stand:
     assert found.joint_error < 1e-6
     assert found.mujoco_residual < 1e-9
     return stand
+
+
+def hinged(root: ElementTree.Element, leg: str, *, mjcf: bool) -> None:
+    """Gives a rod a light eye that turns at its end; the MJCF's weld ties that to the calf."""
+    if not mjcf:
+        for text in (
+            f'<link name="{leg}_eye"><inertial><mass value="0.01"/><inertia ixx="1e-5" ixy="0" '
+            'ixz="0" iyy="1e-5" iyz="0" izz="1e-5"/></inertial></link>',
+            f'<joint name="{leg}_end" type="revolute"><origin xyz="0 0 -0.2"/>'
+            f'<parent link="{leg}_rod"/><child link="{leg}_eye"/><axis xyz="0 1 0"/>'
+            '<limit lower="-3" upper="3" effort="30" velocity="20"/></joint>',
+        ):
+            root.append(ElementTree.fromstring(text))
+        return
+    rod = next(body for body in root.iter("body") if body.get("name") == f"{leg}_rod")
+    eye = (
+        f'<body name="{leg}_eye" pos="0 0 -0.2"><inertial pos="0 0 0" mass="0.01" '
+        f'diaginertia="1e-5 1e-5 1e-5"/><joint name="{leg}_end" axis="0 1 0" range="-3 3"/></body>'
+    )
+    rod.append(ElementTree.fromstring(eye))
+    (equality,) = root.iter("equality")
+    tie = next(each for each in equality if each.get("body1") == f"{leg}_rod")
+    equality.remove(tie)
+    weld = f'<weld body1="{leg}_eye" body2="{leg}_calf" solref="0.005 1"/>'
+    equality.append(ElementTree.fromstring(weld))
 
 
 def without_loops(robot: Robot, qpos: np.ndarray, forces: dict[str, np.ndarray]) -> np.ndarray:
@@ -193,6 +221,7 @@ def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
 def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, words='active="false"'))
     assert robot.closure is None
+    assert any("a coupling that is switched off" in note for note in robot.notes)
     assert at(robot, pa.stand_statics(robot, pa.solve_stand(robot)).joint_torques, "FL_knee") != 0
 
 
@@ -293,6 +322,144 @@ def test_pushes_and_gains_are_simulated(tmp_path: Path) -> None:
     assert sweep.best_deviation < 1e-3
     pushed = pa.push_trial(robot, stand, 1.0, duration=3.0)
     assert not pushed.failure
+
+
+def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
+    robot = load(belts(tmp_path, in_mjcf=False))
+    assert any("(<mimic>), and now in the MJCF: FL_knee" in note for note in robot.notes)
+    stand = holds(robot)
+    motor, knee = (at(robot, stand.qpos, f"FL_{name}") for name in ("motor", "knee"))
+    assert knee == pytest.approx(-0.2 - 0.8 * motor, abs=0.05)  # but for its give
+    assert at(robot, pa.solve_stand(robot).qpos, "FL_knee") == pytest.approx(
+        -0.2 - 0.8 * at(robot, pa.solve_stand(robot).qpos, "FL_motor"), abs=1e-9
+    )
+
+
+def test_a_mimic_with_a_motor_of_its_own_stays_free_and_is_told(tmp_path: Path) -> None:
+    pair = belts(tmp_path, in_mjcf=False)
+    knees = "".join(f'<motor joint="{leg}_knee" ctrlrange="-30 30"/>' for leg in LEGS)
+    pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", f"<actuator>{knees}"))
+    robot = load(pair)
+    assert robot.closure is None
+    assert any("they are taken as free" in note for note in robot.notes)
+
+
+@pytest.mark.slow
+def test_loops_through_joints_that_the_urdf_lacks_are_opened(tmp_path: Path) -> None:
+    """Cranks and rods held at zero would lock the knees; their weight is what the URDF lacks."""
+    robot = load(four_bars(tmp_path, in_urdf=False))
+    assert robot.closure is None
+    said = "\n".join(robot.notes)
+    assert "motors of their own have FL_knee, FR_knee, RL_knee, RR_knee" in said
+    assert "of 0.6 kg, which is what the URDF lacks, weigh in both: FL_crank, FL_rod" in said
+    assert robot.total_mass == pytest.approx(float(robot.mj_model.body_subtreemass[0]), rel=1e-9)
+    stand = pa.sunk_stand(robot)
+    found = pa.verify_stand(robot, stand)
+    assert found.passed, found.failures
+    assert max(found.torque_error, found.force_error) < 1e-5
+
+
+def test_what_a_urdf_has_in_other_links_is_not_weighed_twice(tmp_path: Path) -> None:
+    pair = four_bars(tmp_path, in_urdf=False)
+    text = pair.urdf.read_text()
+    assert text.count('mass value="4.0"') == 1
+    pair.urdf.write_text(text.replace('mass value="4.0"', 'mass value="4.6"'))
+    robot = load(pair)
+    assert not any("weigh in both" in note for note in robot.notes)
+    assert robot.total_mass == pytest.approx(float(robot.mj_model.body_subtreemass[0]), rel=1e-9)
+
+
+def test_a_rod_called_like_its_ball_joint_keeps_its_connect(tmp_path: Path) -> None:
+    """Cassie's achilles rods are: their loops were dropped with the joints."""
+    pair = four_bars(tmp_path, in_urdf=False)
+    text = pair.mjcf.read_text()
+    for leg in LEGS:
+        axis = f'<joint name="{leg}_pin" axis="0 1 0" range="-3 3" />'
+        assert axis in text
+        text = text.replace(axis, f'<joint name="{leg}_rod" type="ball" />')
+    pair.mjcf.write_text(text)
+    assert any("were opened: connect #0, connect #1" in note for note in load(pair).notes)
+
+
+@pytest.mark.slow
+def test_a_weld_closes_a_loop_in_a_plane_as_a_connect_does(tmp_path: Path) -> None:
+    """A weld ties three ways in the plane: with another hinge at the rod's end it is a connect."""
+    folders = [tmp_path / name for name in ("one", "two")]
+    for folder in folders:
+        folder.mkdir()
+    plain, pair = four_bars(folders[0]), four_bars(folders[1])
+    for path, fixed in ((pair.urdf, False), (pair.mjcf, True)):
+        root = ElementTree.parse(path).getroot()
+        for leg in LEGS:
+            hinged(root, leg, mjcf=fixed)
+        path.write_text(ElementTree.tostring(root, encoding="unicode"))
+    one, two = load(plain), load(pair)
+    assert two.closure is not None
+    assert len(two.closure.following) == 12
+    stand = holds(two)
+    wanted = pa.stand_statics(one, pa.solve_stand(one, pa.StandTask(height=stand.task.height)))
+    torques = pa.stand_statics(two, pa.solve_stand(two, stand.task)).joint_torques
+    for leg in LEGS:
+        for joint in ("roll", "pitch", "motor"):
+            name = f"{leg}_{joint}"
+            assert at(two, torques, name) == pytest.approx(
+                at(one, wanted.joint_torques, name), abs=1e-2
+            )
+
+
+@pytest.mark.slow
+def test_pins_may_turn_round_and_round_or_have_no_limits_stated(tmp_path: Path) -> None:
+    pair = four_bars(tmp_path)
+    limited = pair.mjcf.read_text()
+    free = re.sub(r'(_pin" axis="0 1 0") range="-3 3"', r"\1", limited)
+    assert free != limited
+    pair.mjcf.write_text(free)
+    text = pair.urdf.read_text()
+    pair.urdf.write_text(re.sub(r'("\w\w_pin" type=)"revolute"', r'\1"continuous"', text))
+    holds(load(pair))
+    ending = r'("\w\w_pin".*?<limit )lower="-?[\d.]+" upper="[\d.]+" '
+    silent, count = re.subn(ending, r"\1", text, flags=re.DOTALL)
+    assert count == 4
+    pair.urdf.write_text(silent)
+    holds(load(pair))
+
+
+@pytest.mark.slow
+def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
+    pair = belts(tmp_path)
+    text = pair.mjcf.read_text()
+    begin, end = text.index("<equality>"), text.index("</equality>")
+    tendons = "".join(
+        f'<fixed name="{leg}"><joint joint="{leg}_knee" coef="1"/>'
+        f'<joint joint="{leg}_motor" coef="0.8"/></fixed>'
+        for leg in LEGS
+    )
+    ties = "".join(f'<tendon tendon1="{leg}" polycoef="-0.2" solref="0.01 1"/>' for leg in LEGS)
+    pair.mjcf.write_text(f"{text[:begin]}<tendon>{tendons}</tendon><equality>{ties}{text[end:]}")
+    robot = load(pair)
+    assert not any("<mimic>" in note for note in robot.notes)
+    qpos = pa.solve_stand(robot).qpos
+    motor = at(robot, qpos, "FL_motor")
+    assert at(robot, qpos, "FL_knee") == pytest.approx(-0.2 - 0.8 * motor, abs=1e-9)
+    holds(robot)
+
+
+def test_a_robot_that_is_tied_to_the_world_is_not_predicted(tmp_path: Path) -> None:
+    pair = belts(tmp_path)
+    tie = '<equality><connect body1="trunk" anchor="0 0 0" solref="0.1 1"/>'
+    pair.mjcf.write_text(pair.mjcf.read_text().replace("<equality>", tie))
+    assert load(pair).closure is None
+
+
+def test_a_files_own_integrator_is_tried_where_there_are_loops(tmp_path: Path) -> None:
+    """ToddlerBot's rods, of grammes, are torn off by the implicit ones within two steps."""
+    euler = int(mujoco.mjtIntegrator.mjINT_EULER.value)
+    for name, pair, wanted in (("one", belts, {IMPLICIT, euler}), ("two", quadruped, {IMPLICIT})):
+        (tmp_path / name).mkdir()
+        robot = load(pair(tmp_path / name))
+        assert robot.mj_model.opt.integrator == IMPLICIT  # comes first
+        robot.mj_model.opt.integrator = euler
+        assert set(integrators(robot)) == wanted
 
 
 def test_a_robot_without_any_has_none(tmp_path: Path) -> None:

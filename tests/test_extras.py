@@ -539,6 +539,24 @@ def test_what_acts_on_other_objects_is_none_of_the_robots(tmp_path: Path) -> Non
     assert comparison.agree
 
 
+CLOTH = (
+    '<flexcomp name="cloth" type="grid" count="3 3 1" spacing=".05 .05 .05" dim="2" pos="4 4 4" '
+    'mass="1" radius=".01"><edge equality="true"/></flexcomp>'
+)
+
+
+def test_a_cloth_in_the_scene_is_none_of_the_robots(tmp_path: Path) -> None:
+    """Its edges are kept by an equality, which said that the robot is held."""
+    assert pair(tmp_path, mjcf_text(quadruped(), scene=CLOTH)).agree
+
+
+@pytest.mark.parametrize("inertial", ["", '<inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/>'])
+def test_what_is_moved_by_hand_is_no_mass_of_a_fixed_base(inertial: str, tmp_path: Path) -> None:
+    target = f'<body name="hand" mocap="true">{inertial}<geom size="0.1"/></body>'
+    text = mjcf_text(arm(), free=False, scene=target)
+    assert pair(tmp_path, text, urdf_text(arm())).agree
+
+
 @pytest.mark.parametrize(
     ("extra", "kind"),
     [

@@ -140,3 +140,26 @@ def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None
     lagging = element is LAGGING
     assert any("no position servos" in note for note in robot.notes) != lagging
     holds(robot)
+
+
+@pytest.mark.slow
+def test_servos_too_stiff_for_the_integrator_are_told_what_would_hold(tmp_path: Path) -> None:
+    stiff = '<position joint="{0}" kp="1500" kv="60"/>'
+    robot = loaded(with_motors(quadruped(tmp_path), stiff))
+    (note,) = (note for note in robot.notes if "own servos" in note)
+    assert isinstance(said(note), Text)
+    assert "too stiff for the integrator Euler at 2 ms; --integrator implicitfast would" in note
+    stand = pa.sunk_stand(robot)
+    assert not pa.verify_stand(robot, stand).passed
+    assert pa.verify_stand(robot, stand, integrator="implicitfast").passed
+
+
+@pytest.mark.slow
+def test_no_robot_stands_in_too_exact_a_balance(tmp_path: Path) -> None:
+    """Alike on all sides, it stood on servos that shake it to pieces: MuJoCo had it at rest."""
+    robot = loaded(quadruped(tmp_path))
+    stand = pa.sunk_stand(robot)
+    assert pa.verify_stand(robot, stand, kp=100.0, kd=5.0).passed
+    shaking = pa.verify_stand(robot, stand, kp=3000.0, kd=200.0, integrator="Euler")
+    assert not shaking.passed
+    assert any("beyond the limit of stability (Euler, 2 ms)" in why for why in shaking.failures)

@@ -14,6 +14,7 @@ from lxml import etree
 
 from pupper_analysis.checks.alignment import with_base
 from pupper_analysis.checks.conventions import Conventions, conventions, pose_in_words, rewrite
+from pupper_analysis.checks.matching_loops import ball_joints, open_loops
 from pupper_analysis.checks.matching_mjcf import (
     bodies_of,
     delete_joint,
@@ -64,6 +65,7 @@ class Match:
             the same but for prefixes and suffixes.
         only_urdf: Joints that the MJCF does not have; fixed at zero for the comparison.
         only_mjcf: Joints that the URDF does not have; likewise.
+        opened: Those of these by which closed loops led, which were opened.
         notes: What was assumed or left out, in plain words.
         reference: The MJCF as it is, with all else in its scene. Where it has joints that the URDF
             lacks, these are fixed at zero.
@@ -81,6 +83,7 @@ class Match:
     guessed: Mapping[str, str]
     only_urdf: tuple[str, ...]
     only_mjcf: tuple[str, ...]
+    opened: tuple[str, ...]
     notes: tuple[str, ...]
     reference: Reference
     mimics: Mimics
@@ -144,6 +147,7 @@ def match(
     name_all(spec, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
     drop_other_objects(spec, mjcf.path, root, notes)
+    at_bodies = ball_joints(spec)
     theirs, balls = hinges(spec, mjcf.path, notes)
     root = strip_roots(root, urdf.path, mjcf_tree(spec, mjcf.path), notes)
     mine, others = moving_joints(root, notes)
@@ -161,6 +165,7 @@ def match(
     only_mjcf = (*balls, *(name for name in theirs if name not in partners))
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
+    opened = open_loops(spec, at_bodies, only_mjcf, notes) if complete else ()
     ways = removable(root, spec, only_urdf, only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
@@ -182,6 +187,7 @@ def match(
         guessed=guessed,
         only_urdf=only_urdf,
         only_mjcf=only_mjcf,
+        opened=opened,
         notes=tuple(notes),
         reference=Reference(
             robot.mj_model if only_mjcf else mjcf.compile(),

@@ -89,9 +89,19 @@ def drop_other_objects(
         scenery = not body.mocap and not (names & links if fixed else _has_plane(body))
         if body.name in limbs and robot.name in limbs:
             continue
+        if body.mocap:
+            _weightless(body)
         if body.name != robot.name and (size[body.name] or scenery):
             notes.append(f"{source.name}: body {body.name!r} is not part of the robot: left out")
             spec.delete(body)
+
+
+def _weightless(body: mujoco.MjsBody) -> None:
+    """Takes the mass off a body that is moved by hand: a fixed base would count it as its own."""
+    for below in [body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
+        below.mass, below.inertia = 0.0, np.zeros(3)
+        for geom in below.geoms:
+            geom.mass = geom.density = 0.0
 
 
 def _has_plane(body: mujoco.MjsBody) -> bool:
@@ -130,7 +140,9 @@ def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
             _delete_sensors(spec, actuator.name)
             spec.delete(actuator)
     for equality in list(spec.equalities):
-        if name in (equality.name1, equality.name2):
+        # A connect or weld names bodies, which may be called like joints.
+        joints = equality.type == mujoco.mjtEq.mjEQ_JOINT
+        if joints and name in (equality.name1, equality.name2):
             spec.delete(equality)
     _delete_sensors(spec, name)
     spec.delete(joint)

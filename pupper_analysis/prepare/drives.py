@@ -19,7 +19,12 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servos
 from pupper_analysis.simulation.monitor import DIVERGED
 from pupper_analysis.simulation.stability import too_stiff
-from pupper_analysis.simulation.verify import ANOTHER_ROBOT, SETTLED_DRIFT, verify_stand
+from pupper_analysis.simulation.verify import (
+    ANOTHER_ROBOT,
+    SETTLED_DRIFT,
+    StandVerification,
+    verify_stand,
+)
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.sunk import sunk_stand
 
@@ -111,7 +116,7 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     trial = built(*first, 1, IMPLICIT, seen=False)
     timestep = float(trial.mj_model.opt.timestep)
     resting = None
-    for integrator, parts, sag in itertools.product(_integrators(robot), _FINER, _SAGS):
+    for integrator, parts, sag in itertools.product(integrators(robot), _FINER, _SAGS):
         kp, kd = _kept(robot, own, *_gains(robot, stand.qpos, torques, sag, parts))
         trial.mj_model.opt.timestep = timestep / parts
         trial.mj_model.opt.integrator = integrator
@@ -123,12 +128,13 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     return built(kp, kd, parts, integrator), kp, kd, resting is not None
 
 
-def _integrators(robot: Robot) -> list[int]:
+def integrators(robot: Robot) -> list[int]:
     """Returns the integrators that are tried.
 
-    The implicit ones damp joints after the constraints' forces are known: the rods of a loop, of
-    grammes, are torn from the legs that they drive (ToddlerBot's within two steps). Where a file
-    with loops has another one, that is tried, too.
+    The implicit ones compute accelerations anew from the constraints' forces, which the constraint
+    solver leaves inexact: by 15 N m where ToddlerBot's rods of 3e-9 kg m^2 are welded, which tears
+    them off within two steps. Euler without ``eulerdamp`` takes the solver's accelerations. Where a
+    file with loops has another integrator, that is tried, too.
     """
     own = int(robot.mj_model.opt.integrator)
     return [IMPLICIT] if robot.closure is None else list(dict.fromkeys([IMPLICIT, own]))
@@ -140,9 +146,7 @@ def advice(robot: Robot, stand: Stand) -> str | None:
     They are the robot's, and so they stay as they are.
     """
     seen = verify_stand(robot, stand)
-    if seen.passed or not (
-        seen.tilt > _UPRIGHT or verify_stand(robot, stand, duration=_FALL).tilt > _UPRIGHT
-    ):
+    if seen.passed or not (_falls(seen) or _falls(verify_stand(robot, stand, duration=_FALL))):
         return None
     own = np.array(list(own_servos(robot).values()))  # of those that have a motor
     torques = stand_statics(robot, stand).joint_torques
@@ -152,7 +156,7 @@ def advice(robot: Robot, stand: Stand) -> str | None:
     drive = servos(robot)
     if too_stiff(robot, stand, drive):
         seen = verify_stand(robot, stand, integrator="implicitfast", duration=_FALL)
-        if seen.tilt <= _UPRIGHT:
+        if not _falls(seen):
             step = 1e3 * robot.mj_model.opt.timestep
             return (
                 f"{said}: they are too stiff for the integrator {drive.integrator} at {step:g} ms; "
@@ -189,13 +193,16 @@ def _rests(
             seen = verify_stand(
                 robot, stand, kp=kp, kd=kd, feedforward=feedforward, duration=duration
             )
-            if any(text.startswith(DIVERGED) for text in seen.failures):
-                return False  # MuJoCo began anew, and may have come to rest
-            if max(seen.foot_slip.values()) > _STAYED or seen.tilt > _UPRIGHT:
+            if max(seen.foot_slip.values()) > _STAYED or _falls(seen):
                 return False
         if not seen.height_deviation < _STILL or abs(seen.height_drift) > SETTLED_DRIFT:
             return False
     return True
+
+
+def _falls(seen: StandVerification) -> bool:
+    """Tells whether a robot does not stay up; MuJoCo begins anew where a simulation diverges."""
+    return seen.tilt > _UPRIGHT or any(text.startswith(DIVERGED) for text in seen.failures)
 
 
 def _as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:

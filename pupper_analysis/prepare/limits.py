@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from lxml import etree
+
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.robot import Robot
@@ -16,34 +18,31 @@ _TOLD = 3  # joints that a note tells
 
 
 _TURNS = 2 * math.pi
-"""What a joint without limits in both files may turn, either way (rad): round, and more."""
+"""What a joint without limits may turn, either way, where loops bind it (rad): round."""
 
 
-def stated(robot: Robot, notes: list[str]) -> Description | None:
-    """Returns the description with the MJCF's limits where the URDF states none; None if it does.
+def bounded(robot: Robot, _notes: list[str]) -> Description | None:
+    """Returns the description with limits for joints that turn round and round; None without loops.
 
-    A <limit> of effort alone is one from 0 to 0 to a parser, which holds the joint.
+    Where loops bind joints, PlaCo's constraints on joints know no others. No note tells, as the
+    limits are further away than such a joint has to turn.
     """
-    model, root, given = robot.mj_model, parse_text(robot.description.urdf), []
+    if robot.closure is None or not robot.pin_convention.unbounded.any():
+        return None
+    root = parse_text(robot.description.urdf)
     for element in root.findall("joint"):
-        name, limit = str(element.get("name")), element.find("limit")
-        silent = limit is not None and limit.get("lower") is None and limit.get("upper") is None
-        if element.get("type") not in ("revolute", "prismatic") or not silent:
+        name = str(element.get("name"))
+        if element.get("type") != "continuous" or name not in robot.joint_names:
             continue
-        if name not in robot.joint_names:
-            continue
-        joint = model.joint(name).id
-        limited = bool(model.jnt_limited[joint])
-        ends = model.jnt_range[joint].tolist() if limited else (-_TURNS, _TURNS)
+        limit = element.find("limit")
+        if limit is None:
+            limit = etree.SubElement(element, "limit", effort="inf", velocity="inf")
+        joint = robot.mj_model.joint(name).id
+        limited = bool(robot.mj_model.jnt_limited[joint])
+        ends = robot.mj_model.jnt_range[joint].tolist() if limited else (-_TURNS, _TURNS)
         for word, value in zip(("lower", "upper"), ends, strict=True):
             limit.set(word, repr(float(value)))
-        given.append(name)
-    if not given:
-        return None
-    notes.append(
-        "joints whose <limit> in the URDF has neither lower nor upper, which is none: "
-        f"{', '.join(given)}; the MJCF's range is taken"
-    )
+        element.set("type", "revolute")
     return replace(robot.description, urdf=to_text(root))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked
-from pupper_analysis.checks.matching import Match, match
+from pupper_analysis.checks.matching import match
 from pupper_analysis.checks.matching_mjcf import name_all
+from pupper_analysis.checks.passive.mimics import urdf_mimics
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
-from pupper_analysis.prepare import drives, start, touching
+from pupper_analysis.prepare import drives, start, touching, words
 from pupper_analysis.prepare.base import free_base, free_of_friction
 from pupper_analysis.prepare.base_frame import lift_base_frame
 from pupper_analysis.prepare.feet import (
@@ -28,16 +29,16 @@ from pupper_analysis.prepare.feet import (
     named_foot,
     with_feet,
 )
-from pupper_analysis.prepare.limits import stated, within_both
+from pupper_analysis.prepare.limits import bounded, within_both
+from pupper_analysis.prepare.mimics import coupled
 from pupper_analysis.prepare.motors import one_at_each_joint, several
-from pupper_analysis.prepare.words import balls, named
+from pupper_analysis.prepare.parts import with_parts
 from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.floor import NO_GROUND, level_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import INTEGRATORS, own_servos
-from pupper_analysis.stance.com_reach import moves_com
 
 Array = NDArray[np.float64]
 
@@ -139,6 +140,8 @@ def _as_it_is(
     free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints)
     if moving != hinges or not known or (free and not fixed_base and _ground_to_mend(spec)):
         return None
+    if urdf_mimics(urdf.root) and not fixed_base:
+        return None  # which the MJCF may not state
     description = Description(
         name=name or spec.modelname,
         urdf=urdf.text,
@@ -155,9 +158,11 @@ def _as_it_is(
         ):
             raise
         return None  # a body that is named for its sole, which is no sphere around its frame
+    if robot.floating and robot.closure is not None and robot.pin_convention.unbounded.any():
+        return None  # joints that turn round and round, which are given limits
     if free and not fixed_base and several(robot.mj_model):
         return None
-    return replace(robot, notes=(*urdf.notes, *mjcf.notes, *robot.notes))
+    return replace(robot, notes=(*urdf.notes, *mjcf.notes, *words.bound(robot), *robot.notes))
 
 
 def _ground_to_mend(spec: mujoco.MjSpec) -> bool:
@@ -191,8 +196,9 @@ def _prepared(
         spec = free_base(urdf, spec, notes)
         lift_base_frame(spec, notes)
     matched = match(urdf, replace(mjcf, spec=spec), names=joints, complete=True)
-    notes += [*matched.notes, *_said(matched)]
-    description = replace(matched.robot.description, name=name or spec.modelname)
+    notes += [*matched.notes, *words.said(matched)]
+    whole = with_parts(matched, spec, notes) or matched.robot.description
+    description = coupled(matched, replace(whole, name=name or spec.modelname), notes)
     if fixed_base or not matched.robot.floating:
         if frames:
             raise ModelError(
@@ -206,7 +212,7 @@ def _prepared(
     free_of_friction(ready, notes)
     one_at_each_joint(ready, mjcf.path, notes)
     bare = build_robot(replace(description, mjcf=ready))
-    for limited in (stated, within_both):
+    for limited in (bounded, within_both):
         other = limited(bare, notes)
         bare = bare if other is None else build_robot(other)
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
@@ -220,7 +226,7 @@ def _prepared(
         raise ModelError(mjcf.path, "; ".join([error.problem, *gone])) from error
     if not feet:
         return replace(bare, notes=(*notes, *bare.notes))
-    notes.append(named(bare, feet, given=frames is not None))
+    notes.append(words.named(bare, feet, given=frames is not None))
     apart = {foot.name: apart_at(bare, foot) for foot in feet}
     worst = max(apart, key=apart.__getitem__)
     if apart[worst] > _APART:
@@ -228,12 +234,12 @@ def _prepared(
             f"at zero angles the last joint of foot {worst} is {1e3 * apart[worst]:.0f} mm off in "
             "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
         )
-    notes += balls(bare, feet)
+    notes += words.balls(bare, feet)
     robot = drives.with_motors(build_robot(with_feet(bare, feet)))
-    notes += _planar(robot)
+    notes += words.planar(robot)
     robot = _started(robot, known, notes)
     robot = touching.apart(touching.on_feet_alone(robot, notes), notes)
-    notes += _bound(robot)
+    notes += words.bound(robot)
     idle = {robot.joint_names[joint] for joint in drives.following(robot)}
     if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
         robot = _driven(robot, notes)
@@ -243,44 +249,12 @@ def _prepared(
     return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
 
 
-def _said(matched: Match) -> Iterator[str]:
-    """Says what became of joints whose names differ, or which only one file has."""
-    renamed = {o: n for n, o in matched.urdf_joint.items() if o != n}
-    if renamed:
-        pairs = ", ".join(f"{old} = {new}" for old, new in renamed.items())
-        yield f"joints that have another name in the URDF: {pairs}"
-    meant = matched.conventions
-    if meant.zeros:
-        moved = ", ".join(f"{name} by {angle:+.4g}" for name, angle in meant.zeros.items())
-        yield f"joints whose zero is elsewhere in the URDF (rad or m): {moved}; the MJCF's is taken"
-    if meant.base is not None and matched.robot.floating:
-        yield "the URDF's base frame is elsewhere on the base; it was put to the MJCF's"
-    for names, where in ((matched.only_urdf, "URDF"), (matched.only_mjcf, "MJCF")):
-        if names:
-            yield f"joints that only the {where} has, held at zero: {', '.join(names)}"
-
-
 def _feet(
     robot: Robot, frames: Mapping[str, tuple[str, str]] | None, poses: Sequence[Array]
 ) -> tuple[Foot, ...]:
     if frames is None:
         return find_feet(robot, poses) if limb_ends(robot.mj_model) else ()
     return tuple(named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
-
-
-def _bound(robot: Robot) -> Iterator[str]:
-    """Says which joints follow others."""
-    if robot.closure is not None:
-        yield robot.closure.in_words()
-
-
-def _planar(robot: Robot) -> Iterator[str]:
-    """Says so if the legs cannot move the com to every place over the feet."""
-    if not moves_com(robot):
-        yield (
-            "the legs cannot move the com in every direction over feet that stay: by default a "
-            "stand has it anywhere inside the support polygon (com 'inside')"
-        )
 
 
 def _started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list[str]) -> Robot:

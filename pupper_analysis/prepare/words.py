@@ -1,12 +1,31 @@
-"""What was taken for feet, in words."""
+"""What was made up for on loading, in words."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from pupper_analysis.checks.matching import Match
 from pupper_analysis.prepare.feet import Foot, is_ball
 from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.com_reach import moves_com
+
+
+def said(matched: Match) -> Iterator[str]:
+    """Says what became of joints whose names differ, or which only one file has."""
+    renamed = {o: n for n, o in matched.urdf_joint.items() if o != n}
+    if renamed:
+        pairs = ", ".join(f"{old} = {new}" for old, new in renamed.items())
+        yield f"joints that have another name in the URDF: {pairs}"
+    meant = matched.conventions
+    if meant.zeros:
+        moved = ", ".join(f"{name} by {angle:+.4g}" for name, angle in meant.zeros.items())
+        yield f"joints whose zero is elsewhere in the URDF (rad or m): {moved}; the MJCF's is taken"
+    if meant.base is not None and matched.robot.floating:
+        yield "the URDF's base frame is elsewhere on the base; it was put to the MJCF's"
+    for names, where in ((matched.only_urdf, "URDF"), (matched.only_mjcf, "MJCF")):
+        if names:
+            yield f"joints that only the {where} has, held at zero: {', '.join(names)}"
 
 
 def named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> str:
@@ -46,3 +65,18 @@ def balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[str]:
                 f"the start pose touch the ground instead, {why}; a sphere as collision geom would "
                 "be the robot's own"
             )
+
+
+def planar(robot: Robot) -> Iterator[str]:
+    """Says so if the legs cannot move the com to every place over the feet."""
+    if not moves_com(robot):
+        yield (
+            "the legs cannot move the com in every direction over feet that stay: by default a "
+            "stand has it anywhere inside the support polygon (com 'inside')"
+        )
+
+
+def bound(robot: Robot) -> Iterator[str]:
+    """Says which joints follow others."""
+    if robot.closure is not None:
+        yield robot.closure.in_words()

@@ -19,7 +19,7 @@ from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.edges import several_contacts
 from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.loops import closed_loops, give_way
-from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
+from pupper_analysis.simulation.rollout import check_stand, nudged, place_on_ground, run
 from pupper_analysis.simulation.stability import creeping, too_stiff
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
@@ -158,6 +158,7 @@ def verify_stand(
     ctrl = drive.command(robot, stand.joint_positions(robot), torques)
     start = place_on_ground(robot, drive, stand, prediction.joint_torques)
     timestep = float(drive.model.opt.timestep)
+    start = nudged(drive.model, start)
     states = run(drive.model, start, np.tile(ctrl, (max(2, round(duration / timestep)), 1)))
     predicted = robot.per_foot(prediction.contact_forces)
     light = LIGHT * sum(force[2] for force in predicted.values())

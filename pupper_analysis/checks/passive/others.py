@@ -66,6 +66,8 @@ def _end_bodies(scene: Scene, what: mujoco.mjtObj, target: int) -> set[int] | No
         return set()
     if what == kinds.mjOBJ_TENDON:
         return wraps(scene, target)
+    if what == kinds.mjOBJ_FLEX:
+        return flex_bodies(model, target)
     carrier = {
         kinds.mjOBJ_BODY: np.arange(model.nbody),
         kinds.mjOBJ_JOINT: model.jnt_bodyid,
@@ -81,6 +83,16 @@ def _end_name(scene: Scene, what: mujoco.mjtObj, target: int) -> str:
         return "a constant"
     name = mujoco.mj_id2name(scene.names, what.value, target)
     return f"{what.name.removeprefix('mjOBJ_').lower()} {name or f'#{target}'}"
+
+
+def flex_bodies(model: mujoco.MjModel, flex: int) -> set[int]:
+    """Returns the bodies that carry a flex."""
+    found = set[int]()
+    for kind in ("vert", "node"):
+        first = int(getattr(model, f"flex_{kind}adr")[flex])
+        count = int(getattr(model, f"flex_{kind}num")[flex])
+        found |= set(map(int, getattr(model, f"flex_{kind}bodyid")[first : first + count]))
+    return found
 
 
 def flexes(scene: Scene) -> Iterator[Extra]:

@@ -1,0 +1,97 @@
+"""Parts of closed loops that a URDF lacks: their weight is given to it, if that is all it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+from lxml import etree
+
+from pupper_analysis.checks.matching import Match
+from pupper_analysis.models.description import Description
+from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.robot.configuration import Configuration
+
+_ALIKE = 1e-3
+"""Share of the weight within which the parts are what the URDF lacks; rounded files have 1e-4."""
+
+_TOLD = 4  # parts that a note names
+
+
+def with_parts(matched: Match, spec: mujoco.MjSpec, notes: list[str]) -> Description | None:
+    """Returns the description with the weight of loops' parts, the MJCF's alone, in the URDF too.
+
+    Rods and cranks behind motors, which a tree cannot close, are held at zero: they weigh there.
+    Only where the two files then weigh the same, as a URDF may have their weight in other links.
+    (A head that it lacks stays a difference of the files.)
+
+    Args:
+        matched: The two files.
+        spec: The MJCF with all its joints.
+        notes: Where it is said.
+
+    Returns:
+        None if there are none, or the files differ otherwise.
+    """
+    robot, model = matched.robot, matched.robot.mj_model
+    names = [name for name in _part_bodies(spec, matched.opened) if _known(model, name)]
+    bodies = [model.body(name).id for name in names if model.body(name).mass[0] > 0]
+    mass = float(sum(model.body_mass[body] for body in bodies))
+    whole = float(model.body_subtreemass[model.body(robot.mj_base).id])
+    if mass <= _ALIKE * whole or abs(robot.total_mass + mass - whole) > _ALIKE * whole:
+        return None
+    carriers = {
+        int(model.body_weldid[model.body(body).id]): matched.urdf_link[moved]
+        for moved, body in matched.mjcf_body.items()
+    }
+    if any(int(model.body_weldid[body]) not in carriers for body in bodies):
+        return None
+    data, config = mujoco.MjData(model), Configuration(robot, robot.neutral())
+    robot.mj_convention.set_state(data, robot.neutral())
+    mujoco.mj_kinematics(model, data)
+    root = parse_text(robot.description.urdf)
+    for body in bodies:
+        link = carriers[int(model.body_weldid[body])]
+        turn = config.frame_rotation(link).T
+        com = turn @ (data.xipos[body] - config.frame_position(link))
+        axes = turn @ data.ximat[body].reshape(3, 3)
+        inertia = axes * model.body_inertia[body] @ axes.T
+        part = etree.SubElement(root, "link", name=f"{model.body(body).name} (MJCF)")
+        inertial = etree.SubElement(part, "inertial")
+        etree.SubElement(inertial, "origin", xyz=" ".join(map(repr, com.tolist())))
+        etree.SubElement(inertial, "mass", value=repr(float(model.body_mass[body])))
+        places = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2)}
+        places |= {"iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+        numbers = {word: repr(float(inertia[place])) for word, place in places.items()}
+        etree.SubElement(inertial, "inertia", **numbers)
+        joint = etree.SubElement(root, "joint", name=f"{part.get('name')} (held)", type="fixed")
+        etree.SubElement(joint, "parent", link=link)
+        etree.SubElement(joint, "child", link=str(part.get("name")))
+    more = f" and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
+    notes.append(
+        f"parts of loops that only the MJCF has, of {mass:.4g} kg, which is what the URDF lacks, "
+        f"weigh in both: {', '.join(names[:_TOLD])}{more}"
+    )
+    return replace(robot.description, urdf=to_text(root))
+
+
+def _part_bodies(spec: mujoco.MjSpec, joints: Sequence[str]) -> list[str]:
+    """Returns the bodies that move with some joints, and with no others beyond these."""
+    found: list[str] = []
+    for name in joints:
+        joint = spec.joint(name)
+        ahead = [] if joint is None else [joint.parent]
+        while ahead:
+            body = ahead.pop()
+            found.append(body.name)
+            ahead += [
+                child
+                for child in body.bodies
+                if all(other.name in joints for other in child.joints)
+            ]
+    return list(dict.fromkeys(found))
+
+
+def _known(model: mujoco.MjModel, body: str) -> bool:
+    return bool(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body) >= 0)
