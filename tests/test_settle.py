@@ -484,9 +484,9 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Solution | None, int
         looked[0] += 1
         return derivative(self, *args)
 
-    def watched(self: Equilibrium, guess: Solution) -> Solution | None:
+    def watched(self: Equilibrium, guess: Solution, *left: float) -> Solution | None:
         begun = looked[0]
-        found = newton(self, guess)
+        found = newton(self, guess, *left)
         ended.append((found, looked[0] - begun))
         return found
 

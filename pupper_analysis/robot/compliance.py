@@ -12,6 +12,8 @@ from pupper_analysis.robot.robot import Robot
 
 _MAX_ITERATIONS = 200  # in search of a depth: 5 do, but for laws that no Newton step fits
 
+_FREELY = 4  # Newton steps from a depth that is not far off; two do
+
 _QUADRATIC = 1e-9  # of a depth: a Newton step as short as that leaves the square of it
 
 _ROUNDING = 4e-16  # of a depth
@@ -101,7 +103,7 @@ class GroundLaw:
 
     def force(self, depth: float) -> float:
         """Returns the normal force (N) at a penetration (m) at rest."""
-        d = self.impedance(depth)
+        d, _ = self._impeded(depth)
         return self.stiffness * d**2 * (depth + self.margin) / ((1 - d) * self.normal)
 
     def rate(self, depth: float) -> float:
@@ -126,13 +128,22 @@ class GroundLaw:
         linear = force / self._first_rate
         if force <= 0:
             return start + linear
+        if near is not None:  # where Newton's iteration converges, as a rule: bounds cost as much
+            x = near - start
+            for _ in range(_FREELY):
+                if not x > 0:
+                    break
+                found, slope = self._pressed(start + x)
+                if not slope > 0:
+                    break
+                last, x = x, x - (found - force) / slope
+                if abs(x - last) <= _QUADRATIC * last:
+                    return start + x
         high = 2 * linear
         while self.force(start + high) < force:  # on ground that gets softer as a foot sinks
             high *= 2
         # Newton's iteration, held between bounds that close in on x, how deep beyond the margin.
         low, x, last = 0.0, linear, math.inf
-        if near is not None and 0 < near - start < high:
-            x = near - start
         for _ in range(_MAX_ITERATIONS):
             found, slope = self._pressed(start + x)
             left = found - force

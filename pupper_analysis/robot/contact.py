@@ -136,12 +136,12 @@ def ground_forces(
         other bodies that touch.
     """
     forces: dict[str, Array] = {}
-    wrench = np.zeros(6)
-    for number, pair in enumerate(data.contact.geom):
-        bodies = model.geom_bodyid[pair]
-        first = bool(bodies[0] == 0)  # the floor, or a step
-        geom = int(pair[1] if first else pair[0])
-        if 0 not in bodies or geom not in foot_geoms:
+    wrench, pairs = np.zeros(6), data.contact.geom
+    bodies = model.geom_bodyid[pairs].tolist()
+    for number, (pair, (one, other)) in enumerate(zip(pairs.tolist(), bodies, strict=True)):
+        first = one == 0  # the floor, or a step
+        geom = pair[1] if first else pair[0]
+        if (not first and other != 0) or geom not in foot_geoms:
             continue
         mujoco.mj_contactForce(model, data, number, wrench)
         force = data.contact.frame[number].reshape(3, 3).T @ wrench[:3]
@@ -162,6 +162,6 @@ def bodies_on_ground(
         foot_geoms: Which geom is which foot's.
     """
     pairs = data.contact.geom
-    on_ground = (model.geom_bodyid[pairs] == 0).any(axis=1)
-    geoms = {int(geom) for geom in pairs[on_ground].flat if model.geom_bodyid[geom] != 0}
-    return {model.body(int(model.geom_bodyid[geom])).name for geom in geoms - set(foot_geoms)}
+    still = model.geom_bodyid[pairs] == 0
+    geoms = set(pairs[still[:, ::-1] & ~still].tolist())  # of those whose other one is the ground's
+    return {model.body(int(model.geom_bodyid[geom])).name for geom in geoms.difference(foot_geoms)}

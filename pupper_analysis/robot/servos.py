@@ -185,11 +185,14 @@ def gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
     for name, motor in zip(robot.joint_names, (actuators >= 0) | following, strict=True):
         if not motor:
             raise ModelError(robot.description.mjcf_source, f"joint {name!r} has no actuator")
-    gain, damped, gear = np.zeros(robot.nu), np.zeros(robot.nu), np.ones(robot.nu)
-    servo = following.copy()
-    gain[~following], damped[~following], gear[~following], servo[~following] = _of_model(
-        robot.mj_model, actuators[~following]
-    )
+    if robot.closure is None:
+        gain, damped, gear, servo = _of_model(robot.mj_model, actuators)
+    else:
+        gain, damped, gear = np.zeros(robot.nu), np.zeros(robot.nu), np.ones(robot.nu)
+        servo = following.copy()
+        gain[~following], damped[~following], gear[~following], servo[~following] = _of_model(
+            robot.mj_model, actuators[~following]
+        )
     if (kp is None or kd is None) and not servo.all():
         index = int(np.flatnonzero(~servo)[0])
         raise ModelError(
@@ -239,8 +242,11 @@ def _of_model(
     affine = model.actuator_biastype[actuators] == mujoco.mjtBias.mjBIAS_AFFINE.value
     plain = affine & (model.actuator_gaintype[actuators] == mujoco.mjtGain.mjGAIN_FIXED.value)
     plain &= (model.actuator_biasprm[actuators, 0] == 0) & (model.actuator_delay[actuators] == 0)
-    plain &= np.isin(model.actuator_dyntype[actuators], _HOLDING)
-    return gain, bias[:, 1], gear, plain & np.isclose(gain, bias[:, 0]) & (gain > 0)
+    kinds = model.actuator_dyntype[actuators].tolist()
+    plain &= np.array([kind in _HOLDING for kind in kinds], dtype=bool)
+    # The bounds of np.isclose, which takes as long as all else here.
+    as_stiff = np.abs(gain - bias[:, 0]) <= 1e-8 + 1e-5 * np.abs(bias[:, 0])
+    return gain, bias[:, 1], gear, plain & as_stiff & (gain > 0)
 
 
 def _gain(name: str, value: ArrayLike, size: int) -> Array:

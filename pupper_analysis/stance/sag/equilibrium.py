@@ -94,13 +94,16 @@ class Equilibrium:
         self.joint_friction, self._joints = np.zeros(robot.nu), np.arange(6, robot.nv)
         self.moments: dict[str, Array] = {}  # N m: on feet, in the ground's frame
 
-    def depths(self, config: Configuration) -> dict[str, float]:
-        """Returns how deep every foot is in the ground or its step; negative: above it (m)."""
+    def depths(self, places: Array) -> dict[str, float]:
+        """Returns how deep every foot is in the ground or its step; negative: above it (m).
+
+        Args:
+            places: (k, 3) the centres of all feet (m).
+        """
         cosine, radius = float(self.normal[2]), self.robot.foot_radius
-        feet = self.robot.feet
         return {
             foot: radius[foot] - (z - self.ground.height((x, y), self._sole[foot])) * cosine
-            for foot, (x, y, z) in zip(feet, config.foot_places(feet).tolist(), strict=True)
+            for foot, (x, y, z) in zip(self.robot.feet, places.tolist(), strict=True)
         }
 
     def sunk(self, forces: Array) -> Array:
@@ -118,14 +121,19 @@ class Equilibrium:
 
     def torques(self, qpos: Array) -> Array:
         """Returns the servos' torques (nu,)."""
-        return np.clip(self.kp * (self.target - qpos[7:]), self.lower, self.upper)
+        asked = self.kp * (self.target - qpos[7:])
+        torques: Array = np.minimum(np.maximum(asked, self.lower), self.upper)
+        return torques
 
     def touch(self, qpos: Array) -> Touch:
         """Looks at the feet that touch, or has looked at them just now."""
         key, seen = (tuple(self.anchors.items()), qpos.tobytes()), self._touch
         if seen is None or seen[0] != key:
-            config = Configuration(self.robot, qpos)
-            seen = self._touch = key, Touch(config, self.anchors, self.frame, self.depths(config))
+            config, feet = Configuration(self.robot, qpos), self.robot.feet
+            places = config.foot_places(feet)
+            own = places[[feet.index(foot) for foot in self.anchors]].reshape(-1, 3)
+            touch = Touch(config, self.anchors, own, self.frame, self.depths(places))
+            seen = self._touch = key, touch
         return seen[1]
 
     def slips(self, qpos: Array, forces: Array) -> Array:
@@ -136,10 +144,10 @@ class Equilibrium:
             places[:, :2] += self._yields()[:, None] * forces[:, :2] - begun
         return places
 
-    def _turning(self) -> Array:
-        """Returns the moments (n, 3) on the feet that touch."""
+    def _turning(self) -> Array | None:
+        """Returns the moments (n, 3) on the feet that touch; None if there are none."""
         if not self.moments:
-            return np.zeros((len(self.anchors), 3))
+            return None
         moments = [self.moments.get(foot, np.zeros(3)) for foot in self.anchors]
         return np.array(moments).reshape(-1, 3)
 
@@ -206,7 +214,7 @@ class Equilibrium:
             harder, scales = self._pressed(touch.places[:, 2])[:, 1], self._scales()
             rates[sole, 2] *= (harder / scales)[sole, None]
             diagonal[sole, 2] = -1 / scales[sole]
-        np.fill_diagonal(by_force, diagonal)
+        whole.reshape(-1)[n * (len(whole) + 1) :: len(whole) + 1] = diagonal.ravel()
         for row, mu, tried in self._slipping(forces, self.slips(qpos, forces)):
             length = float(np.linalg.norm(tried))
             along, tangents = tried / length, slice(3 * row, 3 * row + 2)
@@ -240,9 +248,14 @@ class Equilibrium:
                 found.append((row, mu, np.array(tried)))
         return found
 
-    def solve(self, guess: Solution) -> Solution | None:
-        """Solves the equations for the feet that touch, friction included; None if it fails."""
-        found = self._newton(guess)
+    def solve(self, guess: Solution, *, exact: bool = True) -> Solution | None:
+        """Solves the equations for the feet that touch, friction included; None if it fails.
+
+        Args:
+            guess: Where to begin.
+            exact: To rounding, where that takes one step more; else to ``RESIDUAL_TOLERANCE``.
+        """
+        found = self._newton(guess, _ROUNDING if exact else RESIDUAL_TOLERANCE / 4)
         if not self.lift:
             return found
         height, change, share = math.inf, math.inf, 1.0
@@ -284,7 +297,8 @@ class Equilibrium:
         """Returns the forces (n, 3) on the feet that touch."""
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
 
-    def _newton(self, guess: Solution) -> Solution | None:
+    def _newton(self, guess: Solution, left: float = _ROUNDING) -> Solution | None:
+        """Returns where Newton's iteration ends; ``left`` is what a kept derivative may leave."""
         qpos, n = guess.qpos, self.robot.nv
         forces, derivative = self.stacked(guess), None
         residuals: list[float] = []
@@ -294,9 +308,9 @@ class Equilibrium:
             if residuals[-1] < RESIDUAL_TOLERANCE:
                 named = dict(zip(self.anchors, forces, strict=True))
                 return Solution(qpos, named, tuple(residuals))
-            if derivative is None or residuals[-1] ** 2 > _ROUNDING * residuals[-2]:
+            if derivative is None or residuals[-1] ** 2 > left * residuals[-2]:
                 derivative = self.derivative(qpos, forces)
-            # Otherwise the last one leaves nothing: it errs by twice the share that its step left.
+            # Otherwise the last one leaves no more: it errs by twice the share that its step left.
             *_, step, singular = lapack.dgesv(derivative, -residual)
             if singular or not np.abs(step[:n]).max() < _TRUST or goes_round(residuals):
                 return None
@@ -359,42 +373,10 @@ class Equilibrium:
         law = self.laws[foot]
         return law.viscosity(depth) if depth > -law.margin else math.inf
 
-    def stiffness(self, solution: Solution, derivative: Array) -> float:
-        """Returns the least eigenvalue of the Hessian where the feet allow it to move.
-
-        Args:
-            solution: The solution.
-            derivative: See ``derivative``; it is the solution's.
-        """
-        n = self.robot.nv
-        touch = self.touch(solution.qpos)
-        config, places, jacobian = touch.config, touch.places, touch.jacobians.reshape(-1, n)
-        normal = jacobian[2::3]
-        rates = np.array(
-            [self.laws[f].rate(d) for f, d in zip(self.anchors, places[:, 2], strict=True)]
-        )
-        idle = {
+    def idle(self, depths: Array) -> set[str]:
+        """Returns the points of soles that touch, but are not pressed at depths (n,) (m)."""
+        return {
             foot
-            for foot, depth in zip(self.anchors, places[:, 2], strict=True)
+            for foot, depth in zip(self.anchors, depths, strict=True)
             if self._pliancy[foot] and depth <= -self.laws[foot].margin
         }
-        rates[[row for row, foot in enumerate(self.anchors) if foot in idle]] = 0.0
-        pushed = normal.copy()  # where a foot's normal force acts, with the friction it brings
-        slipping = self.slipping(solution)
-        for row, foot in enumerate(self.anchors):
-            if foot in slipping and foot not in idle:
-                force = solution.forces[foot]
-                pushed[row] += force[:2] / force[2] @ jacobian[3 * row : 3 * row + 2]
-        hessian = derivative[:n, :n] + pushed.T @ (rates[:, None] * normal)
-        loose = {*slipping, *idle}
-        sticks = [row for row, foot in enumerate(self.anchors) if foot not in loose]
-        held = jacobian.reshape(-1, 3, n)[sticks, :2].reshape(-1, n)
-        if self.feet == "sliding":  # as a whole it may be anywhere, turned anyhow about z
-            held = np.eye(3, n)
-            held[2] = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
-        _, lengths, rows = np.linalg.svd(held)
-        least = max(held.shape) * np.finfo(float).eps * lengths.max(initial=0.0)
-        free = rows[np.count_nonzero(lengths > least) :].T  # what nothing of it is held of
-        reduced = free.T @ hessian @ free, free.T @ config.mass_matrix() @ free
-        real, _, scale, *_ = lapack.dggev(*reduced, compute_vl=0, compute_vr=0)
-        return float(np.divide(real, scale, out=np.full(len(real), np.inf), where=scale != 0).min())

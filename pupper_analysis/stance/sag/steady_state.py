@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import threading
 from dataclasses import dataclass
 
@@ -137,7 +138,7 @@ def steady_state(
     """
     check_request(robot, stand, feet, seconds)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    way = Way(Equilibrium(robot, stand, kp, feet))
+    way = Way(Equilibrium(robot, stand, kp, feet), exact=feedforward)
     return settle(way, feedforward=feedforward, seconds=seconds)
 
 
@@ -189,15 +190,13 @@ def settle(way: Way, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
 
 def release_margin(way: Way) -> float:
     """Returns the ``release_margin`` of a ``SteadyState`` at the end of a way."""
-    held = {f: way.system.frame @ force for f, force in way.balance.contact_forces.items()}
-    overshot = {
-        foot: 2 * way.solution.force(foot) - held.get(foot, np.zeros(3))
-        for foot in {*held, *way.solution.forces}
-    }
-    robot = way.system.robot
+    held, now, robot = way.balance.contact_forces, way.solution.forces, way.system.robot
+    feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)
+    before = np.array([held.get(foot, nothing) for foot in feet]) @ way.system.frame.T
+    overshot = 2 * np.array([now.get(foot, nothing) for foot in feet]) - before
     left = [
-        robot.contacts[foot].sliding_friction * force[2] - np.linalg.norm(force[:2])
-        for foot, force in overshot.items()
+        robot.contacts[foot].sliding_friction * z - math.hypot(x, y)
+        for foot, (x, y, z) in zip(feet, overshot.tolist(), strict=True)
     ]
     return float(min(left) / (robot.total_mass * np.linalg.norm(robot.gravity)))
 

@@ -21,6 +21,7 @@ class Touch:
     Args:
         config: The configuration.
         anchors: {foot that touches: where it did so first}.
+        centres: (n, 3) where they are (m).
         frame: (3, 3) rotation from the world to the ground's frame, whose z is out of the ground.
         depths: {foot: how deep it is in the ground (m)}, of those that do not touch as well.
 
@@ -37,6 +38,7 @@ class Touch:
         self,
         config: Configuration,
         anchors: Mapping[str, Anchor],
+        centres: Array,
         frame: Array,
         depths: Mapping[str, float],
     ) -> None:
@@ -55,7 +57,7 @@ class Touch:
         self._turns = np.array([pin.log3(turned) for turned in self._turned]).reshape(-1, 3)
         begun = np.array([anchor.place for anchor in held]).reshape(-1, 3)
         rolled = (self._offsets @ self._turns[:, :, None])[:, :, 0]
-        self.places = (config.foot_places(feet) - begun + rolled) @ frame.T
+        self.places = (centres - begun + rolled) @ frame.T
         self.places[:, 2] = deep
 
     def place_rates(self) -> Array:
@@ -77,25 +79,26 @@ class Touch:
         deeper: Array = -(self._normal @ self._centre)
         return deeper
 
-    def push(self, forces: Array, moments: Array) -> Array:
+    def push(self, forces: Array, moments: Array | None) -> Array:
         """Returns the generalised force (nv,) of forces and moments (n, 3), by the ground's."""
-        pushed: Array = np.einsum("nij,ni->j", self.jacobians, forces)
-        if moments.any():
+        pushed: Array = forces.ravel() @ self.jacobians.reshape(forces.size, -1)
+        if moments is not None:
             pushed += np.einsum("nij,ni->j", self.turning, moments @ self._frame)
         return pushed
 
-    def balance_rates(self, forces: Array, moments: Array) -> Array:
+    def balance_rates(self, forces: Array, moments: Array | None) -> Array:
         """Returns the derivative (nv, nv) of gravity less ``push`` by a step.
 
         Args:
             forces: (n, 3) in the ground's frame (N), which keep their direction.
-            moments: (n, 3) likewise (N m).
+            moments: (n, 3) likewise (N m), if there are any.
         """
         pushing = forces @ self._frame
         wrenches = np.empty((len(forces), 6))
         wrenches[:, :3] = pushing
         wrenches[:, 3:] = (pushing[:, None] @ self._offsets)[:, 0]  # pushing x arm
-        wrenches[:, 3:] += moments @ self._frame
+        if moments is not None:
+            wrenches[:, 3:] += moments @ self._frame
         rates = self.config.pushed_rates(self._twists, wrenches)
         # As a foot goes deeper its contact comes nearer to the centre.
         nearer = pushing @ (crosses(self._normal[None])[0].T / 2)

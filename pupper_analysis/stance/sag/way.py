@@ -11,6 +11,7 @@ from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.robot.servos import lead
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
 from pupper_analysis.stance.sag.solution import Solution
+from pupper_analysis.stance.sag.stiffness import stiffness_at
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
@@ -31,6 +32,7 @@ class Way:
         system: The equations.
         end: (nu,) what the servos are commanded at its end (rad); by default the stand's joint
             positions, without any feed-forward.
+        exact: Whether its beginning is to be so to rounding; where it is only gone on from, not.
 
     Attributes:
         system: The equations; their feet touch as they do where the way has come to.
@@ -44,7 +46,9 @@ class Way:
         NoEquilibriumError: If it is no equilibrium on soft ground.
     """
 
-    def __init__(self, system: Equilibrium, end: Array | None = None) -> None:
+    def __init__(
+        self, system: Equilibrium, end: Array | None = None, *, exact: bool = True
+    ) -> None:
         self.system, stand = system, system.stand
         self._looked_at: tuple[Solution, Array, float] | None = None
         self.end: Array = stand.qpos[7:] if end is None else end
@@ -57,7 +61,9 @@ class Way:
         qpos = stand.qpos.copy()
         qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
         self._command(0.0)
-        self.solution = self._settled(Solution(qpos, forces), "as it stands, with feed-forward,")
+        self.solution = self._settled(
+            Solution(qpos, forces), "as it stands, with feed-forward,", exact
+        )
 
     def follow(self, goal: float) -> None:
         """Takes away the share ``goal`` of the feed-forward, in one step or in smaller ones.
@@ -93,7 +99,11 @@ class Way:
         system, seen = self.system, self._looked_at
         if seen is None or seen[0] is not solution:
             derivative = system.derivative(solution.qpos, system.stacked(solution))
-            seen = self._looked_at = solution, derivative, system.stiffness(solution, derivative)
+            seen = self._looked_at = (
+                solution,
+                derivative,
+                stiffness_at(system, solution, derivative),
+            )
         return seen[1:]
 
     def creep(self, seconds: float) -> None:
@@ -208,11 +218,11 @@ class Way:
             )
         self.solution = self.system.switch(foot, found)
 
-    def _settled(self, guess: Solution, when: str) -> Solution:
+    def _settled(self, guess: Solution, when: str, exact: bool = True) -> Solution:
         """Returns the equilibrium with the feet that touch in it, beginning with those that do."""
         self.solution = guess
         while True:
-            found = self.system.solve(self.solution)
+            found = self.system.solve(self.solution, exact=exact)
             if found is None:
                 raise NoEquilibriumError(self.share, f"{when} it ends")
             self.iterations += len(found.residuals) - 1
