@@ -111,6 +111,7 @@ class StanceUnreachableError(PupperAnalysisError):
             None if there is none, or it was not asked for.
         blocked: What is in the way where the feet could be planted: a part in the ground, parts
             too near to each other, or a com too near to tipping, in words.
+        lacks: What the robot would need that it has not, in words; empty if nothing is known.
     """
 
     def __init__(
@@ -122,7 +123,9 @@ class StanceUnreachableError(PupperAnalysisError):
         nearest: Any = None,
         blocked: Iterable[str] = (),
         limits: Mapping[str, Mapping[str, Any]] | None = None,
+        lacks: str = "",
     ) -> None:
+        self.lacks = lacks
         self.limits = dict(limits or {})
         self.blocked = tuple(blocked)
         self.shortfall = dict(shortfall)
@@ -145,6 +148,8 @@ class StanceUnreachableError(PupperAnalysisError):
             text += f"; joints at a limit: {joints}"
         if self.possible:
             text += f". Possible with all else as asked: {', or '.join(self.possible.values())}"
+        elif lacks:
+            text += f". {lacks}"
         else:
             text += ". Try another height, or less roll, pitch or yaw"
         super().__init__(f"{text}.")

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+from legged import quadruped as legged
 from test_convert import _shape, compiled, converted, from_keyframe, same_dynamics, standing_urdf
 
 import pupper_analysis as pa
@@ -370,3 +371,25 @@ def test_legs_that_are_spread_as_a_spiders_have_feet(tmp_path: Path) -> None:
     assert found.passed, found.failures
     note = next(note for note in found.notes if note.startswith("no feet were named"))
     assert note.count("_calf_collision") == 4
+
+
+def test_a_ball_to_play_with_is_no_second_robot(tmp_path: Path) -> None:
+    """As in dm_control's quadruped and dog, with a camera that follows it."""
+    pair = legged(tmp_path)
+    ball = (
+        '<body name="ball" pos="1 0 1"><freejoint/><geom size="0.1"/></body>'
+        '<camera name="eye" mode="targetbodycom" target="ball"/></worldbody>'
+    )
+    pair.mjcf.write_text(pair.mjcf.read_text().replace("</worldbody>", ball))
+    urdf = tmp_path / "new.urdf"
+    found = pa.convert_model(pair.mjcf, urdf)
+    assert found.agree, found.failures
+    assert "ball" not in urdf.read_text()
+    assert pa.compare_models(pair.urdf, pair.mjcf).notes
+    again = pair.mjcf.read_text().replace("</worldbody>", ball.replace("ball", "other"))
+    arm = '<body pos="0.2 0 0"><joint/><geom size="0.1"/></body></body>'
+    pair.mjcf.write_text(
+        again.replace('eye"', 'eye2"', 1).replace("</body><camera", f"{arm}<camera", 1)
+    )
+    with pytest.raises(pa.ModelError, match="several free bodies"):
+        pa.convert_model(pair.mjcf, tmp_path / "none.urdf")

@@ -589,3 +589,21 @@ def test_feet_behind_a_slide_are_where_they_are(tmp_path: Path) -> None:
     robot = load(pair)
     assert not [note for note in robot.notes if "not of one robot" in note]
     stands(robot)
+
+
+@pytest.mark.slow
+def test_a_base_that_is_free_by_slides_and_a_ball_joint(tmp_path: Path) -> None:
+    """As XBot-L's, which was taken for one that hangs in the world."""
+    whole = load(quadruped(tmp_path))
+    pair = quadruped(tmp_path)
+    parts = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+    text = pair.mjcf.read_text()
+    assert text.count("<freejoint/>") == 1
+    text = text.replace("<freejoint/>", f'{parts}<joint type="ball"/>')
+    pair.mjcf.write_text(text.replace('qpos="0 0 0.35', 'qpos="0 0 0'))
+    robot = load(pair)
+    said(robot, "free by three slides and a ball joint")
+    assert robot.floating
+    np.testing.assert_allclose(robot.home, whole.home, atol=1e-12)
+    assert robot.stand_height == pytest.approx(whole.stand_height, abs=1e-12)
+    stands(robot)

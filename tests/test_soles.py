@@ -146,6 +146,11 @@ def test_what_legs_of_four_joints_cannot_do_is_refused(tmp_path: Path) -> None:
     task = pa.StandTask(foot_offsets={"left_tilt_link": (0.0, 0.03)})
     with pytest.raises(pa.StanceUnreachableError, match="foot_offsets"):
         pa.solve_stand(robot, task)
+    with pytest.raises(pa.StanceUnreachableError) as caught:  # as TRON 1's: it says what it lacks
+        pa.solve_stand(robot, pa.StandTask(swing={"left_tilt_link": 0.05}))
+    assert caught.value.possible == {}
+    assert "by a leg of six joints, and that of left_tilt_link has 4" in str(caught.value)
+    assert caught.value.lacks in str(caught.value)
 
 
 def test_legs_of_four_joints_that_tilt_their_feet_have_one_point_each(tmp_path: Path) -> None:

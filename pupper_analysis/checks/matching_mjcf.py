@@ -93,6 +93,9 @@ def drop_other_objects(
             _weightless(body)
         if body.name != robot.name and (size[body.name] or scenery):
             notes.append(f"{source.name}: body {body.name!r} is not part of the robot: left out")
+            for eye in (*spec.cameras, *spec.lights):  # MuJoCo refuses those that follow nothing
+                if eye.targetbody in names:
+                    spec.delete(eye)
             spec.delete(body)
 
 

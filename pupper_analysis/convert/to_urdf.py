@@ -250,11 +250,14 @@ def _robot_name(file: MjcfFile) -> str:
 def _base(file: MjcfFile, model: mujoco.MjModel) -> int:
     """Returns the body with the free joint, or else the one that carries all joints."""
     free = np.flatnonzero(model.jnt_type == _FREE)
-    if len(free) > 1:
+    tops = {int(model.body_rootid[body]) for body in model.jnt_bodyid}
+    bodies = [int(model.jnt_bodyid[joint]) for joint in free]
+    moved = np.delete(model.body_rootid[model.jnt_bodyid], free)
+    robots = [body for body in bodies if body in moved]  # others are balls and boxes to play with
+    if len(free) > 1 and len(robots) != 1:
         raise ModelError(file.path, "it has several free bodies; give a file with one robot")
     if len(free):
-        return int(model.jnt_bodyid[free[0]])
-    tops = {int(model.body_rootid[body]) for body in model.jnt_bodyid}
+        return (robots or bodies)[0]
     if len(tops) != 1:
         what = "no joints" if not tops else "several robots"
         raise ModelError(file.path, f"it has {what}; give a file with one robot")

@@ -87,7 +87,13 @@ def with_motors(robot: Robot) -> Robot:
     spec = robot.description.mjcf.copy()
     for joint in sorted(lacking):
         name = robot.joint_names[joint]
-        spec.add_actuator(name=f"{name} (servo)", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor = spec.add_actuator(name=f"{name} (servo)", target=name)
+        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        # The MJCF's defaults are meant for its own: a limit of theirs has no range here.
+        motor.ctrllimited = motor.forcelimited = motor.actlimited = (
+            mujoco.mjtLimited.mjLIMITED_FALSE
+        )
+        motor.set_to_motor()
     return rebuilt(robot, mjcf=spec)
 
 

@@ -20,7 +20,7 @@ from pupper_analysis.simulation.edges import several_contacts
 from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.loops import closed_loops, give_way
 from pupper_analysis.simulation.rollout import check_stand, nudged, place_on_ground, run
-from pupper_analysis.simulation.stability import creeping, too_stiff
+from pupper_analysis.simulation.stability import creeping, rattling, too_stiff
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import drop_at
@@ -156,9 +156,8 @@ def verify_stand(
     drive = servos(robot, kp, kd, integrator)
     torques = prediction.joint_torques if feedforward else None
     ctrl = drive.command(robot, stand.joint_positions(robot), torques)
-    start = place_on_ground(robot, drive, stand, prediction.joint_torques)
+    start = nudged(drive.model, place_on_ground(robot, drive, stand, prediction.joint_torques))
     timestep = float(drive.model.opt.timestep)
-    start = nudged(drive.model, start)
     states = run(drive.model, start, np.tile(ctrl, (max(2, round(duration / timestep)), 1)))
     predicted = robot.per_foot(prediction.contact_forces)
     light = LIGHT * sum(force[2] for force in predicted.values())
@@ -171,6 +170,7 @@ def verify_stand(
         failures += [*too_stiff(robot, stand, drive), *creeping(robot, stand, prediction)]
     if feedforward:
         failures += _deviations(robot, stand, watch, found, prediction, alone=not failures)
+    failures += rattling(robot, drive, states, ctrl) if failures else []
     return replace(found, passed=not failures, failures=tuple(failures))
 
 

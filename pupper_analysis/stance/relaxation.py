@@ -25,6 +25,7 @@ from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.search import follow, search
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.tasks import TASK_TOLERANCE
+from pupper_analysis.stance.yielding import lacking
 
 Array = NDArray[np.float64]
 
@@ -82,7 +83,7 @@ def unreachable(
         feasible = stand
     blocked = () if missed else nearest.blocked
     return StanceUnreachableError(
-        str(goal.task), missed, at_limit, possible, feasible, blocked, ends
+        str(goal.task), missed, at_limit, possible, feasible, blocked, ends, lacking(robot, goal)
     )
 
 

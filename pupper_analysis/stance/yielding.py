@@ -31,6 +31,28 @@ def yields(robot: Robot) -> bool:
     )
 
 
+def lacking(robot: Robot, goal: Goal) -> str:
+    """Says which joints the legs lack for a sole that is lifted or moved; nothing if none."""
+    task = goal.task
+    moved = [
+        sole
+        for sole in robot.soles
+        if {sole, *robot.soles[sole]} & {*task.swing, *task.foot_offsets}
+    ]
+    short = {
+        sole: _joints_to(robot, robot.soles[sole][0])
+        for sole in moved
+        if len(robot.soles[sole]) > 1
+    }
+    if not short or min(short.values()) >= _JOINTS:
+        return ""
+    sole = min(short, key=short.__getitem__)
+    return (
+        f"A sole is lifted, or moved, in any way by a leg of six joints, and that of {sole} has "
+        f"{short[sole]}"
+    )
+
+
 def _joints_to(robot: Robot, point: str) -> int:
     """Returns how many joints move a contact point against the base."""
     model = robot.pin_model
