@@ -451,6 +451,18 @@ def test_a_robot_that_is_tied_to_the_world_is_not_predicted(tmp_path: Path) -> N
     assert load(pair).closure is None
 
 
+@pytest.mark.slow
+def test_what_ties_a_robot_to_the_world_is_named_where_its_stand_fails(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    tie = '<equality><connect name="tied" body1="trunk" anchor="0.1 0 0"/></equality><actuator>'
+    pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", tie))
+    robot = load(pair)
+    found = pa.verify_stand(robot, pa.sunk_stand(robot))
+    assert not found.passed
+    assert "connect tied" in found.failures[-1]
+    assert "equality constraints that are not predicted" in found.failures[-1]
+
+
 def test_a_files_own_integrator_is_tried_where_there_are_loops(tmp_path: Path) -> None:
     """ToddlerBot's rods, of grammes, are torn off by the implicit ones within two steps."""
     euler = int(mujoco.mjtIntegrator.mjINT_EULER.value)

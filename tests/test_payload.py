@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import replace
 
@@ -163,9 +164,14 @@ def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
 
 
 def test_a_limit_of_zero_carries_nothing_and_divides_nothing() -> None:
+    """In both files: a 0 in the URDF alone says that nothing is known."""
     limits = load("v3").effort_limits
     limits[2] = 0.0
     robot, stand = with_limits(load("v3"), limits), stand_of("v3")
+    model = copy.copy(robot.mj_model)
+    drive = model.actuator_trnid[:, 0].tolist().index(model.joint(robot.joint_names[2]).id)
+    model.actuator_forcelimited[drive], model.actuator_forcerange[drive] = 1, 0.0
+    robot = replace(robot, mj_model=model)
     with np.errstate(all="raise"):
         bound = motor_limit(robot, stand, ON_TOP)
     assert bound.mass == 0.0

@@ -170,17 +170,3 @@ def test_many_states_at_once_are_the_same(tmp_path: Path) -> None:
     qpos = pa.solve_stand(robot).qpos
     found = pa.gravity_compensations(robot, np.array([qpos, qpos]))
     np.testing.assert_allclose(found.joint_torques[1], torques_at(robot, qpos), atol=1e-9)
-
-
-@pytest.mark.slow
-def test_a_closed_loop_is_named_where_a_stand_fails_by_it(tmp_path: Path) -> None:
-    pair = quadruped(tmp_path)
-    couple = '<equality><joint name="tied" joint1="FL_knee" joint2="FR_pitch" polycoef="0.5 1"/>'
-    pair.mjcf.write_text(
-        pair.mjcf.read_text().replace("<actuator>", f"{couple}</equality><actuator>")
-    )
-    robot = load(pair)
-    found = pa.verify_stand(robot, pa.sunk_stand(robot))
-    assert not found.passed
-    assert "joint tied" in found.failures[-1]
-    assert "closes loops or couples joints" in found.failures[-1]

@@ -48,7 +48,6 @@ def closed_loops(robot: Robot, stand: Stand, least: float) -> str | None:
     name = model.equality(strongest).name or f"#{strongest}"
     joint = model.joint(int(model.dof_jntid[most])).name
     return (
-        f"the MJCF closes loops or couples joints: {kind} {name} and others push by up to "
-        f"{abs(pushed[most]):.3g} N or N m, at joint {joint!r}; the URDF is a tree, and the "
-        "prediction is without them"
+        f"the MJCF has equality constraints that are not predicted: {kind} {name} and others push "
+        f"by up to {abs(pushed[most]):.3g} N or N m, at joint {joint!r}"
     )
