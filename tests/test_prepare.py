@@ -419,6 +419,22 @@ def test_servos_that_let_it_fall_are_told_with_gains_that_would_not(tmp_path: Pa
     assert pa.verify_stand(robot, stand, kp=kp, kd=kd).passed
 
 
+@pytest.mark.slow
+def test_servos_that_let_it_fall_slowly_are_told_too(tmp_path: Path) -> None:
+    """As T1's and G1's of mujoco_playground: upright for 5 s, and on the ground after 12."""
+    pair = biped(tmp_path)
+    soft = pair.mjcf.read_text().replace("<motor ", '<position kp="20" kv="4" ')
+    pair.mjcf.write_text(soft.replace("ctrlrange", "forcerange"))
+    robot = load(pair)
+    advice = re.search(r"let it fall over .*; --kp (\S+) --kd (\S+) would", " ".join(robot.notes))
+    assert advice, robot.notes
+    kp, kd = (np.full(robot.nu, float(word)) for word in advice.groups())
+    stand = pa.sunk_stand(robot)
+    assert pa.verify_stand(robot, stand).tilt < 0.01
+    assert pa.verify_stand(robot, stand, duration=12.0).tilt > 0.5
+    assert pa.verify_stand(robot, stand, kp=kp, kd=kd, duration=12.0).passed
+
+
 def test_a_foot_with_a_mesh_that_is_not_round_is_told(tmp_path: Path) -> None:
     mesh = '<asset><mesh name="block" vertex="{}"/></asset><worldbody>'
     corners = [(x, y, z) for x in (-0.03, 0.03) for y in (-0.02, 0.02) for z in (-0.02, 0.02)]

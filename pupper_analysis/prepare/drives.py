@@ -66,6 +66,8 @@ _FALL = 12.0
 """Time in which a robot falls that leans by 0.003 rad after a few seconds (s): a biped on soft
 ankles, off its equilibrium by micrometres, leaves it at 1 to 4 per second."""
 
+_MANY = 3  # feet
+
 _DAMPING_TIME = 0.05
 """kd / kp of the suggested servos (s): within the 0.02 to 0.1 s of robots' own controllers."""
 
@@ -152,7 +154,9 @@ def advice(robot: Robot, stand: Stand) -> str | None:
     They are the robot's, and so they stay as they are.
     """
     seen = verify_stand(robot, stand)
-    if seen.passed or not (_falls(seen) or _falls(verify_stand(robot, stand, duration=_FALL))):
+    # One that stands on three feet or more does not begin to fall after seconds; on two it may.
+    longer = not seen.passed or len(robot.soles) < _MANY
+    if not (_falls(seen) or (longer and _falls(verify_stand(robot, stand, duration=_FALL)))):
         return None
     own = np.array(list(own_servos(robot).values()))  # of those that have a motor
     torques = stand_statics(robot, stand).joint_torques
