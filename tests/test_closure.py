@@ -109,6 +109,17 @@ def test_belts_stand_as_predicted_though_they_stretch(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("pair", [belts, four_bars])
+def test_constraints_may_be_as_soft_as_they_are(pair, tmp_path: Path) -> None:
+    """Where they are closed they are 30 times as soft as where they are open."""
+    words = 'solref="0.0173 1.936" solimp="0.814 0.986 0.00042 0.47 1"'
+    robot = load(pair(tmp_path, words=words))
+    stand = holds(robot)
+    assert robot.closure is not None
+    assert robot.closure.open(stand.qpos) > 2e-3
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("polynomial", [(0.0, -0.7, -0.08), (-0.1, -0.9, 0.05, 0.01, -0.002)])
 def test_a_coupling_need_not_be_linear(polynomial: tuple[float, ...], tmp_path: Path) -> None:
     robot = load(belts(tmp_path, polynomial))
