@@ -229,6 +229,25 @@ def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
     assert pa.minimum_stiffness(robot, stand, feet="sliding") > 1
 
 
+@pytest.mark.slow
+def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> None:
+    """Right knees follow left ones: as those give way, feet on two sides are not on one level."""
+    pair = quadruped(tmp_path)
+    root = ElementTree.parse(pair.mjcf).getroot()
+    equality, actuators = ElementTree.SubElement(root, "equality"), root.find("actuator")
+    assert actuators is not None
+    for end in "FR":
+        names = {"joint1": f"{end}R_knee", "joint2": f"{end}L_knee"}
+        ElementTree.SubElement(equality, "joint", names)
+        motor = next(each for each in actuators if each.get("joint") == names["joint1"])
+        actuators.remove(motor)
+    pair.mjcf.write_text(ElementTree.tostring(root, encoding="unicode"))
+    robot = load(pair)
+    assert pa.solve_stand(robot).solved
+    with pytest.raises(pa.StanceUnreachableError, match="loops and couplings closed, it is in"):
+        pa.sunk_stand(robot)
+
+
 def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, words='active="false"'))
     assert robot.closure is None

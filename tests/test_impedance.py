@@ -36,8 +36,8 @@ def tied(kind: str, seed: int) -> mujoco.MjModel:
     )
     tie = KINDS[kind].format(words=random_words(seed))
     return mujoco.MjModel.from_xml_string(
-        f'<mujoco><option integrator="implicitfast" gravity="0 0 0" tolerance="0"/><worldbody>{bodies}'
-        f"</worldbody><equality>{tie}</equality></mujoco>"
+        f'<mujoco><option integrator="implicitfast" gravity="0 0 0" tolerance="0"/>'
+        f"<worldbody>{bodies}</worldbody><equality>{tie}</equality></mujoco>"
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +14,7 @@ _DISTANCES = {
     mujoco.mjtEq.mjEQ_CONNECT.value: 3,
     mujoco.mjtEq.mjEQ_WELD.value: 6,
 }
-"""Equations of a constraint whose impedance is that of their common length; others have their own."""
+"""Equations of a constraint whose impedance is that at their common length; others have one."""
 
 _HALVINGS = 60
 """Of the bounds of an opening: to rounding."""
@@ -24,7 +26,7 @@ _EXACT = 1e-14
 """Of an opening."""
 
 
-def bounded(solimp: Array) -> tuple[float, ...]:
+def bounded(solimp: Iterable[float]) -> tuple[float, ...]:
     """Returns dmin, dmax, width, midpoint and power within the bounds that MuJoCo sets them."""
     dmin, dmax, width, midpoint, power = (float(value) for value in solimp)
     dmin, dmax, midpoint = (
