@@ -54,6 +54,19 @@ def load(name: str, fixed_base: bool = False) -> pa.Robot:
     return pa.load_variant(name, fixed_base=fixed_base)
 
 
+def with_efforts(robot: pa.Robot, efforts: float | Sequence[float] | np.ndarray) -> pa.Robot:
+    """The robot with these effort limits (nu,), or one for all, in both of its models (N m)."""
+    urdf, mjcf = robot.pin_model.copy(), copy.copy(robot.mj_model)
+    limits = np.array(urdf.effortLimit)
+    limits[robot.pin_convention.v_index] = efforts
+    urdf.effortLimit = limits
+    for name, limit in zip(robot.joint_names, limits[robot.pin_convention.v_index], strict=True):
+        drives = mjcf.actuator_trnid[:, 0] == mjcf.joint(name).id
+        mjcf.actuator_forcelimited[drives] = np.isfinite(limit)
+        mjcf.actuator_forcerange[drives] = (-limit, limit) if np.isfinite(limit) else 0.0
+    return replace(robot, pin_model=urdf, mj_model=mjcf)
+
+
 @cache
 def stand_of(name: str) -> pa.Stand:
     return pa.solve_stand(load(name))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import load
+from conftest import load, with_efforts
 from scipy import optimize
 
 import pupper_analysis as pa
@@ -247,11 +247,7 @@ def test_wrong_requests() -> None:
 
 @pytest.mark.parametrize(("limit", "words"), [(0.0, "leg_front_r_1"), (np.inf, "no motor")])
 def test_motors_without_a_limit_to_use(limit: float, words: str) -> None:
-    robot = load("v3")
-    model = robot.pin_model.copy()
-    efforts = np.array(model.effortLimit)
-    efforts[robot.pin_convention.v_index] = limit
-    model.effortLimit = efforts
+    robot = with_efforts(load("v3"), limit)
     for objective in (Objective.UTILISATION, Objective.PAYLOAD):
         with pytest.raises(pa.ConfigurationError, match=words):
-            best_stance(replace(robot, pin_model=model), objective)
+            best_stance(robot, objective)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import NAMES, load, mujoco_at, random_state, stand_of
+from conftest import NAMES, load, mujoco_at, random_state, stand_of, with_efforts
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
@@ -22,14 +20,6 @@ from pupper_analysis.stance.sunk import loaded_stand
 
 EVEN = pa.ForceDistribution.MIN_TANGENTIAL
 ON_TOP, AHEAD = (0.0, 0.0, 0.05), (0.2, 0.0, 0.05)
-
-
-def with_limits(robot: pa.Robot, limits: float | np.ndarray) -> pa.Robot:
-    model = robot.pin_model.copy()
-    efforts = np.array(model.effortLimit)
-    efforts[robot.pin_convention.v_index] = limits
-    model.effortLimit = efforts
-    return replace(robot, pin_model=model)
 
 
 # ------------------------------------------------------------------------------------- contacts
@@ -149,12 +139,12 @@ def test_more_torque_carries_more_in_proportion() -> None:
     """The knees' limit doubled carries twice the total weight, but for the legs' own."""
     robot, stand = load("v3"), stand_of("v3")
     one = motor_limit(robot, stand, ON_TOP).mass
-    two = motor_limit(with_limits(robot, 2 * robot.effort_limits), stand, ON_TOP).mass
+    two = motor_limit(with_efforts(robot, 2 * robot.effort_limits), stand, ON_TOP).mass
     assert (two + robot.total_mass) / (one + robot.total_mass) == pytest.approx(2.0, rel=0.03)
 
 
 def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
-    robot, stand = with_limits(load("v3"), np.inf), stand_of("v3")
+    robot, stand = with_efforts(load("v3"), np.inf), stand_of("v3")
     limit = payload_limit(robot, stand)
     assert limit.motors.mass == math.inf
     assert limit.motors.failure is Failure.NOTHING
@@ -164,14 +154,9 @@ def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
 
 
 def test_a_limit_of_zero_carries_nothing_and_divides_nothing() -> None:
-    """In both files: a 0 in the URDF alone says that nothing is known."""
     limits = load("v3").effort_limits
     limits[2] = 0.0
-    robot, stand = with_limits(load("v3"), limits), stand_of("v3")
-    model = copy.copy(robot.mj_model)
-    drive = model.actuator_trnid[:, 0].tolist().index(model.joint(robot.joint_names[2]).id)
-    model.actuator_forcelimited[drive], model.actuator_forcerange[drive] = 1, 0.0
-    robot = replace(robot, mj_model=model)
+    robot, stand = with_efforts(load("v3"), limits), stand_of("v3")
     with np.errstate(all="raise"):
         bound = motor_limit(robot, stand, ON_TOP)
     assert bound.mass == 0.0

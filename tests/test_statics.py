@@ -2,12 +2,11 @@
 
 import itertools
 import math
-from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
-from conftest import NAMES, addresses, load, mujoco_at, numbers, stand_of
+from conftest import NAMES, addresses, load, mujoco_at, numbers, stand_of, with_efforts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg, optimize
@@ -272,14 +271,6 @@ def test_least_peak_is_a_linear_programmes(variant: str, friction: float) -> Non
     assert around * (1 - 1e-6) <= peak <= inside * (1 + 1e-6)
     even = pa.gravity_compensation(weaker, friction=friction)
     assert peak < 0.95 * even.motor_utilisation.max()
-
-
-def with_efforts(robot: pa.Robot, efforts: np.ndarray) -> pa.Robot:
-    model = robot.pin_model.copy()
-    limits = np.array(model.effortLimit)
-    limits[robot.pin_convention.v_index] = efforts
-    model.effortLimit = limits
-    return replace(robot, pin_model=model)
 
 
 def test_least_peak_without_limits_is_of_the_torque() -> None:

@@ -69,10 +69,11 @@ def solve_stands(
 ) -> tuple[Stand | StanceUnreachableError, ...]:
     """Solves a sequence of stand tasks: quicker than one by one where neighbours are alike.
 
-    Each search begins where the two stands before it lead to. If that comes to a stand near the one
-    before, it is the task's; if not, the task is solved as ``solve_stand`` does, from its own
-    starts. So it is for tasks that choose where to begin (``ik_seed``), or that leave open where a
-    stand ends: with the com anywhere ``"inside"``, on redundant legs, with links to keep apart.
+    Each search begins where the stands before it, four at most, lead to. If that comes to a stand
+    near the one before, it is the task's; if not, the task is solved as ``solve_stand`` does, from
+    its own starts. So it is for tasks that choose where to begin (``ik_seed``), or that leave open
+    where a stand ends: with the com anywhere ``"inside"``, on redundant legs, with links to keep
+    apart.
 
     The stands are those of ``solve_stand``, to rounding. Only where a leg can be bent in several
     ways may they differ: a sequence keeps to the way in which it began, as long as that leads on.
