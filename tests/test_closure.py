@@ -109,6 +109,17 @@ def test_belts_stand_as_predicted_though_they_stretch(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("pair", [belts, four_bars])
+def test_constraints_may_be_as_soft_as_they_are(pair, tmp_path: Path) -> None:
+    """Where they are closed they are 30 times as soft as where they are open."""
+    words = 'solref="0.0173 1.936" solimp="0.814 0.986 0.00042 0.47 1"'
+    robot = load(pair(tmp_path, words=words))
+    stand = holds(robot)
+    assert robot.closure is not None
+    assert robot.closure.open(stand.qpos) > 2e-3
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("polynomial", [(0.0, -0.7, -0.08), (-0.1, -0.9, 0.05, 0.01, -0.002)])
 def test_a_coupling_need_not_be_linear(polynomial: tuple[float, ...], tmp_path: Path) -> None:
     robot = load(belts(tmp_path, polynomial))
@@ -216,6 +227,25 @@ def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
     np.testing.assert_allclose(found.joint_torques, sag.joint_torques, atol=1e-4)
     assert float(stand.qpos[2]) - sag.base_height > 2e-3
     assert pa.minimum_stiffness(robot, stand, feet="sliding") > 1
+
+
+@pytest.mark.slow
+def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> None:
+    """Right knees follow left ones: as those give way, feet on two sides are not on one level."""
+    pair = quadruped(tmp_path)
+    root = ElementTree.parse(pair.mjcf).getroot()
+    equality, actuators = ElementTree.SubElement(root, "equality"), root.find("actuator")
+    assert actuators is not None
+    for end in "FR":
+        names = {"joint1": f"{end}R_knee", "joint2": f"{end}L_knee"}
+        ElementTree.SubElement(equality, "joint", names)
+        motor = next(each for each in actuators if each.get("joint") == names["joint1"])
+        actuators.remove(motor)
+    pair.mjcf.write_text(ElementTree.tostring(root, encoding="unicode"))
+    robot = load(pair)
+    assert pa.solve_stand(robot).solved
+    with pytest.raises(pa.StanceUnreachableError, match="loops and couplings closed, it is in"):
+        pa.sunk_stand(robot)
 
 
 def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:

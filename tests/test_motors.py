@@ -163,3 +163,24 @@ def test_no_robot_stands_in_too_exact_a_balance(tmp_path: Path) -> None:
     shaking = pa.verify_stand(robot, stand, kp=3000.0, kd=200.0, integrator="Euler")
     assert not shaking.passed
     assert any("beyond the limit of stability (Euler, 2 ms)" in why for why in shaking.failures)
+
+
+@pytest.mark.parametrize(("kind", "pulls"), [("motor", False), ("position", True)])
+def test_motors_of_tendons_are_not_commanded_and_told(
+    kind: str, pulls: bool, tmp_path: Path
+) -> None:
+    pair = quadruped(tmp_path)
+    rope = (
+        '<tendon><fixed name="rope"><joint joint="FL_knee" coef="1"/>'
+        '<joint joint="FL_pitch" coef="1"/></fixed></tendon><actuator>'
+        f'<{kind} name="winch" tendon="rope"/>'
+    )
+    pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", rope))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    (told,) = [note for note in robot.notes if "are commanded 0" in note]
+    assert "winch (at a tendon)" in told
+    assert ("winch, a servo, pulls towards it" in told) == pulls
+    assert isinstance(said(told), Text)
+    plain = quadruped(tmp_path)
+    notes = pa.load_robot(urdf=plain.urdf, mjcf=plain.mjcf).notes
+    assert not [note for note in notes if "are commanded 0" in note]

@@ -43,6 +43,17 @@ def test_the_centre_is_refused_if_it_is_asked_for(tmp_path: Path) -> None:
         pa.solve_stand(robot, pa.StandTask(com="centre"), explain=False)
 
 
+def test_reachable_heights_are_those_at_which_it_stands(tmp_path: Path) -> None:
+    """Legs that swing in planes cannot hold the com where the start has it, to rounding."""
+    robot = load(planar(quadruped(tmp_path)))
+    heights = pa.reachable_heights(robot)
+    assert heights.low < 0.8 * robot.stand_height < 1.2 * robot.stand_height < heights.high
+    for height in (heights.low, heights.high):
+        assert pa.solve_stand(robot, pa.StandTask(height=height), explain=False).solved
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, pa.StandTask(height=heights.high + 1e-3), explain=False)
+
+
 @pytest.mark.slow
 def test_it_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
     robot = load(planar(quadruped(tmp_path)))

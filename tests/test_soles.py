@@ -186,6 +186,24 @@ def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_soles_of_balls_that_lean_the_other_way_are_told(tmp_path: Path) -> None:
+    """The ball that was taken for the foot is not the lowest there; the others are no feet."""
+    balls = "".join(
+        f'<geom type="sphere" size="0.01" pos="{x} {y} -0.2"/>'
+        for x in (-0.02, 0.02)
+        for y in (-0.02, 0.02)
+    )
+    robot = load(quadruped(tmp_path, foot=balls))
+    assert pa.verify_stand(robot, pa.sunk_stand(robot)).passed
+    there = pa.sunk_stand(robot, pa.StandTask(height=0.36, offset=(0.15, 0.0)))
+    found = pa.verify_stand(robot, there)
+    assert not found.passed
+    cause = found.failures[-1]
+    assert "and was taken for one point: its sole is flat, its leg cannot lay it flat" in cause
+    assert isinstance(said(cause), Text)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("size", ["0.02 0.02 0.02", "0.03 0.02 0.01"])
 def test_an_ellipsoid_touches_where_it_is_lowest(size: str, tmp_path: Path) -> None:
     """Of three equal half axes it is a ball; of others its lowest point is a closed form."""

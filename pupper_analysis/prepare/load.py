@@ -162,7 +162,8 @@ def _as_it_is(
         return None  # joints that turn round and round, which are given limits
     if free and not fixed_base and several(robot.mj_model):
         return None
-    return replace(robot, notes=(*urdf.notes, *mjcf.notes, *words.bound(robot), *robot.notes))
+    said = (*words.bound(robot), *words.uncommanded(robot))
+    return replace(robot, notes=(*urdf.notes, *mjcf.notes, *said, *robot.notes))
 
 
 def _ground_to_mend(spec: mujoco.MjSpec) -> bool:
@@ -239,7 +240,7 @@ def _prepared(
     notes += words.planar(robot)
     robot = _started(robot, known, notes)
     robot = touching.apart(touching.on_feet_alone(robot, notes), notes)
-    notes += words.bound(robot)
+    notes += (*words.bound(robot), *words.uncommanded(robot))
     idle = {robot.joint_names[joint] for joint in drives.following(robot)}
     if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
         robot = _driven(robot, notes)

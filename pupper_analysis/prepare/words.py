@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import mujoco
+
 from pupper_analysis.checks.matching import Match
+from pupper_analysis.models.conversion import is_at_one_joint
 from pupper_analysis.prepare.feet import Foot, is_ball
 from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.robot import Robot
@@ -80,3 +83,33 @@ def bound(robot: Robot) -> Iterator[str]:
     """Says which joints follow others."""
     if robot.closure is not None:
         yield robot.closure.in_words()
+
+
+_TOLD = 4  # motors
+
+
+def uncommanded(robot: Robot) -> Iterator[str]:
+    """Says which motors drive no joint of their own: a tendon, a site, a ball joint."""
+    model = robot.mj_model
+    others = [motor for motor in range(model.nactuator) if not is_at_one_joint(model, motor)]
+    if not others:
+        return
+    names = [model.actuator(motor).name or f"#{motor}" for motor in others]
+    driven = sorted({_driven(model, motor) for motor in others})
+    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
+    pulling = [
+        name
+        for motor, name in zip(others, names, strict=True)
+        if model.actuator_biastype[motor] == affine and model.actuator_biasprm[motor, :2].any()
+    ]
+    servo = f", but {', '.join(pulling[:_TOLD])}, a servo, pulls towards it" if pulling else ""
+    yield (
+        f"motors that drive no hinge or slide of their own are commanded 0: "
+        f"{', '.join(names[:_TOLD])}{' …' if names[_TOLD:] else ''} (at {', '.join(driven)}); what "
+        f"they would hold is asked of the joints' own{servo}"
+    )
+
+
+def _driven(model: mujoco.MjModel, motor: int) -> str:
+    kind = mujoco.mjtTrn(int(model.actuator_trntype[motor])).name.removeprefix("mjTRN_").lower()
+    return "a ball or free joint" if kind.startswith("joint") else f"a {kind}"

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.coordinates import MujocoConvention
+from pupper_analysis.robot.impedance import Softness
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -53,9 +54,9 @@ _NEARLY = 1e-3
 _STEP = 1e-7
 """Of central differences (rad, m): softness changes within a millimetre."""
 
-_SOFTER = 4.0
-"""What a loop may be open by, in parts of its give there: by MuJoCo's default it is twice as soft
-where it is closed, as at first a search has it."""
+_SOFTER = 2.0
+"""What a loop may be open by, in parts of its give where it is softest: forces are others where
+it is closed, as at first a search has it."""
 
 _UNMOVED = 1e-2
 """How much joints that place feet move, in parts of what others do, when a loop is closed: a start
@@ -121,15 +122,14 @@ class Closure:
         """Returns by how much the constraints are open at rest under a load.
 
         Args:
-            qpos: (nq,) where softness, which depends on how far they are open, is taken.
+            qpos: (nq,) the configuration.
             load: (nu,) what motors and constraints hold (N m).
 
         Returns:
             (m,) like ``residual``.
         """
-        soft = self._softness(qpos)
-        given: Array = -soft * (self._shares(qpos) @ load[self.following])
-        return given
+        forces = self._shares(qpos) @ load[self.following]
+        return -self._softness(qpos).opened(forces)
 
     def push(self, qpos: Array) -> Array:
         """Returns P (nu, nu): of a load x the constraints hold P x, so that motors hold x - P x."""
@@ -141,7 +141,7 @@ class Closure:
 
     def springs(self, qpos: Array) -> Array:
         """Returns what the constraints, as open as they are, push joints with (nu,), at rest."""
-        pushed: Array = self.rows(qpos).T @ (-self.residual(qpos) / self._softness(qpos))
+        pushed: Array = self.rows(qpos).T @ (-self.residual(qpos) / self._softness(qpos).here())
         return pushed
 
     def spring_rates(self, qpos: Array) -> Array:
@@ -239,7 +239,8 @@ class Closure:
         Raises:
             ConfigurationError: If it is not, or if it is a dead point.
         """
-        allowed = OPEN + _SOFTER * np.abs(self.give(qpos, load))
+        forces = self._shares(qpos) @ load[self.following]
+        allowed = OPEN + _SOFTER * self._softness(qpos).most() * np.abs(forces)
         off = np.abs(self.residual(qpos))
         if (off > allowed).any():
             raise ConfigurationError(
@@ -287,11 +288,8 @@ class Closure:
         rows: Array = data.efc_J.reshape(-1, self._model.nv)[:, self._convention.qvel_index]
         return rows
 
-    def _softness(self, qpos: Array) -> Array:
-        """Returns by how much each constraint opens per force (m,), at rest."""
-        data = self._look(qpos)
-        soft: Array = 1 / (data.efc_D * data.efc_KBIP[:, 0] * data.efc_KBIP[:, 2])
-        return soft
+    def _softness(self, qpos: Array) -> Softness:
+        return Softness(self._model, self._look(qpos))
 
     def _shares(self, qpos: Array) -> Array:
         """Returns the constraints' forces (m, k) per load on the joints that follow.
@@ -301,7 +299,7 @@ class Closure:
         Raises:
             ConfigurationError: If none do: at a dead point.
         """
-        stiff = 1 / self._softness(qpos)
+        stiff = 1 / self._softness(qpos).here()
         held = self.rows(qpos)[:, self.following]
         matrix = held.T @ (stiff[:, None] * held)
         scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import mujoco
 
+from pupper_analysis.robot.impedance import bounded, impeded
 from pupper_analysis.robot.robot import Robot
 
 _MAX_ITERATIONS = 200  # in search of a depth: 5 do, but for laws that no Newton step fits
@@ -55,10 +56,8 @@ class GroundLaw:
     def of(robot: Robot, foot: str) -> GroundLaw:
         """Returns the law of one foot's contact with the ground, cone elliptic or pyramidal."""
         model, parameters = robot.mj_model, robot.contacts[foot]
-        dmin, dmax, width, midpoint, power = parameters.solimp
-        dmin, dmax, midpoint = (
-            min(max(value, mujoco.mjMINIMP), mujoco.mjMAXIMP) for value in (dmin, dmax, midpoint)
-        )
+        solimp = bounded(parameters.solimp)
+        dmax = solimp[1]
         first, second = parameters.solref
         if first > 0:
             if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE.value:
@@ -76,7 +75,7 @@ class GroundLaw:
         return GroundLaw(
             stiffness=float(stiffness),
             damping=float(damping),
-            solimp=(float(dmin), float(dmax), width, float(midpoint), max(power, 1.0)),
+            solimp=solimp,
             normal=normal,
             tangential=tangential if mu > 0 else math.inf,
             margin=parameters.margin,
@@ -88,18 +87,7 @@ class GroundLaw:
 
     def _impeded(self, depth: float) -> tuple[float, float]:
         """Returns ``impedance`` and its derivative (1/m)."""
-        dmin, dmax, width, midpoint, power = self.solimp
-        if dmin == dmax or width <= mujoco.mjMINVAL:
-            return (dmin + dmax) / 2, 0.0
-        x, rise = min(abs(depth + self.margin) / width, 1.0), dmax - dmin
-        if x <= midpoint:
-            share = x / midpoint
-            y = midpoint * share**power
-        else:
-            share = (1 - x) / (1 - midpoint)
-            y = 1 - (1 - midpoint) * share**power
-        steeper = power * share ** (power - 1) * rise / width if x < 1 else 0.0
-        return dmin + y * rise, steeper
+        return impeded(self.solimp, depth + self.margin)
 
     def force(self, depth: float) -> float:
         """Returns the normal force (N) at a penetration (m) at rest."""

@@ -18,10 +18,14 @@ def several_contacts(robot: Robot, stand: Stand) -> str | None:
     robot.mj_convention.set_state(data, stand.qpos)
     mujoco.mj_fwdPosition(model, data)
     places: dict[str, list[np.ndarray]] = {}
+    # A sole of several balls is one point, too, if its leg cannot lay it flat: that of one of them.
+    bodies = {int(robot.foot_places[foot][0]): foot for foot in robot.feet}
     for touch in data.contact:
-        for geom in touch.geom:
-            foot = robot.foot_geoms.get(int(geom))
-            if len(robot.soles.get(str(foot), ())) == 1 and touch.dist < 0:
+        if touch.dist >= 0 or 0 not in model.body_weldid[model.geom_bodyid[touch.geom]]:
+            continue
+        for geom in touch.geom.tolist():
+            foot = robot.foot_geoms.get(geom) or bodies.get(int(model.geom_bodyid[geom]))
+            if len(robot.soles.get(str(foot), ())) == 1:
                 places.setdefault(str(foot), []).append(np.array(touch.pos))
     spread = {
         foot: max(float(np.linalg.norm(one - two)) for one in found for two in found)

@@ -15,6 +15,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Shapes, shapes_of
+from pupper_analysis.stance.com_reach import moves_com
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.search import follow
 from pupper_analysis.stance.stand import Stand, solve_stand
@@ -71,6 +72,8 @@ class BaseWorkspace(Result):
 def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
     """Finds the least and the greatest height of the base (m) with all else as the task has it.
 
+    As ``base_workspace`` does, com included.
+
     Args:
         robot: The robot.
         task: Its height is where the search begins; the nominal stand by default.
@@ -88,7 +91,8 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 
     Each direction is searched on its own, outwards from the task, to where a stand is first out of
     reach, with the com where the task has it; if that may lie anywhere inside the support polygon,
-    where the task's stand has it. Shifts are those of the base; the com follows, and must stay
+    where the task's stand has it, or anywhere for legs that cannot hold it there (those of two
+    joints). Shifts are those of the base; the com follows, and must stay
     inside with the task's margin.
 
     Args:
@@ -194,7 +198,7 @@ def stand_at(robot: Robot, start: Stand, direction: str, value: float) -> Stand:
 
 def _task_at(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
     changes: dict[str, Any] = {direction: value}
-    if start.task.com == "inside":
+    if start.task.com == "inside" and moves_com(robot):
         x, y, _ = Configuration(robot, start.qpos).center_of_mass().tolist()
         changes |= {"com": (x, y), "com_margin": 0.0}
     if direction in ("x", "y"):

@@ -32,8 +32,17 @@ def yields(robot: Robot) -> bool:
 
 
 def lacking(robot: Robot, goal: Goal) -> str:
-    """Says which joints the legs lack for a sole that is lifted or moved; nothing if none."""
+    """Says which joints the legs lack for a sole that is lifted or moved; nothing if none.
+
+    Or for loops and couplings that give way.
+    """
     task = goal.task
+    if goal.give is not None and goal.give.any():
+        return (
+            "On rigid ground, with the MJCF's loops and couplings closed, it is in reach; under "
+            f"load they open by up to {abs(goal.give).max():.2g} m or rad, feet sink in, and "
+            "the legs have no joints to make up for it: stiffer ones (solref) may do"
+        )
     moved = [
         sole
         for sole in robot.soles

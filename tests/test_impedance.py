@@ -1,0 +1,90 @@
+"""The impedance of equality constraints is MuJoCo's, and so is what they open by at rest."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from pupper_analysis.robot.impedance import Softness, bounded, impeded
+
+KINDS = {
+    "joint": '<joint joint1="a" joint2="b" {words}/>',
+    "connect": '<connect body1="A" body2="B" anchor="0 0 0" {words}/>',
+    "weld": '<weld body1="A" body2="B" {words}/>',
+}
+BODY = """<body name="{name}" pos="{x} 0 0"><joint name="{low}" axis="0 1 0" springref="{ref}"
+    stiffness="{k}" damping="2"/><joint type="slide" axis="1 0 0" stiffness="{k}" damping="9"
+    springref="{ref}"/><geom size=".1" mass="1" contype="0"/></body>"""
+
+
+def random_words(seed: int) -> str:
+    rng = np.random.default_rng(seed)
+    low, high = rng.uniform(0.5, 0.9), rng.uniform(0.9, 0.999)
+    low, high = (low, high) if rng.random() < 0.8 else (high, low)
+    return (
+        f'solref="{rng.uniform(0.005, 0.03)} {rng.uniform(0.7, 2)}" solimp="{low} {high} '
+        f'{10 ** rng.uniform(-3, -1)} {rng.uniform(0.2, 0.8)} {rng.integers(1, 4)}"'
+    )
+
+
+def tied(kind: str, seed: int) -> mujoco.MjModel:
+    stiffness = 10 ** np.random.default_rng(seed).uniform(1, 3)
+    bodies = "".join(
+        BODY.format(name=name, low=name.lower(), x=x, k=stiffness, ref=ref)
+        for name, x, ref in (("A", 0.0, 0.1), ("B", 0.3, -0.2))
+    )
+    tie = KINDS[kind].format(words=random_words(seed))
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><option integrator="implicitfast" gravity="0 0 0" tolerance="0"/>'
+        f"<worldbody>{bodies}</worldbody><equality>{tie}</equality></mujoco>"
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(8))
+def test_what_opens_at_rest_is_as_simulated(kind: str, seed: int) -> None:
+    """From MuJoCo's forces alone, at a configuration that knows nothing of the opening."""
+    model = tied(kind, seed)
+    data = mujoco.MjData(model)
+    for _ in range(20000):
+        mujoco.mj_step(model, data)
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.qvel).max() < 1e-8
+    soft = Softness(model, data)
+    moved = np.abs(data.efc_pos) > 1e-6
+    assert moved.any()
+    opened = -soft.opened(data.efc_force)
+    np.testing.assert_allclose(opened[moved], data.efc_pos[moved], rtol=1e-4)
+    np.testing.assert_allclose(-soft.here() * data.efc_force, data.efc_pos, atol=1e-9)
+    assert (soft.most() >= soft.here() * (1 - 1e-12)).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_softness_does_not_depend_on_where_it_is_asked(kind: str) -> None:
+    model = tied(kind, 3)
+    data = mujoco.MjData(model)
+    found = []
+    for distance in (0.0, 1e-4, 1e-2, 0.1):
+        data.qpos[:] = 0, distance, 0, 0
+        if kind == "joint":
+            data.qpos[:] = distance, 0, 0, 0
+        mujoco.mj_forward(model, data)
+        found.append(Softness(model, data).opened(np.full(data.nefc, 2.0)))
+    # A weld's and a connect's A depend on the configuration; along this way they stay.
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_impedance_is_mujocos(seed: int) -> None:
+    model = tied("joint", seed)
+    data, solimp = mujoco.MjData(model), bounded(model.eq_solimp[0])
+    for opened in np.random.default_rng(seed).uniform(0, 1.5 * solimp[2], 20):
+        data.qpos[0] = opened
+        mujoco.mj_forward(model, data)
+        d, slope = impeded(solimp, opened)
+        assert d == pytest.approx(data.efc_KBIP[0, 2], rel=1e-12)
+        step = 1e-6 * solimp[2]
+        ends = [impeded(solimp, opened + way)[0] for way in (step, -step)]
+        assert slope == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4, abs=1e-6)
