@@ -117,6 +117,12 @@ def test_constraints_may_be_as_soft_as_they_are(pair, tmp_path: Path) -> None:
     stand = holds(robot)
     assert robot.closure is not None
     assert robot.closure.open(stand.qpos) > 2e-3
+    sag = pa.steady_state(robot, stand, feet="sliding")
+    found = pa.verify_stand(robot, stand, feedforward=False, duration=20.0)
+    assert found.base_height == pytest.approx(sag.base_height, abs=1e-6)
+    if pair is four_bars:
+        with pytest.raises(pa.NoEquilibriumError, match="or is not found from loops"):
+            pa.steady_state(robot, pa.solve_stand(robot), feet="sliding")
 
 
 @pytest.mark.slow

@@ -224,9 +224,16 @@ class Way:
         while True:
             found = self.system.solve(self.solution, exact=exact)
             if found is None:
-                raise NoEquilibriumError(self.share, f"{when} it ends")
+                raise NoEquilibriumError(self.share, f"{when} it ends{self._or_not_found()}")
             self.iterations += len(found.residuals) - 1
             wrong = self.system.against(found)
             if not wrong:
                 return found
             self._switch(next(iter(wrong)), found)
+
+    def _or_not_found(self) -> str:
+        """Says so where loops begin closed, and far softer than they are when they have opened."""
+        stand, closure = self.system.stand, self.system.robot.closure
+        if closure is None or any(stand.depths.values()):
+            return ""
+        return ", or is not found from loops that are closed: sunk_stand's are open"
