@@ -14,7 +14,6 @@ from conftest import run_command
 from legged import Pair, quadruped
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.drives import IMPLICIT, integrators
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation.rollout import place_on_ground, run
@@ -497,17 +496,6 @@ def test_what_ties_a_robot_to_the_world_is_named_where_its_stand_fails(tmp_path:
     assert not found.passed
     assert "connect tied" in found.failures[-1]
     assert "equality constraints that are not predicted" in found.failures[-1]
-
-
-def test_a_files_own_integrator_is_tried_where_there_are_loops(tmp_path: Path) -> None:
-    """ToddlerBot's rods, of grammes, are torn off by the implicit ones within two steps."""
-    euler = int(mujoco.mjtIntegrator.mjINT_EULER.value)
-    for name, pair, wanted in (("one", belts, {IMPLICIT, euler}), ("two", quadruped, {IMPLICIT})):
-        (tmp_path / name).mkdir()
-        robot = load(pair(tmp_path / name))
-        assert robot.mj_model.opt.integrator == IMPLICIT  # comes first
-        robot.mj_model.opt.integrator = euler
-        assert set(integrators(robot)) == wanted
 
 
 def test_a_robot_without_any_has_none(tmp_path: Path) -> None:

@@ -41,9 +41,6 @@ _STILL = 2e-4
 _STAYED = 5e-3
 """Feet of a robot that does not shake have moved by no more than this in the end (m)."""
 
-IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value)
-"""With it a servo's damping does not shake light joints."""
-
 _TRIALS = (2.0, 4.0)  # s of simulation: what shakes shows soon
 
 _FASTEST = 1.5
@@ -112,40 +109,26 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     own = own_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
 
-    def built(kp: Array, kd: Array, parts: int, integrator: int, *, seen: bool = True) -> Robot:
+    def built(kp: Array, kd: Array, parts: int, *, seen: bool = True) -> Robot:
         spec = with_servos(robot.description.mjcf, robot, kp, kd)
         spec.compiler.discardvisual = spec.compiler.discardvisual or not seen
         spec.option.timestep /= parts
-        spec.option.integrator = integrator
         return rebuilt(robot, mjcf=spec)
 
     first = _kept(robot, own, *_gains(robot, stand.qpos, torques, _SAGS[0], 1))
     # Each trial copies its model, of which meshes that nothing touches are most.
-    trial = built(*first, 1, IMPLICIT, seen=False)
+    trial = built(*first, 1, seen=False)
     timestep = float(trial.mj_model.opt.timestep)
     resting = None
-    for integrator, parts, sag in itertools.product(integrators(robot), _FINER, _SAGS):
+    for parts, sag in itertools.product(_FINER, _SAGS):
         kp, kd = _kept(robot, own, *_gains(robot, stand.qpos, torques, sag, parts))
         trial.mj_model.opt.timestep = timestep / parts
-        trial.mj_model.opt.integrator = integrator
         if _rests(trial, stand, kp, kd):
-            resting = resting or (kp, kd, parts, integrator)
+            resting = resting or (kp, kd, parts)
             if _as_predicted(trial, stand, kp, kd):
-                return built(kp, kd, parts, integrator), kp, kd, True
-    kp, kd, parts, integrator = resting or (*first, 1, IMPLICIT)
-    return built(kp, kd, parts, integrator), kp, kd, resting is not None
-
-
-def integrators(robot: Robot) -> list[int]:
-    """Returns the integrators that are tried.
-
-    The implicit ones compute accelerations anew from the constraints' forces, which the constraint
-    solver leaves inexact: by 15 N m where ToddlerBot's rods of 3e-9 kg m^2 are welded, which tears
-    them off within two steps. Euler without ``eulerdamp`` takes the solver's accelerations. Where a
-    file with loops has another integrator, that is tried, too.
-    """
-    own = int(robot.mj_model.opt.integrator)
-    return [IMPLICIT] if robot.closure is None else list(dict.fromkeys([IMPLICIT, own]))
+                return built(kp, kd, parts), kp, kd, True
+    kp, kd, parts = resting or (*first, 1)
+    return built(kp, kd, parts), kp, kd, resting is not None
 
 
 def advice(robot: Robot, stand: Stand) -> str | None:

@@ -33,12 +33,13 @@ from pupper_analysis.prepare.limits import bounded, within_both
 from pupper_analysis.prepare.mimics import coupled
 from pupper_analysis.prepare.motors import one_at_each_joint, several
 from pupper_analysis.prepare.parts import with_parts
+from pupper_analysis.prepare.solver import inexact, solvable
 from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.floor import NO_GROUND, level_ground
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import INTEGRATORS, own_servos
+from pupper_analysis.robot.servos import own_servos
 
 Array = NDArray[np.float64]
 
@@ -160,7 +161,7 @@ def _as_it_is(
         return None  # a body that is named for its sole, which is no sphere around its frame
     if robot.floating and robot.closure is not None and robot.pin_convention.unbounded.any():
         return None  # joints that turn round and round, which are given limits
-    if free and not fixed_base and several(robot.mj_model):
+    if robot.floating and (several(robot.mj_model) or inexact(robot) is not None):
         return None
     said = (*words.bound(robot), *words.uncommanded(robot))
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *said, *robot.notes))
@@ -240,6 +241,7 @@ def _prepared(
     notes += words.planar(robot)
     robot = _started(robot, known, notes)
     robot = touching.apart(touching.on_feet_alone(robot, notes), notes)
+    robot = solvable(robot, notes)
     notes += (*words.bound(robot), *words.uncommanded(robot))
     idle = {robot.joint_names[joint] for joint in drives.following(robot)}
     if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
@@ -323,12 +325,10 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
         for index, name in enumerate(robot.joint_names)
         if name not in own and index not in idle
     ]
-    kind = built.mj_model.opt.integrator
-    integrator = next(name for name, value in INTEGRATORS.items() if value.value == kind)
     which = "no position servos" if not own else f"no position servos at {len(new)} joints"
     notes.append(
         f"the MJCF has {which}: they were added, with kp {drives.span(kp[new])} N m/rad and kd "
-        f"{drives.span(kd[new])} N m s/rad, integrator {integrator}, "
+        f"{drives.span(kd[new])} N m s/rad, integrator implicitfast, "
         f"{1e3 * built.mj_model.opt.timestep:g} ms"
     )
     if not rests:
