@@ -10,7 +10,7 @@ import pytest
 from conftest import NAMES, load, stand_of
 
 import pupper_analysis as pa
-from pupper_analysis.robot.whereabouts import Whereabouts
+from pupper_analysis.robot.kinematics import Kinematics
 from pupper_analysis.stance.clearance import Shapes, shapes_of
 from pupper_analysis.stance.judge import measure
 from pupper_analysis.stance.problem import goal_of
@@ -28,9 +28,9 @@ def random_states(robot: pa.Robot, count: int) -> Iterator[np.ndarray]:
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("fixed", [False, True], ids=["free", "fixed"])
-def test_whereabouts_are_a_configurations(name: str, fixed: bool) -> None:
+def test_kinematics_are_a_configurations(name: str, fixed: bool) -> None:
     robot = load(name, fixed_base=fixed)
-    there = Whereabouts(robot.structure)
+    there = Kinematics(robot.structure)
     for qpos in random_states(robot, 5):
         config = pa.Configuration(robot, qpos)
         there.move(config.qpos)

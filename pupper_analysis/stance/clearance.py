@@ -19,8 +19,8 @@ from pupper_analysis.files import readable
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.ground import Ground
+from pupper_analysis.robot.kinematics import Kinematics
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.whereabouts import Whereabouts
 from pupper_analysis.stance.parts import Direction, part_of
 
 Array = NDArray[np.float64]
@@ -65,14 +65,14 @@ class Shapes:
     Attributes:
         robot: The robot.
         wrapper: PlaCo's robot.
-        whereabouts: Where its com and feet are, by its own model.
+        kinematics: Where its com and feet are, by its own model.
         tasks: Whatever a solver made for this robot once, and uses again.
         limits: The joint limits that PlaCo's robot was given last.
         begun: How a solver began last: what it was asked, and what it found.
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.robot, self.whereabouts = robot, Whereabouts(robot.structure)
+        self.robot, self.kinematics = robot, Kinematics(robot.structure)
         self.tasks: dict[object, Any] = {}
         self.limits: tuple[Array, Array] | None = None
         self.begun: tuple[tuple[object, ...], Array, float, float] | None = None
@@ -152,7 +152,7 @@ class Shapes:
     ) -> Clearance | None:
         """Returns how high the lowest part other than the feet is above slope and steps.
 
-        See ``heights``; ``moved`` says that ``whereabouts`` have been taken there.
+        See ``heights``; ``moved`` says that ``kinematics`` has been taken there.
         """
         found = self._heights(qpos, ground, places, depths, moved=moved)
         if not found:
@@ -192,7 +192,7 @@ class Shapes:
         steps = ground.heights and any(height > 0 for height in ground.heights.values())
         if None not in self._parts and not steps:
             if not moved:
-                self.whereabouts.move(self.robot.structure.state(qpos))
+                self.kinematics.move(self.robot.structure.state(qpos))
             return self._above_plane(ground, depths)
         return [
             (index, float(near.min_distance) + depth)
@@ -200,9 +200,9 @@ class Shapes:
         ]
 
     def _above_plane(self, ground: Ground, depths: Mapping[str, float]) -> list[tuple[int, float]]:
-        """Returns number and height of what is no foot above a plane, where ``whereabouts`` are."""
+        """Returns number and height of what is no foot above a plane, where ``kinematics`` is."""
         normal: Direction = tuple(ground.normal().tolist())
-        found, link_of = [], self.whereabouts.link
+        found, link_of = [], self.kinematics.link
         for (index, _, sunk), part in zip(self._looked_at, self._parts, strict=True):
             assert part is not None
             height = part.height(link_of(part.link), normal)

@@ -144,7 +144,7 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
     """
     robot, task = shapes.robot, goal.task
     own = robot.structure.state(qpos)
-    there = shapes.whereabouts
+    there = shapes.kinematics
     there.move(own)
     com, feet = there.com(), there.feet()
     x, y, z, *turn = own[:7].tolist()

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import coal
 import pinocchio as pin
 
-from pupper_analysis.robot.whereabouts import Place
+from pupper_analysis.robot.kinematics import Place
 
 Direction = tuple[float, float, float]
 

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 Place = tuple[Array, Array]
 
 
-class Whereabouts:
+class Kinematics:
     """Com, feet's centres and links, as a ``Configuration`` has them, without anything else.
 
     One belongs to one thread.
