@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import mujoco
 import mujoco.rollout
@@ -99,15 +98,15 @@ def servos(
             both given.
     """
     model = copy.copy(robot.mj_model)
-    stiffness, damping, gear, servo = gains(robot, kp, kd)
+    wanted = gains(robot, kp, kd)
     driven = robot.mj_convention.actuator_index >= 0
     actuators = robot.mj_convention.actuator_index[driven]
     if kp is not None or kd is not None:
         model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
         model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
         model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
-        _put_gains(model, actuators, *((g / gear**2)[driven] for g in (stiffness, damping)))
-        model.actuator_ctrllimited[model.actuator_ctrladr[actuators[~servo[driven]]]] = 0
+        _put_gains(model, actuators, *wanted.of_actuators(driven))
+        model.actuator_ctrllimited[model.actuator_ctrladr[actuators[~wanted.servo[driven]]]] = 0
     if integrator is not None:
         if integrator not in INTEGRATORS:
             raise ConfigurationError(
@@ -118,10 +117,11 @@ def servos(
         (name for name, kind in INTEGRATORS.items() if kind.value == model.opt.integrator),
         mujoco.mjtIntegrator(int(model.opt.integrator)).name,
     )
-    return Servos(model, stiffness, damping, gear, used)
+    return Servos(model, wanted.kp, wanted.kd, wanted.gear, used)
 
 
-class Gains(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Gains:
     """Gains of a robot's motors, checked, and what they are used with.
 
     Joints that follow others have gains of 0, and need no motor.
@@ -138,6 +138,11 @@ class Gains(NamedTuple):
     gear: Array
     servo: NDArray[np.bool_]
 
+    def of_actuators(self, driven: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Returns stiffness and damping of the actuators of the joints that have one (n,)."""
+        squared = self.gear[driven] ** 2
+        return self.kp[driven] / squared, self.kd[driven] / squared
+
 
 def retuned(robot: Robot, drive: Servos, wanted: Gains) -> Servos:
     """Gives servos other gains, in their own model: a copy of it takes longer than its use.
@@ -149,8 +154,7 @@ def retuned(robot: Robot, drive: Servos, wanted: Gains) -> Servos:
     """
     driven = robot.mj_convention.actuator_index >= 0
     actuators = robot.mj_convention.actuator_index[driven]
-    own = ((gain / wanted.gear**2)[driven] for gain in (wanted.kp, wanted.kd))
-    _put_gains(drive.model, actuators, *own)
+    _put_gains(drive.model, actuators, *wanted.of_actuators(driven))
     return replace(drive, kp=wanted.kp, kd=wanted.kd)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import coal
 import pinocchio as pin
@@ -13,7 +13,8 @@ from pupper_analysis.robot.kinematics import Place
 Direction = tuple[float, float, float]
 
 
-class Part(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Part:
     """A shape in its link's frame, as the sum of a point, bars, a disc and a ball (m).
 
     Attributes:

@@ -67,13 +67,13 @@ class Equilibrium:
         feet: Feet,
         lift: float = 0.0,
     ) -> None:
-        stiffness, _, gear, _ = gains(robot, kp, None if kp is None else 0.0)
+        used = gains(robot, kp, None if kp is None else 0.0)
         actuators = robot.mj_convention.actuator_index
         limited = robot.mj_model.actuator_forcelimited[actuators].astype(bool) & (actuators >= 0)
-        limits = robot.mj_model.actuator_forcerange[actuators] * gear[:, None]
+        limits = robot.mj_model.actuator_forcerange[actuators] * used.gear[:, None]
         self.lower = np.where(limited, limits.min(axis=1), -np.inf)
         self.upper = np.where(limited, limits.max(axis=1), np.inf)
-        self.robot, self.stand, self.feet, self.kp = robot, stand, feet, stiffness
+        self.robot, self.stand, self.feet, self.kp = robot, stand, feet, used.kp
         self.ground, self.normal = stand.task.ground, stand.task.ground.normal()
         self.frame = pin.Quaternion.FromTwoVectors(self.normal, UP).matrix()
         self.laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
