@@ -97,6 +97,7 @@ def test_a_belts_motor_holds_what_the_knee_would(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_belts_stand_as_predicted_though_they_stretch(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     stand = holds(robot)
@@ -175,6 +176,7 @@ def test_four_bars_stand_as_predicted(crank: float, tmp_path: Path) -> None:
     holds(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
 
 
+@pytest.mark.slow
 def test_a_loops_derivative_is_that_of_its_residual(tmp_path: Path) -> None:
     robot = load(four_bars(tmp_path, 0.04))
     closure, qpos = robot.closure, pa.solve_stand(robot).qpos
@@ -253,6 +255,7 @@ def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> No
         pa.sunk_stand(robot)
 
 
+@pytest.mark.slow
 def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, words='active="false"'))
     assert robot.closure is None
@@ -260,6 +263,7 @@ def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
     assert at(robot, pa.stand_statics(robot, pa.solve_stand(robot)).joint_torques, "FL_knee") != 0
 
 
+@pytest.mark.slow
 def test_motors_at_both_ends_each_hold_their_own(tmp_path: Path) -> None:
     """Statics leaves it open which of them gives what: each gives what it is told."""
     pair = belts(tmp_path)
@@ -283,6 +287,7 @@ def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
         pa.gravity_compensation(pa.Configuration(robot, qpos), ())
 
 
+@pytest.mark.slow
 def test_many_states_at_once_are_those_one_by_one(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     heights = (robot.stand_height, 0.95 * robot.stand_height)
@@ -293,6 +298,7 @@ def test_many_states_at_once_are_those_one_by_one(tmp_path: Path) -> None:
         np.testing.assert_allclose(torques, alone.joint_torques, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_many_states_that_are_open_are_refused(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     qpos = pa.solve_stand(robot).qpos.copy()
@@ -301,6 +307,7 @@ def test_many_states_that_are_open_are_refused(tmp_path: Path) -> None:
         pa.gravity_compensations(robot, qpos[None])
 
 
+@pytest.mark.slow
 def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     stand = pa.solve_stand(robot)
@@ -359,6 +366,7 @@ def test_pushes_and_gains_are_simulated(tmp_path: Path) -> None:
     assert not pushed.failure
 
 
+@pytest.mark.slow
 def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, in_mjcf=False))
     assert any("(<mimic>), and now in the MJCF: FL_knee" in note for note in robot.notes)
@@ -370,6 +378,7 @@ def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_mimic_with_a_motor_of_its_own_stays_free_and_is_told(tmp_path: Path) -> None:
     pair = belts(tmp_path, in_mjcf=False)
     knees = "".join(f'<motor joint="{leg}_knee" ctrlrange="-30 30"/>' for leg in LEGS)
@@ -394,6 +403,7 @@ def test_loops_through_joints_that_the_urdf_lacks_are_opened(tmp_path: Path) -> 
     assert max(found.torque_error, found.force_error) < 1e-5
 
 
+@pytest.mark.slow
 def test_what_a_urdf_has_in_other_links_is_not_weighed_twice(tmp_path: Path) -> None:
     pair = four_bars(tmp_path, in_urdf=False)
     text = pair.urdf.read_text()
@@ -404,6 +414,7 @@ def test_what_a_urdf_has_in_other_links_is_not_weighed_twice(tmp_path: Path) -> 
     assert robot.total_mass == pytest.approx(float(robot.mj_model.body_subtreemass[0]), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_rod_called_like_its_ball_joint_keeps_its_connect(tmp_path: Path) -> None:
     """Cassie's achilles rods are: their loops were dropped with the joints."""
     pair = four_bars(tmp_path, in_urdf=False)
@@ -479,6 +490,7 @@ def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
     holds(robot)
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_tied_to_the_world_is_not_predicted(tmp_path: Path) -> None:
     pair = belts(tmp_path)
     tie = '<equality><connect body1="trunk" anchor="0 0 0" solref="0.1 1"/>'

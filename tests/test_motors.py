@@ -165,6 +165,7 @@ def test_no_robot_stands_in_too_exact_a_balance(tmp_path: Path) -> None:
     assert any("beyond the limit of stability (Euler, 2 ms)" in why for why in shaking.failures)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "pulls"), [("motor", False), ("position", True)])
 def test_motors_of_tendons_are_not_commanded_and_told(
     kind: str, pulls: bool, tmp_path: Path

@@ -143,6 +143,7 @@ def test_more_torque_carries_more_in_proportion() -> None:
     assert (two + robot.total_mass) / (one + robot.total_mass) == pytest.approx(2.0, rel=0.03)
 
 
+@pytest.mark.slow
 def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
     robot, stand = with_efforts(load("v3"), np.inf), stand_of("v3")
     limit = payload_limit(robot, stand)
@@ -177,6 +178,7 @@ def test_motors_too_weak_for_the_robot_itself() -> None:
 # ------------------------------------------------------------------------------------- servos
 
 
+@pytest.mark.slow
 def test_at_the_servos_limit_the_equilibrium_stops_being_stable() -> None:
     robot, stand = load("v3"), stand_of("v3")
     bound = servo_limit(robot, stand, ON_TOP)

@@ -43,6 +43,7 @@ def test_the_centre_is_refused_if_it_is_asked_for(tmp_path: Path) -> None:
         pa.solve_stand(robot, pa.StandTask(com="centre"), explain=False)
 
 
+@pytest.mark.slow
 def test_reachable_heights_are_those_at_which_it_stands(tmp_path: Path) -> None:
     """Legs that swing in planes cannot hold the com where the start has it, to rounding."""
     robot = load(planar(quadruped(tmp_path)))

@@ -603,6 +603,7 @@ def forces_exist(
     return bool(found.status == 0)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(
     name=st.sampled_from(["original", "v3"]),
