@@ -96,7 +96,7 @@ def with_motors(robot: Robot) -> Robot:
     return rebuilt(robot, mjcf=spec)
 
 
-def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
+def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, int]:
     """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
     Of those with which it does, the first with which it is then as predicted: light feet on stiff
@@ -104,7 +104,8 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
 
     Returns:
         The robot, with the stiffest servos tried if it comes to rest with none; the stiffness (nu,)
-        (N m/rad) and damping (nu,) (N m s/rad) of all its servos; and whether it comes to rest.
+        (N m/rad) and damping (nu,) (N m s/rad) of all its servos; and in how many ways it comes to
+        rest: 2 with feed-forward and without, 1 with feed-forward alone, or 0.
     """
     own = own_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
@@ -119,16 +120,18 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, bool]:
     # Each trial copies its model, of which meshes that nothing touches are most.
     trial = built(*first, 1, seen=False)
     timestep = float(trial.mj_model.opt.timestep)
-    resting = None
+    resting = fed = None
     for parts, sag in itertools.product(_FINER, _SAGS):
         kp, kd = _kept(robot, own, *_gains(robot, stand.qpos, torques, sag, parts))
         trial.mj_model.opt.timestep = timestep / parts
         if _rests(trial, stand, kp, kd):
             resting = resting or (kp, kd, parts)
             if _as_predicted(trial, stand, kp, kd):
-                return built(kp, kd, parts), kp, kd, True
-    kp, kd, parts = resting or (*first, 1)
-    return built(kp, kd, parts), kp, kd, resting is not None
+                return built(kp, kd, parts), kp, kd, 2
+        elif fed is None and resting is None and _rests(trial, stand, kp, kd, ways=(True,)):
+            fed = kp, kd, parts
+    kp, kd, parts = resting or fed or (*first, 1)
+    return built(kp, kd, parts), kp, kd, 2 if resting else int(fed is not None)
 
 
 def advice(robot: Robot, stand: Stand) -> str | None:

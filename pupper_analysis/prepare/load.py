@@ -336,4 +336,9 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
             "with none of the servos that were tried does it come to rest in the start pose, with "
             "feed-forward and without: give --kp and --kd, or another --keyframe"
         )
+    elif rests == 1:
+        notes.append(
+            "on these servos it comes to rest in the start pose with feed-forward alone: without, "
+            "it slides or sinks"
+        )
     return built
