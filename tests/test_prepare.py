@@ -404,6 +404,14 @@ def test_servos_with_which_it_comes_to_rest_otherwise_are_the_last_resort(
     assert not [note for note in none.notes if "come to rest" in note]
 
 
+def advised(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """The stiffness and damping (nu,) of which a note says that they would hold it."""
+    advice = re.search(r"let it fall over .*; --kp (\S+) --kd (\S+) would", " ".join(robot.notes))
+    assert advice, robot.notes
+    kp, kd = (np.full(robot.nu, float(word)) for word in advice.groups())
+    return kp, kd
+
+
 @pytest.mark.slow
 def test_servos_that_let_it_fall_are_told_with_gains_that_would_not(tmp_path: Path) -> None:
     """As a Berkeley Humanoid's, of 1 to 15 N m/rad: they stay, and a line says what would hold."""
@@ -411,9 +419,7 @@ def test_servos_that_let_it_fall_are_told_with_gains_that_would_not(tmp_path: Pa
     soft = pair.mjcf.read_text().replace("<motor ", '<position kp="3" kv="0.01" ')
     pair.mjcf.write_text(soft.replace("ctrlrange", "forcerange"))
     robot = load(pair)
-    advice = re.search(r"let it fall over .*; --kp (\S+) --kd (\S+) would", " ".join(robot.notes))
-    assert advice, robot.notes
-    kp, kd = (np.full(robot.nu, float(word)) for word in advice.groups())
+    kp, kd = advised(robot)
     stand = pa.sunk_stand(robot)
     assert pa.verify_stand(robot, stand).tilt > 0.5
     assert pa.verify_stand(robot, stand, kp=kp, kd=kd).passed
@@ -426,9 +432,7 @@ def test_servos_that_let_it_fall_slowly_are_told_too(tmp_path: Path) -> None:
     soft = pair.mjcf.read_text().replace("<motor ", '<position kp="20" kv="4" ')
     pair.mjcf.write_text(soft.replace("ctrlrange", "forcerange"))
     robot = load(pair)
-    advice = re.search(r"let it fall over .*; --kp (\S+) --kd (\S+) would", " ".join(robot.notes))
-    assert advice, robot.notes
-    kp, kd = (np.full(robot.nu, float(word)) for word in advice.groups())
+    kp, kd = advised(robot)
     stand = pa.sunk_stand(robot)
     assert pa.verify_stand(robot, stand).tilt < 0.01
     assert pa.verify_stand(robot, stand, duration=12.0).tilt > 0.5
@@ -623,3 +627,24 @@ def test_a_base_that_is_free_by_slides_and_a_ball_joint(tmp_path: Path) -> None:
     np.testing.assert_allclose(robot.home, whole.home, atol=1e-12)
     assert robot.stand_height == pytest.approx(whole.stand_height, abs=1e-12)
     stands(robot)
+
+
+def test_servos_that_hold_with_feed_forward_alone_are_taken_if_none_do_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As HyQ's, whose feet slide by 5 mm and more as it sags."""
+    rests = drives._rests
+
+    def slides(
+        robot: Robot,
+        stand: pa.Stand,
+        kp: np.ndarray,
+        kd: np.ndarray,
+        ways: tuple[bool, ...] = (False, True),
+    ) -> bool:
+        return False not in ways and rests(robot, stand, kp, kd, ways)
+
+    monkeypatch.setattr(drives, "_rests", slides)
+    robot = load(quadruped(tmp_path))
+    assert any("comes to rest in the start pose with feed-forward alone" in n for n in robot.notes)
+    assert pa.verify_stand(robot, pa.sunk_stand(robot)).passed

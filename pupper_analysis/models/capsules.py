@@ -8,16 +8,17 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from pupper_analysis.models.unlimited import make_continuous, states_no_limits
+from pupper_analysis.models.unlimited import unlimited
 from pupper_analysis.models.xml import to_text
 
 
 def for_engines(root: etree._Element) -> str:
     """Writes a URDF as Pinocchio and PlaCo can read it; hinges without limits are continuous."""
     known = without_capsules(root)
-    if any(states_no_limits(joint) for joint in root.findall("joint")):
+    if unlimited(root):
         known = deepcopy(root) if known is None else known
-        make_continuous(known)
+        for joint in unlimited(known):
+            joint.set("type", "continuous")
     return to_text(root if known is None else known)
 
 

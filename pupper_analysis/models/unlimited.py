@@ -26,17 +26,14 @@ def states_no_limits(joint: etree._Element) -> bool:
         return False  # no number: whoever reads it says so
 
 
-def make_continuous(root: etree._Element) -> bool:
-    """Makes the joints continuous that state no limits, in place; tells whether there are any."""
-    found = [joint for joint in root.findall("joint") if states_no_limits(joint)]
-    for joint in found:
-        joint.set("type", "continuous")
-    return bool(found)
+def unlimited(root: etree._Element) -> list[etree._Element]:
+    """Returns the joints of a URDF that state no limits; see ``states_no_limits``."""
+    return [joint for joint in root.findall("joint") if states_no_limits(joint)]
 
 
 def note_on_limits(root: etree._Element) -> str | None:
     """Says which joints state no limits, and what they are taken for."""
-    names = [str(joint.get("name")) for joint in root.findall("joint") if states_no_limits(joint)]
+    names = [str(joint.get("name")) for joint in unlimited(root)]
     if not names:
         return None
     more = f", and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
