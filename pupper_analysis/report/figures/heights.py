@@ -64,9 +64,10 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             loc="lower right",
             ncols=2,
             fontsize=style.FONT,
-            handlelength=1.0,  # wider, the two stick out of the panel
-            handletextpad=0.4,
-            columnspacing=0.8,
+            handlelength=0.8,  # wider, the two stick out of one of three panels
+            handletextpad=0.3,
+            columnspacing=0.4,
+            borderaxespad=0.1,
             frameon=False,
             borderpad=0.1,
         )

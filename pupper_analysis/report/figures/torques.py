@@ -100,10 +100,9 @@ def utilisation(torques: Array, limits: Array) -> Array:
 
 
 def _mark_greatest(axes: Axes, analysis: Analysis, percents: Array, floor: float) -> None:
-    """Writes the torque of the motor that is used most beside its point."""
+    """Writes the torque that is predicted of the motor that is used most beside its point."""
     most = int(np.argmax(percents > 0.999 * percents.max()))
-    runs = (analysis.statics, analysis.verification)
-    torque = max(abs(run.joint_torques[most]) for run in runs)
+    torque = abs(analysis.statics.joint_torques[most])
     left = percents[most] < 5
     axes.annotate(
         f"{torque:.3f} N m",
