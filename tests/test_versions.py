@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -33,6 +34,7 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.checks.trees import trees
 from pupper_analysis.checks.versions.behaviour import Trial
+from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.parameters import from_pinocchio, renamed, to_pinocchio, with_fixed
 
 ROBOT = quadruped()
@@ -535,6 +537,73 @@ def test_outside_a_repository_and_without_git(
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(pa.ModelError, match="no git to ask"):
         pa.diff_models("HEAD:a.urdf", "b.urdf")
+
+
+RUNS = {
+    "filter.x.clean": "sh -c 'touch {}; cat'",
+    "filter.x.smudge": "sh -c 'touch {}; cat'",
+    "core.fsmonitor": "touch {}",
+    "core.sshCommand": "touch {}",
+    "diff.external": "touch {}",
+    "core.pager": "touch {}",
+}
+"""What a repository's configuration may have git run."""
+
+
+def test_nothing_of_a_repository_is_run(repository: Path, tmp_path: Path) -> None:
+    """Filters, hooks, monitors, transports: the folder may be somebody else's."""
+    proof = tmp_path / "run"
+    for key, command in RUNS.items():
+        git(repository, "config", key, command.format(proof))
+    (tmp_path / ".git" / "info" / "attributes").write_text("* filter=x\n")
+    for hook in ("post-index-change", "post-checkout", "reference-transaction"):
+        file = tmp_path / ".git" / "hooks" / hook
+        file.write_text(f"#!/bin/sh\ntouch {proof}\n")
+        file.chmod(0o755)
+    git(repository, "status", "--porcelain")
+    assert proof.exists(), "git itself runs none of them: this test is worth nothing"
+    proof.unlink()
+    os.utime(repository / "robot.urdf")  # so that git looks at it again
+    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
+    refuse_uncommitted(repository / "robot.urdf")
+    text = (repository / "robot.urdf").read_text()
+    (repository / "robot.urdf").write_text(text + "\n")
+    with pytest.raises(pa.OutputError, match="not committed"):
+        refuse_uncommitted(repository / "robot.urdf")
+    assert not proof.exists()
+
+
+def test_what_is_committed(repository: Path) -> None:
+    urdf = repository / "robot.urdf"
+    text = urdf.read_bytes()
+    urdf.write_bytes(text.replace(b"\n", b"\r\n"))  # as a checkout on Windows has it
+    refuse_uncommitted(urdf)
+    urdf.write_bytes(text + b"\n")
+    git(repository, "add", "robot.urdf")  # staged is not committed
+    with pytest.raises(pa.OutputError):
+        refuse_uncommitted(urdf)
+    (repository / "new.urdf").write_bytes(text)  # nobody's, as far as git knows
+    refuse_uncommitted(repository / "new.urdf")
+    git(repository, "add", "new.urdf")
+    with pytest.raises(pa.OutputError):
+        refuse_uncommitted(repository / "new.urdf")
+
+
+def test_a_file_of_git_lfs(repository: Path) -> None:
+    """Its pointer is committed; the file is where Git LFS keeps it, or is not there."""
+    urdf = repository / "robot.urdf"
+    text = urdf.read_bytes()
+    name = hashlib.sha256(text).hexdigest()
+    pointer = f"version https://git-lfs.github.com/spec/v1\noid sha256:{name}\nsize {len(text)}\n"
+    urdf.write_text(pointer)
+    _commit(repository)
+    urdf.write_bytes(text)
+    refuse_uncommitted(urdf)
+    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == cli.BAD_INPUT
+    store = repository.parent / ".git" / "lfs" / "objects" / name[:2] / name[2:4]
+    store.mkdir(parents=True)
+    (store / name).write_bytes(text)
+    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
 
 
 # ------------------------------------------------------------------------------------- command

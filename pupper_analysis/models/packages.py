@@ -8,7 +8,8 @@ from pathlib import Path
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.xml import parse
 
-_POINTER = b"version https://git-lfs.github.com/spec/"
+POINTER = b"version https://git-lfs.github.com/spec/"
+"""How a pointer begins that Git LFS leaves in place of a file."""
 
 
 def existing(path: Path) -> Path | None:
@@ -26,7 +27,7 @@ def is_pointer(path: Path) -> bool:
     """Says whether a file is a pointer of Git LFS, whose content was not brought along."""
     try:
         with path.open("rb") as file:
-            return file.read(len(_POINTER)) == _POINTER
+            return file.read(len(POINTER)) == POINTER
     except (OSError, ValueError):
         return False
 

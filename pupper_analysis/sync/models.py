@@ -11,6 +11,7 @@ from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
@@ -19,7 +20,6 @@ from pupper_analysis.sync.choices import chosen, label
 from pupper_analysis.sync.frames import Key
 from pupper_analysis.sync.plan import Edit, Files, Plan, made
 from pupper_analysis.sync.writing import (
-    refuse_uncommitted,
     replace_file,
     staged,
     unified_diff,

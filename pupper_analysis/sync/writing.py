@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import secrets
 import shutil
-import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,31 +19,6 @@ def unified_diff(path: Path, before: bytes, after: bytes) -> str:
     one, two = (text.decode("utf-8").split("\n") for text in (before, after))
     lines = difflib.unified_diff(one, two, f"a/{path.name}", f"b/{path.name}", lineterm="")
     return "\n".join(lines) + "\n" if before != after else ""
-
-
-def refuse_uncommitted(path: Path) -> None:
-    """Refuses a file of a git repository that has changes which are not committed.
-
-    Raises:
-        OutputError: If it has.
-    """
-    path = path.resolve()
-    if not any((folder / ".git").exists() for folder in path.parents):
-        return
-    git = shutil.which("git")
-    if git is None:
-        return
-    found = subprocess.run(
-        [git, "-c", "core.fsmonitor=false", "status", "--porcelain", "--", path.name],
-        cwd=path.parent,
-        capture_output=True,
-        check=False,
-    )
-    state = found.stdout.decode(errors="replace")
-    if found.returncode == 0 and state.strip() and not state.startswith(("??", "!!")):
-        raise OutputError(
-            path, "it has changes that are not committed; commit them, or add --force"
-        )
 
 
 def replace_file(path: Path, before: bytes, after: bytes, *, backup: bool) -> Path | None:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-import tarfile
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 from pupper_analysis.checks.places import path_of
 from pupper_analysis.errors import ModelError
-from pupper_analysis.models.places import Place, one_line
+from pupper_analysis.models import git
+from pupper_analysis.models.places import Place
 
 _T = TypeVar("_T")
 
@@ -82,67 +80,9 @@ def opened(given: str | Path) -> Iterator[Source]:
         return
     if revision.startswith("-"):
         raise ModelError(text, f"{revision!r} is no revision")
-    prefix = _git(text, "rev-parse", "--show-prefix").strip()
-    top = Path(_git(text, "rev-parse", "--show-toplevel").rstrip("\n"))
-    relative = (prefix + inside) if inside.startswith(("./", "../")) else inside
-    relative = _normal(relative)
-    _git(text, "cat-file", "-e", f"{revision}:{relative}")
+    relative = git.path_in(text, revision, inside)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder).resolve()
-        _extract(text, top, revision, root)
-        if not (root / relative).exists():  # `export-ignore` keeps files out of archives
-            (root / relative).parent.mkdir(parents=True, exist_ok=True)
-            content = _git(text, "cat-file", "blob", f"{revision}:{relative}")
-            (root / relative).write_bytes(content.encode(errors="surrogateescape"))
+        asked = (relative.lower(),) if relative else ()
+        git.write_revision(text, revision, root, (*_NEEDED, *asked))
         yield Source(root / relative, text, revision, root)
-
-
-def _normal(path: str) -> str:
-    """Returns a path without ``.`` and ``..``."""
-    parts: list[str] = []
-    for part in path.split("/"):
-        if part == ".." and parts:
-            parts.pop()
-        elif part not in ("", "."):
-            parts.append(part)
-    return "/".join(parts)
-
-
-def _git(given: str, *arguments: str) -> str:
-    result = subprocess.run(_command(given, *arguments), capture_output=True, check=False)
-    if result.returncode:
-        raise ModelError(given, _refusal(result.stderr))
-    return result.stdout.decode(errors="surrogateescape")
-
-
-def _command(given: str, *arguments: str) -> list[str]:
-    git = shutil.which("git")
-    if git is None:
-        raise ModelError(given, "there is no such file, and no git to ask for a revision of it")
-    return [git, *arguments]
-
-
-def _refusal(said: bytes) -> str:
-    text = one_line(said.decode(errors="replace")).removeprefix("fatal: ")
-    return f"there is no such file, and git does not have it: {text or 'it gives no reason'}"
-
-
-def _extract(given: str, top: Path, revision: str, root: Path) -> None:
-    """Writes the files of a revision that a model may need to a folder."""
-    command = _command(given, "-C", str(top), "archive", "--format=tar", revision)
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        try:
-            with tarfile.open(fileobj=process.stdout, mode="r|") as archive:
-                for member in archive:
-                    wanted = member.name.lower().endswith(_NEEDED)
-                    if wanted and (member.isfile() or member.issym()):
-                        with suppress(
-                            tarfile.FilterError
-                        ):  # a link that leads out of the repository
-                            archive.extract(member, root, filter="data")
-        except tarfile.TarError as error:
-            process.kill()
-            refusal = process.stderr.read()
-            raise ModelError(given, _refusal(refusal or str(error).encode())) from error
