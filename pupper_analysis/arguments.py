@@ -57,6 +57,38 @@ def finite(name: str, value: object) -> float:
     return number
 
 
+def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Returns a new array of real numbers.
+
+    What NumPy would turn into such without a word is refused: texts, truth values, the real parts
+    of complex numbers, what a mask hides.
+
+    Args:
+        name: The argument's name, for the message.
+        values: What was given.
+
+    Raises:
+        ConfigurationError: If it is no such array.
+    """
+    if type(values) is np.ndarray and values.dtype == np.float64:
+        return values.copy()  # a stand's qpos: nothing to find out
+    if np.ma.is_masked(values):
+        raise ConfigurationError(name, "some of its elements are masked: give the numbers")
+    try:
+        found = np.asarray(values)
+        if found.dtype.kind == "O" and not all(map(_is_real, found.flat)):
+            raise ConfigurationError(name, "not an array of numbers: it holds other things")
+        if found.dtype.kind not in "iufO":
+            raise ConfigurationError(name, f"not an array of real numbers: it is {found.dtype}")
+        return np.array(found, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ConfigurationError(name, f"not an array of numbers: {error}") from error
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, _TRUTHS)
+
+
 def vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     """Returns a vector (size,) of finite numbers.
 
@@ -68,14 +100,13 @@ def vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     Raises:
         ConfigurationError: If it is no such vector.
     """
-    try:
-        found = np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(name, f"not a vector of numbers: {error}") from error
+    found = real_array(name, values)
     if found.shape != (size,):
         raise ConfigurationError(name, f"its shape must be ({size},), not {found.shape}")
     # Quicker than to look at each; where the squares overflow, each is looked at.
-    if not math.isfinite(found.dot(found)) and not np.isfinite(found).all():
+    with np.errstate(over="ignore"):
+        squares = found.dot(found)
+    if not math.isfinite(squares) and not np.isfinite(found).all():
         index = int(np.flatnonzero(~np.isfinite(found))[0])
         raise ConfigurationError(name, f"element {index} is {found[index]}; it must be finite")
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from os import PathLike
@@ -50,7 +51,7 @@ class VariantError(PupperAnalysisError):
     def __init__(self, field: str, value: object, valid: str) -> None:
         self.field = field
         self.value = value
-        super().__init__(f"{field} {value!r} is not valid; {valid}")
+        super().__init__(f"{field} {reprlib.repr(value)} is not valid; {valid}")
 
 
 class ModelError(PupperAnalysisError):

@@ -3,28 +3,40 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 import orjson
 from numpy.typing import ArrayLike
 
-from pupper_analysis.errors import MissingPackageError
+from pupper_analysis.errors import ConfigurationError, MissingPackageError
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_K = TypeVar("_K")
+_V = TypeVar("_V")
 
 
 def to_json(result: object) -> str:
     """Returns a result, or a container of results, as indented JSON.
 
     Arrays become lists; a number that is not finite becomes null.
+
+    Raises:
+        ConfigurationError: If something in it has no form in JSON, such as bytes.
     """
     options = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS
-    return orjson.dumps(result, default=_fallback, option=options).decode()
+    try:
+        return orjson.dumps(result, default=_fallback, option=options).decode()
+    except orjson.JSONEncodeError as error:
+        if isinstance(error.__cause__, ConfigurationError):
+            raise error.__cause__ from None
+        raise ConfigurationError("result", f"it cannot become JSON: {error}") from error
 
 
 def _fallback(value: Any) -> Any:
@@ -32,7 +44,7 @@ def _fallback(value: Any) -> Any:
         return value.tolist()
     if hasattr(value, "keys"):  # a mapping that is no dict
         return dict(value)
-    raise TypeError(f"{type(value).__name__} cannot become JSON")
+    raise ConfigurationError("result", f"{type(value).__name__} cannot become JSON")
 
 
 _WIDTH = 240
@@ -46,11 +58,22 @@ class Result:
     """Base of the results.
 
     Their ``repr`` is short: arrays and long lists are shown by their sizes. ``to_json`` has it all.
+    Nothing in them can be written to: other functions take them for checked.
     """
 
     def __init_subclass__(cls) -> None:
         # A dataclass writes its own __repr__, unless the class itself has one.
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
+
+    def __post_init__(self) -> None:
+        own = vars(self)
+        for name, value in own.items():
+            if type(value) in _OPEN:
+                own[name] = frozen(value)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        Result.__post_init__(self)  # an array that was pickled can be written to
 
     def __repr__(self) -> str:
         return _call(type(self).__name__, self._shown())
@@ -75,6 +98,40 @@ class Result:
         """Returns the result as plain dictionaries, lists and numbers."""
         value: dict[str, Any] = orjson.loads(self.to_json())
         return value
+
+
+class FrozenDict(dict[_K, _V]):
+    """A dictionary that cannot be changed, and so can be hashed if its values can."""
+
+    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+        raise TypeError("it belongs to a result or a task, and cannot be changed: dict(it) copies")
+
+    __setitem__ = __delitem__ = clear = pop = popitem = setdefault = update = _refuse
+    __ior__ = _refuse
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(frozenset(self.items()))
+
+    def __reduce__(self) -> tuple[Callable[[Any], Any], tuple[dict[_K, _V]]]:
+        return frozen, (dict(self),)  # arrays that were pickled can be written to
+
+
+_OPEN = (np.ndarray, dict)
+
+
+def frozen(value: Any) -> Any:
+    """Returns an array or a dictionary that cannot be written to, with the same content.
+
+    Of an array it is a view: whoever made it may go on with its own.
+    """
+    kind = type(value)
+    if kind is np.ndarray:
+        view = value.view()
+        view.flags.writeable = False
+        return view
+    if kind is dict:
+        return FrozenDict({name: frozen(one) for name, one in value.items()})
+    return value
 
 
 class Tabular(Result):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -240,3 +241,49 @@ def test_what_studies_and_reports_are_given_wrong(junk: Any, tmp_path: Path) -> 
         with pytest.raises(pa.ConfigurationError, match=field.strip(": ")):
             call()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (np.zeros(19) + 1j, "complex128"),
+        (np.ma.masked_array(np.zeros(19), mask=[True] + 18 * [False]), "masked"),
+        (["0.1"] * 19, "not an array of real numbers"),
+        ([True] * 19, "bool"),
+        ([10**400] * 19, "too large"),
+        ([None] * 19, "holds other things"),
+        ([[1.0], [1.0, 2.0]], "not an array of numbers"),
+    ],
+)
+def test_what_is_no_array_of_real_numbers_is_refused(given: Any, said: str) -> None:
+    """NumPy would take them, and drop what does not fit."""
+    robot, stand = load("v3"), stand_of("v3")
+    calls: list[Callable[[], object]] = [
+        lambda: pa.Configuration(robot, given),
+        lambda: pa.steady_state(robot, stand, kp=given),
+        lambda: pa.verify_stand(robot, stand, kp=given, kd=0.1),
+    ]
+    for call in calls:
+        with pytest.raises(pa.ConfigurationError, match=said) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+
+
+def test_whole_numbers_and_fractions_are_real() -> None:
+    robot = load("v3")
+    state = [Fraction(0)] * 3 + [1] + [0] * 15
+    assert pa.Configuration(robot, state).qpos.tolist() == [0.0] * 3 + [1.0] + [0.0] * 15
+
+
+def test_numbers_beyond_measure_are_refused() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    with pytest.raises(pa.VariantError, match="must be a finite number") as caught:
+        pa.VariantSpec("v3", leg_scale=10**400)
+    assert len(str(caught.value)) < 200
+    with pytest.raises(pa.ConfigurationError, match="no robot moves"):
+        pa.inverse_dynamics(pa.Configuration(robot, stand.qpos), np.full(robot.nv, 1e308))
+    with pytest.raises(pa.ConfigurationError, match="more than 1e\\+09") as refused:
+        pa.payload_limit(robot, stand, kp=np.full(robot.nu, 1e308))
+    assert "\n" not in str(refused.value)
+    with pytest.raises(pa.ConfigurationError, match="not a mapping of names"):
+        pa.Ground(heights={"FL": 0.1}).steps({2: np.zeros(3)})  # type: ignore[dict-item]

@@ -1,9 +1,11 @@
 """Results as JSON: complete, readable by anything, nothing lost but infinities."""
 
+import copy
 import json
 import math
+import pickle
 import sys
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 from types import MappingProxyType
 
@@ -89,9 +91,44 @@ def test_what_cannot_become_json_is_refused() -> None:
     class Plain(Enum):
         A = object()
 
-    for value in (object(), {"x": {1, 2}.__iter__()}, Plain.A):
-        with pytest.raises(TypeError):
+    for value in (object(), {"x": {1, 2}.__iter__()}, Plain.A, b"1", [1 + 2j], "\ud800"):
+        with pytest.raises(pa.ConfigurationError, match="cannot become JSON"):
             pa.to_json(value)
+
+
+def test_nothing_of_a_result_or_a_task_can_be_written_to() -> None:
+    """Other functions take them for checked: a stand turned upside down would still be one."""
+    stand = stand_of("v3")
+    for one in (stand, pickle.loads(pickle.dumps(stand)), copy.deepcopy(stand)):
+        with pytest.raises(ValueError, match="read-only"):
+            one.qpos[3:7] = 0.0, 1.0, 0.0, 0.0
+        with pytest.raises(ValueError, match="read-only"):
+            one.foot_targets["FL"][2] += 0.1
+        for mapping in (
+            one.foot_targets,
+            one.depths,
+            one.task.foot_offsets,
+            one.task.ground.heights,
+        ):
+            before = dict(mapping)
+            for change in (
+                lambda m: m.update(FL=(math.nan, 0.0)),
+                lambda m: m.pop("FL", None),
+                lambda m: m.clear(),
+                lambda m: m.__ior__({"FL": 0.0}),
+                lambda m: m.__setitem__("FL", 0.0),
+            ):
+                with pytest.raises(TypeError, match="cannot be changed"):
+                    change(mapping)
+            assert mapping == before
+
+
+def test_tasks_can_be_hashed() -> None:
+    one, other = (
+        pa.StandTask(swing={"FL": 0.02}, ground=pa.Ground(heights={"FR": height}))
+        for height in (0.01, 0.02)
+    )
+    assert len({one, other, pa.StandTask(), replace(one), pa.StandTask(height=None)}) == 3
 
 
 @given(value=st.floats(allow_nan=False, allow_infinity=False))

@@ -177,3 +177,11 @@ def test_of_the_commands(tmp_path: Path) -> None:
     assert found["ruleId"] == "crosscheck/mass"
     assert found["level"] == "error"
     assert "mass 1.7 kg in the URDF, 1.506 kg in the MJCF" in found["message"]["text"]
+
+
+def test_names_in_messages_are_no_links() -> None:
+    """Source: SARIF 2.1.0, 3.11.6; in a viewer "[click](address)" would be one."""
+    name = r"[click](javascript:alert(1)) a\b"
+    log = checked_log(sarif([Result(Rule("r"), "error", f"joint {name}", name, "a.urdf", 1)]))
+    text = log["results"][0]["message"]["text"]
+    assert text == r"joint \[click\](javascript:alert(1)) a\\b"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import study_measures
-from conftest import ROOT, load, stand_of
+from conftest import ROOT, answer, load, stand_of
 from scipy import stats
 
 import pupper_analysis as pa
@@ -183,6 +183,29 @@ def local_function(robot: pa.Robot, stand: pa.Stand, more: float) -> float:
 def test_measures_that_do_not_fit_are_refused(measure: Any, message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
         study({"kp": [5]}, measure)
+
+
+def test_a_dry_run_runs_no_code_beside_the_file(tmp_path: Path) -> None:
+    """Which a file of somebody else's may name."""
+    (tmp_path / "beside_the_file.py").write_text(
+        "import pathlib\npathlib.Path(__file__).with_name('run').touch()\n"
+        "def height(robot, stand):\n    return stand.qpos[2]\n"
+    )
+    file = tmp_path / "study.toml"
+    head = 'robot = "v3"\nvary = { kp = [5, 6] }\n'
+    for own in ('["beside_the_file:height"]', '["beside_the_file:height", "total_mass"]'):
+        file.write_text(head + f"measure = {own}\n")
+        result = answer(
+            "study", str(file), "-o", str(tmp_path / "out"), "--dry-run", folder=tmp_path
+        )
+        assert result.returncode == 0, result.stderr
+        assert "2 designs" in result.stdout
+        assert "not imported" in result.stdout
+        assert "beside_the_file:height" in result.stdout
+        assert not (tmp_path / "run").exists()
+    assert pa.Study.read(file).measures[0].name == "height"
+    assert (tmp_path / "run").exists()
+    assert "its code is run" in " ".join(answer("study", "--help").stdout.split())
 
 
 def test_other_arguments_are_checked() -> None:

@@ -54,6 +54,8 @@ def study_command(
 
     Results are kept in a folder, as Parquet. It may be ended at any time, and goes on where it was;
     of a changed study only new designs are measured. A design that fails is a row with its reason.
+    A measure that is module:function is imported from beside the file, and so its code is run;
+    --dry-run imports none.
 
     \b
     Example of a file:
@@ -83,7 +85,7 @@ def study_command(
 
     shared.check_outputs(json_path, report_path)
     check_folder(folder)
-    study = Study.read(file)
+    study = Study.read(file, own_measures=not dry_run)
     check_objectives(study, minimise, maximise)
     if dry_run:
         expected = estimate(study, folder)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 
-from pupper_analysis.errors import ModelError, VariantError
+from pupper_analysis.arguments import finite
+from pupper_analysis.errors import ConfigurationError, ModelError, VariantError
 
 _LONGEST_NAME = 200
 """Bytes: file systems allow 255, of which prefixes and suffixes take some."""
@@ -116,10 +115,13 @@ class VariantSpec:
             raise VariantError("base", self.base, f"valid: {', '.join(BASES)}")
         for what in ("leg_scale", "torso_mass_scale"):
             value = getattr(self, what)
-            number = isinstance(value, Real) and not isinstance(value, bool)
-            if not number or not math.isfinite(value) or value <= 0:
+            try:
+                number = finite(what, value)
+            except ConfigurationError:
+                number = 0.0
+            if number <= 0:
                 raise VariantError(what, value, "it must be a finite number greater than 0")
-            object.__setattr__(self, what, float(value))
+            object.__setattr__(self, what, number)
         _check_name(self.name)
         if not self.name:
             made = f"{self.base}-leg{self.leg_scale:g}-torso{self.torso_mass_scale:g}"

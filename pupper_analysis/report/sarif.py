@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -102,7 +103,7 @@ def _results(results: Iterable[Result], numbers: dict[str, int]) -> Iterator[dic
             "ruleId": result.rule.id,
             "ruleIndex": numbers[result.rule.id],
             "level": _LEVELS[result.level],
-            "message": {"text": result.message},
+            "message": {"text": _plain(result.message)},
         }
         file = from_root(result.file) if result.file else ""
         if file:
@@ -114,6 +115,14 @@ def _results(results: Iterable[Result], numbers: dict[str, int]) -> Iterator[dic
         if result.known is not None:
             entry["baselineState"] = "unchanged" if result.known else "new"
         yield entry
+
+
+def _plain(text: str) -> str:
+    """Returns a text that viewers take for no link: names in model files are anybody's.
+
+    Source: SARIF 2.1.0, 3.11.6: "[" and "]" of a message that are no embedded link are escaped.
+    """
+    return re.sub(r"[\\\[\]]", r"\\\g<0>", text)
 
 
 def _location(file: str, line: int | None) -> dict[str, Any]:

@@ -74,6 +74,11 @@ def print_estimate(out: Console, expected: Estimate, workers: int | None) -> Non
         f"{1e3 * expected.slowest:.0f} ms the slowest"
     )
     out.print(f"about {duration(expected.seconds(count))} on {count} workers")
+    if expected.left_out:
+        out.print(
+            f"not imported, and so neither timed nor counted: {', '.join(expected.left_out)}, code "
+            "that runs without --dry-run"
+        )
     if expected.failures:
         out.print(f"of those that were timed some failed: {', '.join(expected.failures)}")
 

@@ -10,8 +10,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_fields, finite, length
+from pupper_analysis.arguments import check_fields, checked, finite, length
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.results import FrozenDict
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]
@@ -32,11 +33,11 @@ class Ground:
 
     slope: float = _LEVEL
     uphill: float = _LEVEL
-    heights: Mapping[str, float] = field(default_factory=dict)
+    heights: Mapping[str, float] = field(default_factory=FrozenDict)
 
     def __post_init__(self) -> None:
         plain = self.slope is _LEVEL and self.uphill is _LEVEL
-        if plain and type(self.heights) is dict and not self.heights:
+        if plain and type(self.heights) is FrozenDict and not self.heights:
             return  # what the class says itself needs no check
         check_fields(self)
         object.__setattr__(self, "slope", finite("slope", self.slope))
@@ -44,7 +45,7 @@ class Ground:
         if not 0 <= self.slope < math.pi / 2:
             raise ConfigurationError("slope", f"{self.slope} rad is not from 0 to below pi/2")
         heights = {foot: length(f"heights[{foot}]", h) for foot, h in self.heights.items()}
-        object.__setattr__(self, "heights", heights)
+        object.__setattr__(self, "heights", FrozenDict(heights))
 
     @property
     def level(self) -> bool:
@@ -81,6 +82,7 @@ class Ground:
         top = np.array([place[0], place[1], self.height(place, foot)])
         return top - half[2] * self.normal(), half
 
+    @checked
     def steps(self, places: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
         """Returns each step's box, {foot: centre (3,) and half size (3,)} (m).
 

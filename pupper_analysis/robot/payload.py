@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import checked, length
+from pupper_analysis.arguments import checked, length, real_array
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
@@ -87,10 +87,7 @@ def point_on_base(point: Sequence[float]) -> Array:
     Raises:
         ConfigurationError: If it is none.
     """
-    try:
-        place = np.array(point, dtype=float)
-    except (TypeError, ValueError):
-        place = np.zeros(0)
+    place = real_array("point", point)
     if place.shape != (3,) or not np.isfinite(place).all():
         raise ConfigurationError("point", f"{reprlib.repr(point)} is not a point (3,)")
     return np.array([length("point", value) for value in place])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -10,6 +11,7 @@ import mujoco.rollout
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import real_array
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.robot.robot import Robot
 
@@ -254,14 +256,16 @@ def _of_model(
 
 
 def _gain(name: str, value: ArrayLike, size: int) -> Array:
+    given = real_array(name, value)
     try:
-        gain: Array = np.broadcast_to(np.asarray(value, dtype=float), (size,)).copy()
-    except (TypeError, ValueError) as error:
+        gain: Array = np.broadcast_to(given, (size,)).copy()
+    except ValueError as error:
         raise ConfigurationError(name, f"not a number, nor {size} of them") from error
-    if not np.isfinite(gain).all() or (gain < 0).any():
-        raise ConfigurationError(name, f"{value!r} is not finite and >= 0")
-    if (gain > STIFFEST).any():
-        raise ConfigurationError(name, f"{value!r} is more than {STIFFEST:g}, which no servo has")
+    for one in gain.tolist():
+        if not math.isfinite(one) or one < 0:
+            raise ConfigurationError(name, f"{one:g} is not finite and >= 0")
+        if one > STIFFEST:
+            raise ConfigurationError(name, f"{one:g} is more than {STIFFEST:g}, which no servo has")
     return gain
 
 

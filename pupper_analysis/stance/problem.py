@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.com_reach import moves_com
 from pupper_analysis.stance.footholds import footholds, sunk_into
@@ -62,16 +61,6 @@ class Goal:
     upper: Array
     give: Array | None = None
 
-    def again(self) -> Goal:
-        """Returns the same goal, with a task of its own: who changes that changes that alone.
-
-        For one whose task is the nominal stand's.
-        """
-        other = object.__new__(Goal)
-        task = self.task.filled(feet={}, foot_offsets={}, swing={}, ground=Ground())
-        vars(other).update(vars(self), task=task, depths=self.depths.copy())
-        return other
-
 
 def goal_of(
     robot: Robot, task: StandTask | None, depths: Mapping[str, float], like: Goal | None = None
@@ -96,7 +85,7 @@ def goal_of(
         limits = model.lowerPositionLimit.tobytes(), model.upperPositionLimit.tobytes()
         like = _nominal(robot, limits)
         if task is None and like is not None:
-            return like.again()
+            return like
     if task is None:
         task = StandTask()
     if task.ik_seed is not None and len(task.ik_seed) != robot.nu:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arguments import FARTHEST, check_fields, finite, length
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.results import FrozenDict
 from pupper_analysis.robot.ground import Ground
 
 Array = NDArray[np.float64]
@@ -58,9 +59,9 @@ class StandTask:
     pitch: float = 0.0
     yaw: float = 0.0
     offset: Point | None = None
-    feet: Mapping[str, Point] = field(default_factory=dict)
-    foot_offsets: Mapping[str, Point] = field(default_factory=dict)
-    swing: Mapping[str, float] = field(default_factory=dict)
+    feet: Mapping[str, Point] = field(default_factory=FrozenDict)
+    foot_offsets: Mapping[str, Point] = field(default_factory=FrozenDict)
+    swing: Mapping[str, float] = field(default_factory=FrozenDict)
     ground: Ground = field(default_factory=Ground)
     com: str | Point | None = None
     com_margin: float = 0.0
@@ -102,7 +103,7 @@ class StandTask:
                 raise ConfigurationError("offset", "give an offset of the base, or a com, not both")
         for name in ("feet", "foot_offsets"):
             places = {foot: _point(f"{name}[{foot}]", p) for foot, p in getattr(self, name).items()}
-            put(name, places)
+            put(name, FrozenDict(places))
         both = sorted(set(self.feet) & set(self.foot_offsets))
         if both:
             raise ConfigurationError("feet", f"{both[0]} is in feet and in foot_offsets")
@@ -110,7 +111,7 @@ class StandTask:
         for foot, height in swing.items():
             if height <= 0:
                 raise ConfigurationError("swing", f"{foot}: {height} m is not above the ground")
-        put("swing", swing)
+        put("swing", FrozenDict(swing))
         if isinstance(self.com, str):
             if self.com not in ("centre", "inside"):
                 problem = f"{self.com!r} is not 'centre', 'inside' or a point (x, y)"
@@ -124,9 +125,8 @@ class StandTask:
         """Whether nothing is asked: what the class says itself needs no check."""
         if type(self.ground) is not Ground:
             return False
-        if any(type(each) is not dict or each for each in (self.feet, self.foot_offsets)):
-            return False
-        if type(self.swing) is not dict or self.swing:
+        mappings = (self.feet, self.foot_offsets, self.swing)
+        if any(type(each) is not FrozenDict or each for each in mappings):
             return False
         return all(map(operator.is_, map(vars(self).__getitem__, _PLAIN), _PLAIN.values()))
 

@@ -10,6 +10,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import real_array
 from pupper_analysis.arrays import crosses
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -156,10 +157,7 @@ def _contacts(
 
 
 def _normal(foot: str, normal: ArrayLike) -> Array:
-    try:
-        vector = np.array(normal, dtype=float)
-    except (TypeError, ValueError):
-        vector = np.zeros(0)
+    vector = real_array("normals", normal)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         raise ConfigurationError("normals", f"{foot}: {normal!r} is not a direction (3,)")
     unit: Array = vector / np.linalg.norm(vector)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import checked, vector
 from pupper_analysis.errors import ConfigurationError, Infeasibility
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -19,6 +19,9 @@ from pupper_analysis.statics.contacts import contacts_of
 from pupper_analysis.statics.equilibrium import Equilibrium, ForceDistribution, equilibrium
 
 Array = NDArray[np.float64]
+
+FASTEST = 1e9
+"""m/s^2, rad/s^2: beyond, squares of forces overflow long before an answer would mean anything."""
 
 _ROUNDS = 2
 """Of normal forces and the moments in proportion to them. Each makes the error smaller by about
@@ -86,12 +89,9 @@ def inverse_dynamics(
     """
     robot = config.robot
     robot.check_tree("inverse dynamics")
-    try:
-        acceleration = np.array(qacc, dtype=float)
-    except (TypeError, ValueError):
-        acceleration = np.zeros(0)
-    if acceleration.shape != (robot.nv,) or not np.isfinite(acceleration).all():
-        raise ConfigurationError("qacc", f"it must be {robot.nv} finite numbers")
+    acceleration = vector("qacc", qacc, robot.nv)
+    if (np.abs(acceleration) > FASTEST).any():
+        raise ConfigurationError("qacc", f"beyond {FASTEST:g} m/s^2 or rad/s^2 no robot moves")
     carrying = contacts_of(robot, contacts, friction, normals, depths)
     feet, ground = carrying.feet, dict(zip(carrying.feet, carrying.normals, strict=True))
     load = config.mass_matrix() @ acceleration + config.bias_forces() - config.passive()

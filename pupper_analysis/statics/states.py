@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import checked, real_array
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -134,10 +134,7 @@ def gravity_compensations(
 
 
 def _rows(robot: Robot, qpos: ArrayLike) -> Array:
-    try:
-        rows = np.array(qpos, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError("qpos", f"not an array of numbers: {error}") from error
+    rows = real_array("qpos", qpos)
     if rows.ndim != 2 or rows.shape[1] != robot.nq:
         raise ConfigurationError("qpos", f"its shape must be (k, {robot.nq}), not {rows.shape}")
     return rows

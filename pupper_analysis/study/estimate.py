@@ -26,6 +26,7 @@ class Estimate(Result):
         seconds_each: How long a design takes, on average of those that were timed (s).
         slowest: The slowest of these (s).
         failures: Their failures, by kind.
+        left_out: Measures that were not timed, as their code would have had to be imported.
     """
 
     designs: int
@@ -33,6 +34,7 @@ class Estimate(Result):
     seconds_each: float
     slowest: float
     failures: tuple[str, ...]
+    left_out: tuple[str, ...]
 
     def seconds(self, workers: int) -> float:
         """Returns about how long the rest takes on some workers (s)."""
@@ -41,7 +43,9 @@ class Estimate(Result):
 
 def estimate(study: Study, folder: Path) -> Estimate:
     """Times some designs of a study's first block, in this process; nothing is written."""
-    done = Store(folder).designs() if (folder / "shards").is_dir() else np.zeros(0, np.uint64)
+    # Without some of its measures it is another study, of which nothing is there.
+    begun = (folder / "shards").is_dir() and not study.left_out
+    done = Store(folder).designs() if begun else np.zeros(0, np.uint64)
     there, numbers = 0, np.zeros((0, len(study.variables)))
     names: list[str] = []
     for block_names, block in study.designs():
@@ -66,4 +70,5 @@ def estimate(study: Study, folder: Path) -> Estimate:
         seconds_each=float(np.mean(timed)),
         slowest=max(timed),
         failures=tuple(sorted(set(failures))),
+        left_out=study.left_out,
     )

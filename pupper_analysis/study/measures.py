@@ -253,6 +253,12 @@ def measure_of(given: str | Function) -> Measure:
     return Measure(name, OfRobotAndStand(function), inspect.getdoc(function) or "", simulates=False)
 
 
+def modules_in(measures: object) -> tuple[str, ...]:
+    """Returns those of a file's measures that are ``module:function``."""
+    listed = measures if isinstance(measures, list) else []
+    return tuple(name for name in listed if isinstance(name, str) and ":" in name)
+
+
 def _imported(name: str) -> Function:
     """Returns the function that ``module:function`` means."""
     module, separator, attribute = name.partition(":")

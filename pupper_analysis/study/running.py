@@ -41,6 +41,10 @@ LARGEST = 256
 SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
 """A shard is written when there are so many rows, or when so much time has passed."""
 
+FIRST_SHARD = 0.5
+"""s after which the first is written, so that a kill soon after the start loses little. Later ones
+come after a fifth of the time that has passed, so that a long run has few."""
+
 TRIES = 2
 """A design that ends its worker, alone in it, is tried so often, as the machine may be to blame."""
 
@@ -284,8 +288,9 @@ class Run:
                 if future in self._flying:
                     self._land(crew, future)
             self.tell(self._timed())
-            recent = time.monotonic() - self._written < SHARD_SECONDS
-            if len(self._rows) >= SHARD_ROWS or not recent:
+            now = time.monotonic()
+            every = min(SHARD_SECONDS, max(FIRST_SHARD, (now - self._begun) / 5))
+            if len(self._rows) >= SHARD_ROWS or now - self._written >= every:
                 self._flush()
 
     def _submit(self, crew: Crew, chunk: Chunk) -> None:

@@ -24,7 +24,7 @@ from pupper_analysis.robot.payload import point_on_base
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.design import check_name, check_range
-from pupper_analysis.study.measures import Function, asked, fingerprint, measure_of
+from pupper_analysis.study.measures import Function, asked, fingerprint, measure_of, modules_in
 from pupper_analysis.study.numbers import SERVOS, Named, joints_of
 from pupper_analysis.study.running import Progress, Run, Settings
 from pupper_analysis.study.sampling import BLOCK, Sampling
@@ -55,6 +55,7 @@ class Study:
         measures: What is measured.
         task: The stance, where a design does not say otherwise.
         time_limit: Of one design (s).
+        left_out: Measures of its file that were not imported; see ``read``.
     """
 
     def __init__(
@@ -100,6 +101,7 @@ class Study:
         self._check_variables()
         self.sampling = Sampling(self.variables, samples, seed)
         self.measures = tuple(measure_of(one) for one in measure)
+        self.left_out: tuple[str, ...] = ()
         self._given = tuple(measure)
         self._points: Array | None = None
         self.point = tuple(point_on_base(payload_point).tolist())
@@ -245,8 +247,13 @@ class Study:
         )
 
     @classmethod
-    def read(cls, path: str | Path) -> Study:
+    def read(cls, path: str | Path, *, own_measures: bool = True) -> Study:
         """Reads a study from a TOML file; paths and modules in it are looked for beside it.
+
+        Args:
+            path: The file.
+            own_measures: Import measures that are ``module:function``, and so run code beside the
+                file; otherwise they are left out.
 
         Raises:
             ConfigurationError: If it cannot be read, or makes no sense.
@@ -263,10 +270,15 @@ class Study:
                     robot[name] = str(path.parent / robot[name])
         measures = given.get("measure")
         folder = str(path.parent.absolute())
-        own = isinstance(measures, list) and any(":" in str(name) for name in measures)
-        if own and folder not in sys.path:
+        own = modules_in(measures)
+        if own and own_measures and folder not in sys.path:
             sys.path.append(folder)  # last: no library is hidden; and workers are given it
-        return cls.of(given)
+        if measures and own and not own_measures:
+            # Where no other is left: what every design takes at least, its stand and its statics.
+            given["measure"] = [one for one in measures if one not in own] or ["peak_utilisation"]
+        study = cls.of(given)
+        study.left_out = () if own_measures else own
+        return study
 
     def run(
         self,
