@@ -55,10 +55,12 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.ground import Ground
     from pupper_analysis.robot.payload import with_payload
     from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.robot.stability import Stability, step_stability
     from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
     from pupper_analysis.simulation.payload import PayloadTrial, payload_trial
     from pupper_analysis.simulation.push import PushRecovery, push_recovery
     from pupper_analysis.simulation.push_trial import PushTrial, push_trial
+    from pupper_analysis.simulation.stability import stand_stability
     from pupper_analysis.simulation.tracking import PathTracking, track_path
     from pupper_analysis.simulation.verify import StandVerification, verify_stand
     from pupper_analysis.stance.optimize.best import BestStance, best_stance
@@ -130,6 +132,9 @@ _HOME = {
     "PayloadLimit": "stance.payload.limit",
     "payload_limit": "stance.payload.limit",
     "Command": "stance.payload.servo_limit",
+    "Stability": "robot.stability",
+    "step_stability": "robot.stability",
+    "stand_stability": "simulation.stability",
     "PayloadTrial": "simulation.payload",
     "payload_trial": "simulation.payload",
     "with_payload": "robot.payload",
@@ -247,6 +252,7 @@ __all__ = [
     "PushTrial",
     "RepositoryCheck",
     "Robot",
+    "Stability",
     "StancePath",
     "StanceUnreachableError",
     "Stand",
@@ -295,9 +301,11 @@ __all__ = [
     "solve_stand",
     "solve_stands",
     "stance_path",
+    "stand_stability",
     "stand_statics",
     "steady_state",
     "steady_state_band",
+    "step_stability",
     "study_outcome",
     "sunk_stand",
     "sweep_gains",

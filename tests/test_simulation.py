@@ -15,8 +15,8 @@ from legged import quadruped
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import INTEGRATORS, servos
+from pupper_analysis.simulation.causes import rattling
 from pupper_analysis.simulation.rollout import place_on_ground, run
-from pupper_analysis.simulation.stability import rattling
 
 GRAVITY = 9.81
 SERVOS = {"v3": (5.0, 0.1), "skeleton": (60.0, 1.0)}

@@ -17,8 +17,8 @@ from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servos
+from pupper_analysis.simulation.causes import too_stiff
 from pupper_analysis.simulation.monitor import DIVERGED
-from pupper_analysis.simulation.stability import too_stiff
 from pupper_analysis.simulation.verify import (
     ANOTHER_ROBOT,
     SETTLED_DRIFT,

@@ -15,7 +15,7 @@ _HALVINGS = 40  # of the time step, in search of a stable one: to 1e-12 of it
 
 
 @dataclass(frozen=True, eq=False)
-class Stability:
+class ServoStability:
     """How far servos are from the limit of stability, without contacts and force limits.
 
     Attributes:
@@ -31,7 +31,7 @@ class Stability:
 
 def servo_stability(
     model: mujoco.MjModel, data: mujoco.MjData, stiffness: Array, damping: Array, implicit: Array
-) -> Stability | None:
+) -> ServoStability | None:
     """Tests the stability of all servos together, at a configuration.
 
     MuJoCo's Euler step is v' = v - (M + h D)^-1 h (K x + (C + D) v), x' = x + h v', with D, the
@@ -74,4 +74,4 @@ def servo_stability(
             low, high = (middle, high) if worst(middle)[0] <= 1 else (low, middle)
     except (np.linalg.LinAlgError, ValueError):
         return None
-    return Stability(ratio, shares, low)
+    return ServoStability(ratio, shares, low)

@@ -222,8 +222,17 @@ def check_stand(robot: Robot, stand: Stand, duration: float) -> None:
         ConfigurationError: If the base is fixed, the stand is another robot's, or the duration (s)
             is not between 2 and 600.
     """
+    check_standing(robot, stand)
+    if not math.isfinite(duration) or not 2.0 <= duration <= 600.0:
+        raise ConfigurationError("duration", f"{duration} s is not between 2 and 600 s")
+
+
+def check_standing(robot: Robot, stand: Stand) -> None:
+    """Checks that a stand is the robot's, and its base free.
+
+    Raises:
+        ConfigurationError: If not.
+    """
     if not robot.floating:
         raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
     stand.check(robot)
-    if not math.isfinite(duration) or not 2.0 <= duration <= 600.0:
-        raise ConfigurationError("duration", f"{duration} s is not between 2 and 600 s")

@@ -1,105 +1,68 @@
-"""Why a simulation does not come to rest: servos too stiff, feet that creep, in words."""
+"""Is a stand stable on its servos, by the spectrum of MuJoCo's step: without a simulation."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.arguments import checked
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servo_stability import servo_stability
-from pupper_analysis.robot.servos import Servos
-from pupper_analysis.simulation.monitor import Watcher
-from pupper_analysis.stance.stand import Stand
-from pupper_analysis.statics.equilibrium import GravityCompensation
+from pupper_analysis.robot.servos import Servos, servos
+from pupper_analysis.robot.stability import SETTLE, Stability, step_stability
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.simulation.rollout import STATE, check_standing, place_on_ground
+from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
 
-_JOLTS = 50
-"""States at the end of a rollout at whose contact forces are looked, one by one."""
 
-_EVEN = 0.05
-"""The ground's force on a robot that stands varies by less of its weight from step to step."""
+@checked
+def stand_stability(
+    robot: Robot,
+    stand: Stand,
+    *,
+    feedforward: bool = True,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    integrator: str | None = None,
+) -> Stability:
+    """Judges whether a stand is stable, by the eigenvalues of one of MuJoCo's steps.
 
-_CREEPING = 1e-3
-"""Feet that creep faster are said to (m/s): 5 mm in the 5 s of a simulation."""
-
-
-def too_stiff(robot: Robot, stand: Stand, drive: Servos) -> list[str]:
-    """Says whether the servos alone are too stiff for the time step, and which would do.
-
-    Args:
-        robot: The robot.
-        stand: Where it stands.
-        drive: Its servos.
-    """
-    model, data = drive.model, mujoco.MjData(drive.model)
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_forward(model, data)
-    stiffness, damping = np.zeros(model.nv), np.zeros(model.nv)
-    dofs = robot.mj_convention.qvel_index[robot.nv - robot.nu :]
-    stiffness[dofs], damping[dofs] = drive.kp, drive.kd
-    found = servo_stability(model, data, stiffness, damping, np.array(model.dof_damping))
-    if found is None or found.ratio <= 1:
-        return []
-    worst = robot.joint_names[int(np.argmax(found.shares[dofs]))]
-    other = "" if drive.implicit else ", or the integrator implicitfast"
-    return [
-        f"the servos are {found.ratio:.3g} times beyond the limit of stability "
-        f"({drive.integrator}, {1e3 * model.opt.timestep:g} ms), most of all at {worst}: a time "
-        f"step of {1e3 * found.timestep:.2g} ms is stable{other}, or less kp and kd"
-    ]
-
-
-def rattling(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[str]:
-    """Says so if the ground pushes by jolts, from step to step, where it should push evenly.
-
-    MuJoCo's solver meets the edges of pyramidal cones with an ``impratio`` above 1 only so far, and
-    hard ground answers each step's error.
+    It takes milliseconds, where ``verify_stand`` simulates seconds, and finds what no seconds show.
+    It says nothing of where the robot comes to rest, nor of harder pushes.
 
     Args:
         robot: The robot.
-        drive: Its servos, and what was simulated.
-        states: (n, ...) of a rollout, to its end.
-        ctrl: What was commanded.
+        stand: How it stands.
+        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        kp: Servo stiffness (N m/rad); the model's own by default.
+        kd: Servo damping (N m s/rad); the model's own by default.
+        integrator: MuJoCo's integrator; the model's own by default.
+
+    Returns:
+        The modes that grow, with their doubling times, and the margin.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ModelError: If the model has no servos and no gains are given.
+        StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    watcher = Watcher(robot, drive.model)
-    pushed = []
-    for state in states[-_JOLTS:]:
-        seen = watcher.look(state, ctrl)
-        pushed.append(sum(float(force[2]) for force in seen.forces.values()))
-    share = float(np.std(pushed)) / (robot.total_mass * float(np.linalg.norm(robot.gravity)))
-    if not share > _EVEN:
-        return []
-    option = drive.model.opt
-    pyramidal = option.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value
-    mend = "try a longer solref of the feet's geoms, or a shorter time step"
-    if pyramidal and option.impratio > 1:
-        mend = f"the MJCF's impratio of {option.impratio:g}"
-        mend += ' is meant for cone="elliptic": try it, or 1'
-    return [f"contacts rattle: the ground's forces vary by {share:.0%} from step to step; {mend}"]
+    check_standing(robot, stand)
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    torques = stand_statics(
+        robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
+    ).joint_torques
+    drive = servos(robot, kp, kd, integrator)
+    start = place_on_ground(robot, drive, stand, torques)
+    fed = torques if feedforward else None
+    return judged_at(drive, start, drive.command(robot, stand.joint_positions(robot), fed))
 
 
-def creeping(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[str]:
-    """Says so if feet creep, as MuJoCo's friction, which is viscous, lets them.
-
-    Args:
-        robot: The robot.
-        stand: The stand.
-        prediction: Its contact forces.
-    """
-    speeds: dict[str, float] = {}
-    for foot, force in prediction.contact_forces.items():
-        normal = stand.normals[foot]
-        tangential = float(np.linalg.norm(force - (force @ normal) * normal))
-        viscosity = GroundLaw.of(robot, foot).viscosity(stand.depths[foot])
-        speeds[foot] = tangential / viscosity if viscosity > 0 else np.inf
-    foot = max(speeds, key=speeds.__getitem__)
-    if not speeds[foot] > _CREEPING:
-        return []
-    return [
-        f"MuJoCo's friction gives way to any force, so that {foot} creeps by "
-        f"{1e3 * speeds[foot]:.1f} mm/s: a greater impratio, or noslip_iterations, in the MJCF's "
-        "<option> makes it stick"
-    ]
+def judged_at(drive: Servos, state: Array, ctrl: Array, settle: float = SETTLE) -> Stability:
+    """Judges a state (mjSTATE_FULLPHYSICS) under a command; see ``step_stability``."""
+    data = mujoco.MjData(drive.model)
+    mujoco.mj_setState(drive.model, data, state, STATE)
+    data.ctrl[:] = ctrl
+    return step_stability(drive.model, data, settle=settle)

@@ -1,0 +1,325 @@
+"""Is it stable: the spectrum of one of MuJoCo's steps, with contacts and servos as they are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.results import Result
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+LASTING = 12.0
+"""How long what is said to hold must hold (s). Regularised friction creeps, and what is carried by
+it buckles slowly, without a sharp edge: v3's payload limit doubles a deviation in 30 s."""
+
+SETTLE = 0.5
+"""Time for which a state settles before it is judged (s): contacts meet their loads in some 0.05 s,
+and a mode that doubles in a second has multiplied rounding by 1.4."""
+
+_STEP = 1e-7
+"""Of the centred differences (m, rad, and their rates): contacts are stiff, and curved over 1e-5;
+eigenvalues come out to 1e-9, where 1e-6 leaves as much."""
+
+_STILL = 1e-4
+"""Rate of a mode that neither grows nor decays (1/s): it takes two hours to double."""
+
+_NOISE = 1e-9
+"""Error of a well-conditioned eigenvalue."""
+
+_VAGUE = 1e-5
+"""Error up to which an ill-conditioned eigenvalue at 1 may be noise: a wheel that rolls freely has
+two there, with one eigenvector, and differences part them by the root of their error."""
+
+_RESTING = 0.1
+"""Greatest speed of what has settled (m/s, rad/s): v3's sag swings by 0.02 after half a second.
+What is faster may have been thrown off by a mode that doubles within steps: the start is judged
+too."""
+
+_MOST = 0.5
+"""Of the greatest share in a mode: what moves by less is not named."""
+
+_FEW = 4  # joints and contacts that are named
+
+
+@dataclass(frozen=True, eq=False)
+class Mode(Result):
+    """A way in which a state deviates from itself step by step: an eigenvalue, or a pair of them.
+
+    Attributes:
+        growth: |eigenvalue| - 1, per step.
+        frequency: Hz; 0: it does not swing.
+        damping_ratio: 1: it decays without swinging; 0: it swings on; negative: it grows.
+        time_constant: In which it grows or decays by a factor of e (s).
+        doubling_time: s; None if it decays.
+        joints: Those that move most in it, the first most of all.
+        contacts: The bodies whose contacts do.
+    """
+
+    growth: float
+    frequency: float
+    damping_ratio: float
+    time_constant: float
+    doubling_time: float | None
+    joints: tuple[str, ...]
+    contacts: tuple[str, ...]
+
+    @property
+    def grows(self) -> bool:
+        """Whether it grows."""
+        return self.doubling_time is not None
+
+    @property
+    def shakes(self) -> bool:
+        """Whether it swings faster than it grows; what grows otherwise buckles."""
+        return 2 * math.pi * self.frequency * self.time_constant > 1
+
+    def grows_within(self, duration: float) -> bool:
+        """Tells whether it leaves the state in that time (s).
+
+        What shakes never comes to rest, however slowly it grows. What buckles on regularised
+        friction may stay for minutes; it stays for a time in which it does not double.
+        """
+        return self.doubling_time is not None and (self.shakes or self.doubling_time < duration)
+
+
+@dataclass(frozen=True, eq=False)
+class Stability(Result):
+    """Whether a state of a MuJoCo model is stable, and what of it is least so.
+
+    Attributes:
+        timestep: s.
+        integrator: MuJoCo's number of it.
+        radius: The greatest absolute eigenvalue of a step.
+        unstable: The modes that grow, the fastest first.
+        drifts: How many modes neither grow nor decay: 3 of a base on level ground, which is alike
+            everywhere (x, y, yaw); each of a wheel's is one.
+        slowest: The mode that decays last, by drift apart. In MuJoCo it is often friction's creep,
+            over minutes.
+        least_damped: The mode with the least damping ratio of those that swing and decay.
+        speed: The greatest element of qvel where it was judged (m/s, rad/s): a state that is not at
+            rest is not judged by this.
+        settled: Whether it settled before it was judged; what is thrown off is judged where it
+            begins.
+    """
+
+    timestep: float
+    integrator: int
+    radius: float
+    unstable: tuple[Mode, ...]
+    drifts: int
+    slowest: Mode | None
+    least_damped: Mode | None
+    speed: float
+    settled: bool
+
+    @property
+    def stable(self) -> bool:
+        """Whether no mode grows, however slowly."""
+        return not self.unstable
+
+    @property
+    def doubling_time(self) -> float | None:
+        """In which the fastest mode that grows doubles (s); None if none grows."""
+        return self.unstable[0].doubling_time if self.unstable else None
+
+    def leaving(self, duration: float = LASTING) -> tuple[Mode, ...]:
+        """Returns the modes with which it does not stay for that time (s); see ``grows_within``."""
+        return tuple(mode for mode in self.unstable if mode.grows_within(duration))
+
+    def lasts(self, duration: float = LASTING) -> bool:
+        """Tells whether it stays for that time (s) when it is nudged."""
+        return not self.leaving(duration)
+
+
+def step_stability(
+    model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLE
+) -> Stability:
+    """Judges the stability of a state, by the eigenvalues of one of MuJoCo's steps.
+
+    A step takes a deviation x of (qpos, qvel, act) to A x, with the contacts, the servos under
+    their commands (``data.ctrl``), friction, and the integrator as they are. Where an eigenvalue of
+    A is beyond the unit circle, the deviation grows: by swinging if it is complex (the robot
+    shakes), without if it is real (it buckles). In a time step h, its rate is ln|eigenvalue| / h.
+
+    Only what is at rest can be judged so (``Stability.speed``), and only what is near: whether a
+    state survives a harder push, a simulation tells.
+
+    Source: MuJoCo documentation, ``mjd_transitionFD``; in the tangent space of qpos.
+
+    Args:
+        model: The model.
+        data: The state, with ``ctrl``; it stays as it is.
+        settle: Time for which it is simulated first (s).
+
+    Returns:
+        The modes that grow, and what is left of those that do not.
+    """
+    start, data = data, _copied(model, data)
+    steps = round(settle / model.opt.timestep)
+    if not steps:
+        return _Modes(model, data).judged(settled=False)
+    with quiet():
+        mujoco.mj_step(model, data, steps)
+    if data.time < start.time + (steps - 0.5) * model.opt.timestep:
+        return _Modes(model, _copied(model, start)).judged(
+            settled=False
+        )  # it diverged, and MuJoCo began anew
+    found = _Modes(model, data).judged(settled=True)
+    if found.speed <= _RESTING:
+        return found
+    other = _Modes(model, _copied(model, start)).judged(settled=False)
+    return found if other.stable or other.speed > _RESTING else other
+
+
+def _copied(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
+    """Returns data of its own at the same state."""
+    state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION.value))
+    mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION.value)
+    own = mujoco.MjData(model)
+    mujoco.mj_setState(model, own, state, mujoco.mjtState.mjSTATE_INTEGRATION.value)
+    mujoco.mj_forward(model, own)
+    return own
+
+
+def transition(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """Returns the derivative of a step by the state, (2 nv + na, 2 nv + na).
+
+    Args:
+        model: The model.
+        data: The state; it stays as it is.
+    """
+    size = 2 * model.nv + model.na
+    matrix = np.zeros((size, size))
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4.value:  # which MuJoCo's has not
+        return _differences(model, data, matrix)
+    mujoco.mjd_transitionFD(model, data, _STEP, True, matrix, None, None, None)
+    return matrix
+
+
+def _differences(model: mujoco.MjModel, data: mujoco.MjData, matrix: Array) -> Array:
+    """Fills in centred differences of whole steps."""
+    own, nv = _copied(model, data), model.nv
+    ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
+    for column in range(len(matrix)):
+        for end, size in zip(ends, (-_STEP, _STEP), strict=True):
+            mujoco.mj_copyData(own, model, data)
+            change = np.zeros(len(matrix))
+            change[column] = size
+            mujoco.mj_integratePos(model, own.qpos, change[:nv], 1.0)
+            own.qvel += change[nv : 2 * nv]
+            own.act += change[2 * nv :]
+            mujoco.mj_step(model, own)
+            end[0][:], end[1][:], end[2][:] = own.qpos, own.qvel, own.act
+        moved = np.empty(nv)
+        mujoco.mj_differentiatePos(model, moved, 2 * _STEP, ends[0][0], ends[1][0])
+        rates = [(ends[1][part] - ends[0][part]) / (2 * _STEP) for part in (1, 2)]
+        matrix[:, column] = np.concatenate([moved, *rates])
+    return matrix
+
+
+class _Modes:
+    """The modes of a step at a state.
+
+    Args:
+        model: The model.
+        data: The state, after ``mj_forward`` or ``mj_step``.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model, self._data = model, data
+        matrix = transition(model, data)
+        matrix = np.where(np.isfinite(matrix), matrix, 0.0)
+        self._values, left, self._vectors = linalg.eig(matrix, left=True)
+        aligned = np.abs(np.sum(left.conj() * self._vectors, axis=0))
+        error = np.minimum(_NOISE / np.maximum(aligned, _NOISE), _VAGUE)
+        self._growth = np.abs(self._values) - 1
+        still = np.maximum(_STILL * float(model.opt.timestep), error)
+        self._drifts = np.abs(self._values - 1) <= still
+        # A pendulum without damping swings on, and rounding lets it grow by nothing.
+        self._grows = (self._growth > still) & ~self._drifts
+
+    def judged(self, *, settled: bool) -> Stability:
+        """Returns what there is to say of them."""
+        model, data = self._model, self._data
+        single = self._values.imag >= 0  # of a pair of conjugates, one
+        growing = np.flatnonzero(self._grows & single)
+        growing = growing[np.argsort(-self._growth[growing])]
+        # What is gone within a step is no swing.
+        decaying = single & ~self._grows & ~self._drifts & (self._growth > -1 + _NOISE)
+        swinging = np.flatnonzero(decaying & (np.abs(np.angle(self._values)) > _NOISE))
+        damped = [self._damping(mode) for mode in swinging.tolist()]
+        slow = np.flatnonzero(decaying)
+        return Stability(
+            timestep=float(model.opt.timestep),
+            integrator=int(model.opt.integrator),
+            radius=1 + float(self._growth.max(initial=-1.0)),
+            unstable=tuple(self._mode(mode) for mode in growing.tolist()),
+            drifts=int(self._drifts.sum()),
+            slowest=self._mode(int(slow[np.argmax(self._growth[slow])])) if slow.size else None,
+            least_damped=self._mode(int(swinging[int(np.argmin(damped))])) if damped else None,
+            speed=float(np.abs(data.qvel).max(initial=0.0)),
+            settled=settled,
+        )
+
+    def _damping(self, mode: int) -> float:
+        exponent = np.log(self._values[mode])
+        return float(-exponent.real / abs(exponent))
+
+    def _mode(self, mode: int) -> Mode:
+        """Describes a mode by its number."""
+        timestep = float(self._model.opt.timestep)
+        value, growth = self._values[mode], float(self._growth[mode])
+        constant = timestep / abs(math.log1p(growth)) if growth else math.inf
+        return Mode(
+            growth=growth,
+            frequency=abs(float(np.angle(value))) / (2 * math.pi * timestep),
+            damping_ratio=self._damping(mode),
+            time_constant=constant,
+            doubling_time=math.log(2) * constant if self._grows[mode] else None,
+            joints=_most(self._joints(mode)),
+            contacts=_most(self._contacts(mode)),
+        )
+
+    def _joints(self, mode: int) -> dict[str, float]:
+        """Returns how far each joint moves (rad, m); the base's own motion is none."""
+        model, moves = self._model, np.abs(self._vectors[: self._model.nv, mode])
+        free = mujoco.mjtJoint.mjJNT_FREE.value
+        ends = [*model.jnt_dofadr[1:].tolist(), model.nv] if model.njnt else []
+        return {
+            model.joint(joint).name: float(moves[model.jnt_dofadr[joint] : end].max())
+            for joint, end in enumerate(ends)
+            if model.jnt_type[joint] != free
+        }
+
+    def _contacts(self, mode: int) -> dict[str, float]:
+        """Returns how far the bodies move where they touch others (m)."""
+        model, data = self._model, self._data
+        motion = self._vectors[: model.nv, mode]
+        found: dict[str, float] = {}
+        one, other = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        for contact in data.contact:
+            if contact.efc_address < 0 or min(contact.geom) < 0:
+                continue
+            # The ground comes first, or belongs to the world: what moves is named.
+            bodies = sorted(model.geom_bodyid[contact.geom].tolist())
+            for body, jacobian in zip(bodies, (one, other), strict=True):
+                mujoco.mj_jac(model, data, jacobian, None, contact.pos, body)
+            name = model.body(bodies[1]).name
+            slip = float(np.linalg.norm((other - one) @ motion))
+            found[name] = max(slip, found.get(name, 0.0))
+        return found
+
+
+def _most(shares: dict[str, float]) -> tuple[str, ...]:
+    """Returns the few names with the greatest shares, the greatest first."""
+    names = sorted(shares, key=shares.__getitem__, reverse=True)
+    least = _MOST * shares[names[0]] if names else 0.0
+    return tuple(name for name in names[:_FEW] if shares[name] >= least > 0)

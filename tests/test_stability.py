@@ -1,0 +1,144 @@
+"""The spectrum of a step: closed forms of its eigenvalues, and nudged simulations beside it."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import load, stand_of
+
+import pupper_analysis as pa
+from pupper_analysis.robot.stability import transition
+
+INERTIA, MOMENT = 0.3, 6.0  # kg m^2 of the rotor; m g l of 1 kg (N m)
+
+
+def pendulum(kp: float, kd: float, integrator: str = "Euler", timestep: float = 0.002) -> str:
+    """A rod upside down, on a servo."""
+    mass, length = 1.0, MOMENT / 9.81
+    return f"""
+      <mujoco><option timestep="{timestep}" integrator="{integrator}" gravity="0 0 -9.81"/>
+        <worldbody><body name="rod"><joint name="hinge" axis="0 1 0" armature="{INERTIA}"/>
+          <inertial pos="0 0 {length}" mass="{mass}" diaginertia="1e-9 1e-9 1e-9"/></body>
+        </worldbody>
+        <actuator><position joint="hinge" kp="{kp}" kv="{kd}"/></actuator></mujoco>"""
+
+
+def judged(xml: str, settle: float = 0.0, off: float = 0.0) -> pa.Stability:
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    data.qpos[0] = off
+    return pa.step_stability(model, data, settle=settle)
+
+
+def exponents(kp: float, kd: float) -> np.ndarray:
+    """Of the pendulum in continuous time: I s^2 + kd s + kp - m g l = 0."""
+    inertia = INERTIA + (MOMENT / 9.81) ** 2
+    return np.roots([inertia, kd, kp - MOMENT])
+
+
+def euler(kp: float, kd: float, step: float, implicit: bool) -> np.ndarray:
+    """Eigenvalues of v' = v + h a, x' = x + h v', with kd explicit or implicit."""
+    inertia = INERTIA + (MOMENT / 9.81) ** 2
+    stiff, damp = (MOMENT - kp) / inertia, kd / inertia
+    if implicit:
+        scale = 1 / (1 + step * damp)
+        rows = [[1 + step**2 * stiff * scale, step * scale], [step * stiff * scale, scale]]
+    else:
+        left = 1 - step * damp
+        rows = [[1 + step**2 * stiff, step * left], [step * stiff, left]]
+    return np.linalg.eigvals(np.array(rows))
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
+def test_an_inverted_pendulum_buckles_at_its_rate(integrator: str) -> None:
+    """Kp below m g l: one real mode grows."""
+    kp, kd, step = 5.0, 0.4, 0.002
+    found = judged(pendulum(kp, kd, integrator, step))
+    (mode,) = found.unstable
+    if integrator == "RK4":
+        z = max(exponents(kp, kd)) * step
+        radius = float(sum(z**k / math.factorial(k) for k in range(5)))
+    else:
+        radius = float(max(abs(euler(kp, kd, step, integrator != "Euler"))))
+    assert found.radius == pytest.approx(radius, abs=1e-9)
+    assert mode.doubling_time == pytest.approx(math.log(2) * step / math.log(radius), rel=1e-5)
+    assert mode.doubling_time == pytest.approx(math.log(2) / max(exponents(kp, kd)), rel=2e-2)
+    assert mode.frequency == 0
+    assert not mode.shakes
+    assert mode.joints == ("hinge",)
+    assert found.slowest is not None
+    assert found.slowest.time_constant == pytest.approx(-1 / min(exponents(kp, kd)), rel=2e-2)
+    assert found.drifts == 0
+
+
+def test_a_servo_that_holds_it_has_the_damping_of_its_oscillator() -> None:
+    kp, kd, step = 80.0, 1.2, 1e-4
+    found = judged(pendulum(kp, kd, "implicitfast", step))
+    inertia = INERTIA + (MOMENT / 9.81) ** 2
+    natural = math.sqrt((kp - MOMENT) / inertia)
+    ratio = kd / (2 * inertia * natural)
+    assert found.stable
+    assert found.doubling_time is None
+    assert found.least_damped is not None
+    assert found.least_damped.damping_ratio == pytest.approx(ratio, rel=1e-2)
+    damped = natural * math.sqrt(1 - ratio**2) / (2 * math.pi)
+    assert found.least_damped.frequency == pytest.approx(damped, rel=1e-3)
+
+
+@pytest.mark.parametrize("kd", [0.0, 600.0])
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_a_servo_beyond_its_discrete_limit_shakes(kd: float, integrator: str) -> None:
+    """Every other step on the other side: at half the sampling frequency, with Euler's radius."""
+    step, kp = 0.02, 9000.0
+    values = euler(kp, kd, step, integrator != "Euler")
+    found = judged(pendulum(kp, kd, integrator, step), settle=0.5, off=1e-9)
+    assert found.radius == pytest.approx(max(abs(values)), rel=1e-6)
+    assert found.stable == (max(abs(values)) <= 1)
+    if not found.stable:
+        assert not found.settled  # it is judged where it begins: settling would throw it away
+        (mode,) = found.unstable
+        assert mode.shakes
+        assert mode.frequency == pytest.approx(1 / (2 * step))
+
+
+def test_what_swings_without_damping_neither_grows_nor_decays() -> None:
+    found = judged(pendulum(80.0, 0.0))
+    assert found.stable
+    assert found.least_damped is not None
+    assert found.least_damped.damping_ratio == pytest.approx(0, abs=1e-6)
+
+
+def test_own_differences_are_mujocos() -> None:
+    """For RK4, which ``mjd_transitionFD`` has not: of another integrator they are the same."""
+    from pupper_analysis.robot.stability import _differences
+
+    robot = load("v3")
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand_of("v3").qpos)
+    mujoco.mj_step(model, data, 100)
+    own = transition(model, data)
+    assert _differences(model, data, np.zeros_like(own)) == pytest.approx(own, abs=1e-6)
+
+
+def test_a_base_on_level_ground_drifts_in_three_ways(variant: str) -> None:
+    found = pa.stand_stability(load(variant), stand_of(variant))
+    assert found.drifts == 3
+    assert found.stable
+    assert found.lasts()
+    assert found.settled
+    assert found.speed < 1e-3
+
+
+def test_a_wheel_that_rolls_freely_is_drift() -> None:
+    wheels = "".join(
+        f'<body pos="{x} {y} 0"><joint axis="0 1 0"/><geom type="sphere" size=".1"/></body>'
+        for x in (-0.2, 0.2) for y in (-0.2, 0.2)
+    )  # fmt: skip
+    for integrator in ("Euler", "implicitfast"):
+        xml = f"""<mujoco><option integrator="{integrator}"/><worldbody>
+          <geom type="plane" size="5 5 .1"/><body pos="0 0 .1"><freejoint/>
+          <geom type="box" size=".2 .1 .05" pos="0 0 .05"/>{wheels}</body></worldbody></mujoco>"""
+        found = judged(xml, settle=1.0)
+        assert found.stable
+        assert found.drifts >= 4
