@@ -22,6 +22,8 @@ from pupper_analysis.report import analysis as analysis_report
 from pupper_analysis.report import comparison as models_report
 from pupper_analysis.report import push as push_report
 from pupper_analysis.report import stance as stance_report
+from pupper_analysis.robot.as_published import ServoSource, ServosUsed
+from pupper_analysis.simulation.verdict import judge
 from pupper_analysis.stance.optimize.best import Objective
 from pupper_analysis.stance.payload.servo_limit import Failure
 
@@ -96,6 +98,9 @@ def run(shift: float, *, passed: bool) -> Stub:
     )
 
 
+SERVOS = ServosUsed(ServoSource.FILE, (5.0, 6.0), (0.1, 0.1))
+
+
 def joint(name: str, shift: float) -> Stub:
     return Stub(
         name=name,
@@ -143,6 +148,7 @@ ANALYSIS = Stub(
     hanging_torques=np.array([0.0077, 0.0088]),
     verification=run(0.0, passed=True),
     sagging=run(0.01, passed=False),
+    verdict=judge(run(0.0, passed=True), run(0.01, passed=False), SERVOS),
     sweep=Stub(
         kp=np.array([10.0, 30.0]),
         kd=np.array([0.5, 1.0, 2.0]),
@@ -244,6 +250,9 @@ def test_an_analysis() -> None:
         mass matrix knee, #3 models (Pinocchio) 0.312 kg m^2 4.1e-05 1.3e-04 DIFFERS
         gravity 31.2 N 0.0e+00 0.0e+00 ok
         note: another note
+        HOLDS with gravity feed-forward in MuJoCo for 12 s: torques within 1.2e-02, forces within
+            2.4e-02 of the prediction (relative to the largest); FAILS on position commands alone:
+            it sank
         FAILED stub: it leans
     """)
 
@@ -310,7 +319,7 @@ def test_the_comparison_of_variants() -> None:
         foot force off prediction 2.020% 3.020%
         best Kp, Kd 30.3, 1.4 -
         cross-check, worst 1.5e-13 2.6e-12
-        verdict verified FAILED
+        verdict VERIFIED FAILED
     """)
 
 
@@ -429,7 +438,7 @@ def stance(**changes: Any) -> Stub:
         "statics": loads(0.0),
         "minimum_peak": loads(-0.05),
         "limits": np.array([3.1, 4.2]),
-        "overloaded": ("knee",),
+        "verdict": judge(run(0.0, passed=True), None, SERVOS, overloaded=("knee",)),
         "settled": Stub(
             base_height=0.11223,
             servo_sag=0.00789,
@@ -461,7 +470,6 @@ def test_a_stance() -> None:
         RL +4.044 -5.055 +6.066 8.2% +0.404 +0.505 +8.606 +3.994 -5.105 +6.016
         balance residual 1.1e-11 N, 2.2e-12 N m (in MuJoCo's terms 4.2e-05); com 12.3 mm inside the
             support polygon
-        OVERLOADED: the motors cannot hold it with the contact forces that last: knee
         lowest part but the feet: calf, 11.1 mm
         nearest links: thigh and base, 22.2 mm apart
         without feed-forward it settles at 0.11223 m: servos give 7.89 mm, the ground 4.21 mm; but
@@ -471,7 +479,8 @@ def test_a_stance() -> None:
             mm)
         the MJCF's loops and couplings are open in it by up to 2.3e-05 m or rad, as their softness
             has it
-        HOLDS in MuJoCo: torques within 1.2e-02, forces within 2.4e-02 of the prediction
+        OVERLOADED: with the contact forces that last the motors cannot hold it: knee;
+        HOLDS in MuJoCo for 12 s: torques within 1.2e-02, forces within 2.4e-02 of the prediction
             (relative to the largest)
     """)
 
@@ -479,7 +488,8 @@ def test_a_stance() -> None:
 def test_a_stance_that_fails() -> None:
     failing = stance(
         verification=run(0.0, passed=False), sunk=None, settled=None, unsettled="why",
-        minimum_stiffness=None, overloaded=(), loops_open=None,
+        verdict=judge(run(0.0, passed=False), None, SERVOS), minimum_stiffness=None,
+        loops_open=None,
     )  # fmt: skip
     text = " ".join(printed(stance_report.print_stance, failing))
     assert "without feed-forward, no sag is predicted: why note: the feet of stub, sunk" in text

@@ -37,7 +37,8 @@ def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> N
     )
     assert status == 0, err
     assert "FL lifted 20 mm" in out
-    assert "HOLDS in MuJoCo" in out
+    assert "HOLDS with gravity feed-forward in MuJoCo" in out
+    assert "on position commands alone: FL touches the ground" in out
     robot, task = load_variant("v3"), StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
     alike, held = tmp_path / "alike.png", stand_statics(robot, sunk_stand(robot, task))
     pose_figure(robot, solve_stand(robot, task), held, alike)

@@ -16,7 +16,9 @@ from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
+from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
@@ -108,9 +110,10 @@ class Analysis(Result):
         foot_jacobians: Per foot.
         verification: The simulated stand, with feed-forward.
         sagging: The simulated stand, without.
+        verdict: Whether the stand holds, and what that rests on.
         sweep: The gain sweep.
         check: The cross-check of the two models.
-        verified: Whether verification and cross-check passed.
+        verified: Whether the verdict lets pass, and the cross-check.
         failures: If not, why.
     """
 
@@ -133,6 +136,7 @@ class Analysis(Result):
     foot_jacobians: dict[str, FootJacobian]
     verification: StandVerification
     sagging: StandVerification
+    verdict: Verdict
     sweep: GainSweep
     check: CrossCheck
     verified: bool
@@ -178,6 +182,8 @@ def analyze_variant(
         if not quantity.passed
     ]
     thigh, calf = leg_lengths(robot)
+    statics = stand_statics(robot, stand)
+    verdict = judge(verification, sagging, servos_used(robot), overloaded=beyond_limits(statics))
     return Analysis(
         name=robot.name,
         nq=robot.nq,
@@ -192,15 +198,16 @@ def analyze_variant(
         joints=joint_summaries(robot),
         notes=robot.notes,
         stand=stand,
-        statics=stand_statics(robot, stand),
+        statics=statics,
         minimum_peak=stand_statics(robot, stand, distribution=ForceDistribution.MIN_PEAK),
         hanging_torques=gravity_compensation(config, contacts=[]).joint_torques,
         foot_jacobians=leg_jacobians(config),
         verification=verification,
         sagging=sagging,
+        verdict=verdict,
         sweep=sweep,
         check=check,
-        verified=not failures,
+        verified=verdict.passed and not failures,
         failures=tuple(failures),
     )
 

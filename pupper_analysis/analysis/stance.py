@@ -16,6 +16,8 @@ from pupper_analysis.errors import (
 )
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.steady_state import (
     SteadyState,
@@ -43,6 +45,8 @@ class Stance(Result):
         minimum_peak: The same of least peak motor utilisation.
         sunk: The stance with its feet sunk into MuJoCo's ground; None where that is out of reach.
         verification: The simulation, with feed-forward, of ``sunk``, or else of ``stand``.
+        sagging: The simulation of ``stand``, without feed-forward.
+        verdict: Whether it holds, and what that rests on.
         settled: Where it settles without feed-forward; None where that is not predicted.
         unsettled: Why ``settled`` is None.
         loops_open: By how much MuJoCo's loops and couplings of joints are open in it (m, rad); None
@@ -59,6 +63,8 @@ class Stance(Result):
     minimum_peak: GravityCompensation
     sunk: Stand | None
     verification: StandVerification
+    sagging: StandVerification
+    verdict: Verdict
     settled: SteadyState | None
     unsettled: str
     loops_open: float | None
@@ -67,13 +73,12 @@ class Stance(Result):
     @property
     def overloaded(self) -> tuple[str, ...]:
         """Motors above their limits with the contact forces that last, without any payload."""
-        used = zip(self.statics.joint_names, self.statics.motor_utilisation, strict=True)
-        return tuple(name for name, share in used if share > 1)
+        return self.verdict.overloaded
 
     @property
     def passed(self) -> bool:
-        """Whether it holds, and within the limits of the motors, which an MJCF may not have."""
-        return self.verification.passed and not self.overloaded
+        """Whether it holds, by its verdict."""
+        return self.verdict.passed
 
 
 def study_stance(
@@ -113,15 +118,20 @@ def study_stance(
     with contextlib.suppress(StanceUnreachableError, *soft):
         sunk = sunk_stand(robot, stand, explain=False)
     held = sunk or stand
+    statics = stand_statics(robot, held)
+    fed = verify_stand(robot, held, kp=kp, kd=kd)
+    alone = verify_stand(robot, stand, kp=kp, kd=kd, feedforward=False)
     return Stance(
         name=robot.name,
         joint_positions=held.joint_positions(robot),
         limits=robot.effort_limits,
         stand=stand,
-        statics=stand_statics(robot, held),
+        statics=statics,
         minimum_peak=stand_statics(robot, held, distribution=ForceDistribution.MIN_PEAK),
         sunk=sunk,
-        verification=verify_stand(robot, held, kp=kp, kd=kd),
+        verification=fed,
+        sagging=alone,
+        verdict=judge(fed, alone, servos_used(robot, kp, kd), overloaded=beyond_limits(statics)),
         settled=settled,
         unsettled=unsettled,
         loops_open=None if robot.closure is None else robot.closure.open(held.qpos),

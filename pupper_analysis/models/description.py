@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 
 from pupper_analysis.arrays import plain_state
+from pupper_analysis.models.joint_drives import MadeServo
 from pupper_analysis.models.spec_state import spec_from, state_of
 
 
@@ -32,6 +33,7 @@ class Description:
             that is no sphere around the point: 0 for the corner of a box.
         nominal: {joint: position (rad)} at which the feet are where they stand by default; zero
             where not given.
+        made_servos: The servos in ``mjcf`` that the file does not have.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Description:
     soles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     foot_geoms: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
+    made_servos: tuple[MadeServo, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         return {**plain_state(self), "mjcf": state_of(self.mjcf)}

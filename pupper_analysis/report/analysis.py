@@ -12,6 +12,7 @@ from rich.console import Console
 
 from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.report.console import escape, titled_table
+from pupper_analysis.report.verdict import print_verdict
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -28,12 +29,10 @@ def print_analysis(out: Console, analysis: Analysis) -> None:
     _print_verification(out, analysis)
     _print_sweep(out, analysis)
     _print_check(out, analysis)
-    if analysis.verified:
-        out.print(f"[bold green]VERIFIED[/] {escape(analysis.name)}\n")
-    else:
-        out.print(
-            f"[bold red]FAILED[/] {escape(analysis.name)}: {escape('; '.join(analysis.failures))}\n"
-        )
+    word = "[bold green]VERIFIED[/]" if analysis.verified else "[bold red]FAILED[/]"
+    print_verdict(out, analysis.verdict)
+    failed = "".join(f": {escape(text)}" for text in ["; ".join(analysis.failures)] if text)
+    out.print(f"{word} {escape(analysis.name)}{failed}\n", soft_wrap=True)
 
 
 def _vector(values: Iterable[float], digits: int = 4) -> str:

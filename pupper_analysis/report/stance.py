@@ -15,6 +15,7 @@ from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.report.analysis import print_loads
 from pupper_analysis.report.console import escape, titled_table
 from pupper_analysis.report.push import rigid_note, sunk_note
+from pupper_analysis.report.verdict import print_verdict
 from pupper_analysis.simulation.tracking import PathTracking
 from pupper_analysis.stance.optimize.best import BestStance
 from pupper_analysis.stance.optimize.search import Objective
@@ -37,15 +38,6 @@ def print_stance(out: Console, stance: Stance) -> None:
     print_loads(
         out, stance.statics, stance.minimum_peak, verification, stance.limits.tolist(), more
     )
-    if stance.overloaded:
-        how = "with the contact forces that last"
-        if stance.minimum_peak.motor_utilisation.max() > 1:
-            how = "however the feet share the load"
-        out.print(
-            f"[bold red]OVERLOADED[/]: the motors cannot hold it {how}: "
-            f"{', '.join(stance.overloaded)}",
-            soft_wrap=True,
-        )
     _print_clearance(out, stance.stand)
     _print_settled(out, stance)
     if stance.minimum_stiffness is not None:
@@ -71,14 +63,7 @@ def print_stance(out: Console, stance: Stance) -> None:
             "pupper-analysis crosscheck says why",
             soft_wrap=True,
         )
-    if verification.passed:
-        out.print(
-            f"[bold green]HOLDS[/] in MuJoCo: "
-            f"torques within {verification.torque_error:.1e}, forces within "
-            f"{verification.force_error:.1e} of the prediction (relative to the largest)"
-        )
-    else:
-        out.print(f"[bold red]FAILS[/] in MuJoCo: {escape('; '.join(verification.failures))}")
+    print_verdict(out, stance.verdict)
 
 
 def _print_task(out: Console, name: str, stand: Stand) -> None:

@@ -7,6 +7,7 @@ from rich.console import Console
 
 from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.report.console import escape
+from pupper_analysis.report.verdict import print_verdict
 from pupper_analysis.simulation.verify import StandVerification
 
 
@@ -30,6 +31,7 @@ def print_summary(out: Console, analysis: Analysis) -> None:
     if analysis.notes:
         count = len(analysis.notes)
         out.print(f"   {count} note{'s' if count > 1 else ''} on what was assumed: -v", style="dim")
+    print_verdict(out, analysis.verdict, "  ")
     for failure in analysis.failures:
         out.print(f"   [red]failed:[/] {escape(failure)}", soft_wrap=True)
 

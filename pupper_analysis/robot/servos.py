@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import real_array
 from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -232,6 +233,37 @@ def own_servos(robot: Robot) -> dict[str, tuple[float, float]]:
         for joint, kp, kd, holds in zip(driven, gain, damping, servo, strict=True)
         if holds
     }
+
+
+def servos_used(
+    robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
+) -> ServosUsed:
+    """Tells where the gains of a robot's servos are from.
+
+    Args:
+        robot: The robot.
+        kp: As for ``servos``.
+        kd: As for ``servos``.
+
+    Raises:
+        ConfigurationError: As ``servos``.
+        ModelError: Likewise.
+    """
+    found, made = gains(robot, kp, kd), robot.description.made_servos
+    joints = {servo.joint for servo in made}
+    chosen = np.array([name in joints for name in robot.joint_names])
+    if kp is not None or kd is not None:
+        source, made, chosen = ServoSource.GIVEN, (), found.kp > 0
+    else:
+        source = ServoSource.MADE_UP if made else ServoSource.FILE
+        chosen = chosen if made else found.kp > 0
+    stiffness, damping = found.kp[chosen], found.kd[chosen]
+    return ServosUsed(
+        source,
+        (float(stiffness.min()), float(stiffness.max())),
+        (float(damping.min()), float(damping.max())),
+        made,
+    )
 
 
 def _of_model(

@@ -24,6 +24,10 @@ FALLEN_TILT = 0.5
 FALLEN_HEIGHT = 0.5
 """A base that is lower than this share of the height that it should have has fallen."""
 
+SUNKEN = 0.3
+"""A base that has lost this share of its height has collapsed: what sags on servos that carry it
+loses a tenth (v3 at kp 5: 9 %), what lies on its shanks a half."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sight:

@@ -18,6 +18,7 @@ from pupper_analysis.report.html.simulated import (
 )
 from pupper_analysis.report.html.sources import files, is_derived, joint_places, page
 from pupper_analysis.report.html.tasks import task_text
+from pupper_analysis.report.html.verdict import verdict_lines
 from pupper_analysis.report.html.words import text, word
 from pupper_analysis.robot.robot import Robot
 
@@ -30,8 +31,9 @@ def analysis_section(analysis: Analysis, robot: Robot | None) -> doc.Section:
         robot: The robot, for its view and the lines of its files; None if it is not at hand.
     """
     blocks: list[doc.Block] = []
-    if analysis.failures:
-        blocks.append(doc.Lines(tuple(map(said, analysis.failures)), "bad", text("What failed")))
+    if not analysis.verified:
+        lines = (*verdict_lines(analysis.verdict), *map(said, analysis.failures))
+        blocks.append(doc.Lines(lines, "bad", text("What failed")))
     runs = (analysis.verification, analysis.sagging)
     blocks.append(view_block(robot, analysis.stand, analysis.statics, motions_of(runs)))
     blocks += _structure(analysis, robot)
@@ -52,7 +54,7 @@ def analysis_section(analysis: Analysis, robot: Robot | None) -> doc.Section:
         tuple(blocks),
         analysis.verified,
         text("VERIFIED") if analysis.verified else text("FAILED"),
-        (*map(said, analysis.failures), *_surprises(analysis)),
+        (*verdict_lines(analysis.verdict), *map(said, analysis.failures), *_surprises(analysis)),
     )
 
 

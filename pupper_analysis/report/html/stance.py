@@ -16,6 +16,7 @@ from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.simulated import height_plot, motions_of, run_rows
 from pupper_analysis.report.html.sources import page, source_of
 from pupper_analysis.report.html.tasks import task_text
+from pupper_analysis.report.html.verdict import verdict_lines, verdict_word
 from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
 
@@ -24,8 +25,9 @@ def stance_section(stance: Stance, robot: Robot | None) -> doc.Section:
     """Returns a stance, what it costs, and whether it holds."""
     run = stance.verification
     blocks: list[doc.Block] = []
-    if run.failures:
-        blocks.append(doc.Lines(tuple(map(said, run.failures)), "bad", text("What failed")))
+    if not stance.passed:
+        lines = verdict_lines(stance.verdict)
+        blocks.append(doc.Lines(lines, "bad", text("What failed")))
     blocks.append(view_block(robot, stance.sunk or stance.stand, stance.statics, motions_of([run])))
     blocks.append(doc.Lines((task_text(stance.stand.task), *source_of(robot), *_told(stance))))
     blocks += load_blocks(
@@ -53,17 +55,12 @@ def stance_section(stance: Stance, robot: Robot | None) -> doc.Section:
         doc.Name(stance.name),
         tuple(blocks),
         stance.passed,
-        text("HOLDS") if stance.passed else text("FAILS"),
-        (task_text(stance.stand.task), *map(said, run.failures), *_told(stance)),
+        verdict_word(stance.verdict),
+        (task_text(stance.stand.task), *verdict_lines(stance.verdict), *_told(stance)),
     )
 
 
 def _told(stance: Stance) -> Iterable[doc.Words]:
-    if stance.overloaded:
-        yield text(
-            "OVERLOADED: with the contact forces that last the motors cannot hold it: {joints}",
-            joints=doc.Name(", ".join(stance.overloaded)),
-        )
     settled = stance.settled
     if settled is None:
         yield text("Without feed-forward, no sag is predicted:")

@@ -1,0 +1,171 @@
+"""The verdict of a stance: what a simulation makes of it, and what that rests on.
+
+One function makes it, ``judge``; whatever prints, draws or exits by a verdict has it from here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from pupper_analysis.results import Result
+from pupper_analysis.robot.as_published import OwnRun, Published, ServosUsed
+from pupper_analysis.simulation.monitor import FALLEN_TILT, SUNKEN
+from pupper_analysis.simulation.verify import StandVerification
+from pupper_analysis.statics.equilibrium import GravityCompensation
+
+CLOSE = 0.05
+"""Share of the largest torque within which the published robot is as the computed one, but for
+what was altered on loading (Solo 12's balls for mesh feet: 0.016). Paths are tracked as well."""
+
+
+class VerdictCode(StrEnum):
+    """A verdict in one word, from the best to the worst."""
+
+    HOLDS = "holds"
+    HOLDS_ON_MADE_UP_SERVOS = "holds on servos that were made up"
+    HOLDS_ALTERED = "holds as computed, and nearly so as published"
+    HOLDS_WITH_FEEDFORWARD = "holds with feed-forward alone"
+    OVERLOADED = "beyond the motors' limits"
+    DIFFERS_AS_PUBLISHED = "holds as computed, and not as published"
+    OWN_DRIVES_FAIL = "fails on the file's own servos or keyframe"
+    FAILS = "fails"
+
+
+HOLDING = (
+    VerdictCode.HOLDS,
+    VerdictCode.HOLDS_ON_MADE_UP_SERVOS,
+    VerdictCode.HOLDS_ALTERED,
+    VerdictCode.HOLDS_WITH_FEEDFORWARD,
+)
+"""The verdicts that let pass; exit status 0."""
+
+
+class Ending(StrEnum):
+    """How a simulation ended."""
+
+    HOLDS = "holds"
+    FAILS = "fails"
+    COLLAPSES = "collapses"
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict(Result):
+    """Whether a stance holds, and what that rests on.
+
+    Attributes:
+        code: The verdict: of all that applies, the worst.
+        passed: Whether it holds; the exit status of commands.
+        seconds: The simulated time (s).
+        with_feedforward: How it ends with gravity feed-forward, ctrl = q* + tau / kp.
+        commands_alone: How it ends on position commands alone, ctrl = q*; None if it was not asked.
+        torque_error: With feed-forward, largest deviation / largest predicted torque.
+        force_error: With feed-forward, largest deviation of a vertical foot force / its prediction.
+        failures: Why it fails with feed-forward, if it does.
+        failures_alone: Why it fails without, if it does.
+        overloaded: Motors above their limits.
+        servos: The servos that it rests on.
+        own: What the MJCF does from its own keyframe; None where it has no servos or no keyframe.
+        published: How the MJCF as it was published differs; None where it was not looked at.
+        doubling_time: In which what deviates doubles (s); infinite if nothing grows, None where
+            that was not looked at.
+    """
+
+    code: VerdictCode
+    passed: bool
+    seconds: float
+    with_feedforward: Ending
+    commands_alone: Ending | None
+    torque_error: float
+    force_error: float
+    failures: tuple[str, ...]
+    failures_alone: tuple[str, ...]
+    overloaded: tuple[str, ...]
+    servos: ServosUsed
+    own: OwnRun | None
+    published: Published | None
+    doubling_time: float | None
+
+
+def judge(
+    fed: StandVerification,
+    alone: StandVerification | None,
+    servos: ServosUsed,
+    *,
+    overloaded: tuple[str, ...] = (),
+    own: OwnRun | None = None,
+    published: Published | None = None,
+    doubling_time: float | None = None,
+) -> Verdict:
+    """Weighs what was simulated of a stance.
+
+    Args:
+        fed: The simulation with feed-forward.
+        alone: The simulation without; None if there is none.
+        servos: Those that were simulated.
+        overloaded: Motors above their limits.
+        own: What the MJCF does from its own keyframe.
+        published: How the MJCF as it was published differs from what was simulated.
+        doubling_time: In which what deviates doubles (s).
+    """
+    code = _code(fed, alone, servos, overloaded, own, published)
+    return Verdict(
+        code=code,
+        passed=code in HOLDING,
+        seconds=fed.duration,
+        with_feedforward=ending(fed),
+        commands_alone=None if alone is None else ending(alone),
+        torque_error=fed.torque_error,
+        force_error=fed.force_error,
+        failures=fed.failures,
+        failures_alone=() if alone is None else alone.failures,
+        overloaded=overloaded,
+        servos=servos,
+        own=own,
+        published=published,
+        doubling_time=doubling_time,
+    )
+
+
+def beyond_limits(statics: GravityCompensation) -> tuple[str, ...]:
+    """Returns the motors that hold more than their limits."""
+    used = zip(statics.joint_names, statics.motor_utilisation, strict=True)
+    return tuple(name for name, share in used if share > 1)
+
+
+def ending(run: StandVerification) -> Ending:
+    """Tells how a simulation of a stand ended."""
+    if run.passed:
+        return Ending.HOLDS
+    start = run.base_height + run.height_loss
+    sunk = not math.isfinite(run.base_height) or run.height_loss > SUNKEN * start
+    fallen = sunk or not np.isfinite(run.tilt) or run.tilt > FALLEN_TILT
+    return Ending.COLLAPSES if fallen else Ending.FAILS
+
+
+def _code(
+    fed: StandVerification,
+    alone: StandVerification | None,
+    servos: ServosUsed,
+    overloaded: tuple[str, ...],
+    own: OwnRun | None,
+    published: Published | None,
+) -> VerdictCode:
+    """Returns the worst that applies."""
+    if not fed.passed:
+        return VerdictCode.FAILS
+    if (own is not None and own.collapses) or servos.replaced:
+        return VerdictCode.OWN_DRIVES_FAIL
+    off = None if published is None or not published.differs else published.worst
+    if off is not None and (off.collapses or not off.torque_error <= CLOSE):
+        return VerdictCode.DIFFERS_AS_PUBLISHED
+    if overloaded:
+        return VerdictCode.OVERLOADED
+    if alone is not None and not alone.passed:
+        return VerdictCode.HOLDS_WITH_FEEDFORWARD
+    if off is not None:
+        return VerdictCode.HOLDS_ALTERED
+    return VerdictCode.HOLDS_ON_MADE_UP_SERVOS if servos.made else VerdictCode.HOLDS

@@ -1,0 +1,122 @@
+"""The verdict of a stance: never better than what was simulated, and it says what it rests on."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace as Stub
+from typing import Any
+
+import pytest
+
+from pupper_analysis.models.joint_drives import Drive, MadeServo
+from pupper_analysis.report.verdict import in_words
+from pupper_analysis.robot.as_published import (
+    Cause,
+    OwnRun,
+    Published,
+    PublishedRun,
+    ServoSource,
+    ServosUsed,
+)
+from pupper_analysis.simulation.verdict import Ending, VerdictCode, judge
+
+
+def run(loss: float = 0.001, *, passed: bool = True) -> Any:
+    """A simulation of a stand of 0.2 m that ends so much lower."""
+    return Stub(
+        passed=passed,
+        failures=() if passed else ("it sank",),
+        duration=12.0,
+        base_height=0.2 - loss,
+        height_loss=loss,
+        tilt=0.0,
+        torque_error=1e-8,
+        force_error=2e-8,
+    )
+
+
+FILE = ServosUsed(ServoSource.FILE, (5.0, 5.0), (0.1, 0.1))
+
+
+def made(instead_of: Drive) -> ServosUsed:
+    servo = MadeServo("knee", 40.0, 2.0, instead_of)
+    return ServosUsed(ServoSource.MADE_UP, (40.0, 40.0), (2.0, 2.0), (servo,))
+
+
+def published(torque: float, *, collapses: bool = False) -> Published:
+    found = PublishedRun(True, 1.0, torque, -0.018, 0.1, collapses)
+    return Published((found,), (Cause("exclude", ("foot and floor",), 17, 0.0),), True)
+
+
+def own(*, collapses: bool) -> OwnRun:
+    end = 0.04 if collapses else 0.28
+    return OwnRun("home", True, 2.0, 0.285, end, 0.0, (), collapses)
+
+
+CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
+    "all well": ({"own": own(collapses=False)}, VerdictCode.HOLDS, True, "HOLDS in MuJoCo for 12"),
+    "position commands alone": (
+        {"alone": run(0.1, passed=False)},
+        VerdictCode.HOLDS_WITH_FEEDFORWARD,
+        True,
+        "HOLDS with gravity feed-forward in MuJoCo for 12 s: torques within 1.0e-08, forces within "
+        "2.0e-08 of the prediction (relative to the largest); COLLAPSES on position commands "
+        "alone: it sank",
+    ),
+    "made up": (
+        {"servos": made(Drive.MOTOR)},
+        VerdictCode.HOLDS_ON_MADE_UP_SERVOS,
+        True,
+        "on servos that were made up at 1 joints (kp 40 N m/rad, kd 2 N m s/rad)",
+    ),
+    "wrong sign": (
+        {"servos": made(Drive.WRONG_SIGN)},
+        VerdictCode.OWN_DRIVES_FAIL,
+        False,
+        "FAILS on the file's own servos, which cannot hold knee (a servo whose stiffness is neg",
+    ),
+    "own keyframe": (
+        {"own": own(collapses=True)},
+        VerdictCode.OWN_DRIVES_FAIL,
+        False,
+        "COLLAPSES as published from its own keyframe home, with its own ctrl: 0.285 m high, after "
+        "2 s 0.040 m; HOLDS in MuJoCo",
+    ),
+    "nearly as published": (
+        {"published": published(0.016)},
+        VerdictCode.HOLDS_ALTERED,
+        True,
+        "as published, torques are off by 1.6 %, the height by -18.00 mm; the cause is",
+    ),
+    "not as published": (
+        {"published": published(0.65)},
+        VerdictCode.DIFFERS_AS_PUBLISHED,
+        False,
+        "as published, torques are off by 65 %",
+    ),
+    "falls as published": (
+        {"published": published(0.0, collapses=True)},
+        VerdictCode.DIFFERS_AS_PUBLISHED,
+        False,
+        "COLLAPSES as published, from the computed stand",
+    ),
+    "too weak": ({"overloaded": ("hip",)}, VerdictCode.OVERLOADED, False, "OVERLOADED"),
+    "falls": ({"fed": run(0.1, passed=False)}, VerdictCode.FAILS, False, "COLLAPSES in MuJoCo"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_verdict_is_never_better_than_what_it_rests_on(case: str) -> None:
+    given, code, passed, said = CASES[case]
+    asked: dict[str, Any] = {"fed": run(), "alone": run(), "servos": FILE, **given}
+    verdict = judge(asked.pop("fed"), asked.pop("alone"), asked.pop("servos"), **asked)
+    assert (verdict.code, verdict.passed) == (code, passed)
+    assert said in in_words(verdict)
+    if not passed:
+        assert not in_words(verdict).startswith("HOLDS")
+
+
+def test_the_worst_decides() -> None:
+    verdict = judge(run(), run(0.1, passed=False), made(Drive.MOTOR), published=published(0.65))
+    assert verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED
+    assert verdict.commands_alone is Ending.COLLAPSES
+    assert "made up" in in_words(verdict)
