@@ -18,6 +18,11 @@ from pupper_analysis.errors import OutputError
 STANDARD_OUTPUT: Final = Path("-")
 """Stands for standard output where a file is asked for; a file of that name needs its folder's."""
 
+
+class ClosedOutput(io.StringIO):
+    """Stands for an output that was closed by who started the process: no result may go there."""
+
+
 _kept: list[TextIO] = []
 """Standard output, while it is kept for a result."""
 
@@ -56,6 +61,7 @@ def check_writable(path: Path) -> None:
         OutputError: If so.
     """
     if path == STANDARD_OUTPUT:
+        _standard_output()
         return
     try:
         target, there = _target(path)
@@ -152,7 +158,7 @@ def _standard_stream(there: os.stat_result) -> int | None:
 
 def _write(path: Path, data: bytes) -> None:
     if path == STANDARD_OUTPUT:
-        _print(_kept[-1] if _kept else sys.stdout, data)
+        _print(_standard_output(), data)
         return
     target, there = _target(path)
     if there is not None and not replaceable(there):
@@ -184,6 +190,18 @@ def _replace(target: Path, there: os.stat_result | None, data: bytes) -> None:
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _standard_output() -> TextIO:
+    """Returns where results go that are written to ``-``.
+
+    Raises:
+        OutputError: If it is closed.
+    """
+    stream: TextIO | None = _kept[-1] if _kept else sys.stdout
+    if stream is None or isinstance(stream, ClosedOutput):
+        raise OutputError(STANDARD_OUTPUT, "standard output is closed; give the name of a file")
+    return stream
 
 
 def _print(stream: TextIO, data: bytes) -> None:

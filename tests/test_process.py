@@ -127,6 +127,29 @@ def test_any_encoding_will_do(encoding: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> None:
+    """It would be nowhere; and no file may get the closed stream's number, and what is printed."""
+    script = """
+        import os, sys
+        from pupper_analysis import cli
+        from pupper_analysis.cli.process import patient_output
+        with patient_output():
+            file = os.open(sys.argv[1], os.O_RDWR | os.O_CREAT)
+            assert file > 2, file
+        cli.run(cli.group, ["stand", "original", "--json", "-"])
+    """
+    words = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "file")]
+    result = subprocess.run(
+        ["sh", "-c", 'exec "$@" >&-', "sh", *words],
+        stderr=subprocess.PIPE, text=True, env=ENVIRONMENT, check=False,
+    )  # fmt: skip
+    assert result.returncode == cli.BAD_INPUT, result.stderr
+    assert result.stderr == (
+        "error: cannot write -: standard output is closed; give the name of a file\n"
+    )
+
+
 def test_closed_standard_output_is_no_error(tmp_path: Path) -> None:
     code = "import os, sys; os.close(1); os.close(2); os.execv(sys.executable, sys.argv[1:])"
     command = (sys.executable, "-c", code, *COMMAND, "workspace", "v3", "--json", "out.json")
@@ -237,6 +260,45 @@ def test_an_unforeseen_error_is_one_line_and_exit_status_3(
     assert err.startswith("error: unforeseen: ZeroDivisionError: of\\nsomething. This is a bug")
     assert err.count("\n") == 1
     assert "--debug" in err
+
+
+def test_what_the_system_lacks_is_no_bug(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @click.command()
+    def many() -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    @click.command()
+    def here() -> None:
+        tmp_path.joinpath("gone").mkdir()
+        monkeypatch.chdir(tmp_path / "gone")
+        tmp_path.joinpath("gone").rmdir()
+        Path.cwd()
+
+    for command, said in ((many, "Too many open files"), (here, "the current folder is gone")):
+        with pytest.raises(SystemExit) as leaving:
+            cli.run(command, [])
+        assert leaving.value.code == cli.BAD_INPUT
+        assert said in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_names_that_are_no_text_and_windows_that_are_none(tmp_path: Path) -> None:
+    """On Linux a file's name is bytes; an environment may ask for any window."""
+    odd = tmp_path / os.fsdecode(b"\xff.urdf")
+    odd.write_bytes((ROOT / "urdf" / "pupper_skeleton.urdf").read_bytes())
+    for words in (
+        ["audit", "--format", "sarif", odd],
+        ["convert", odd, "-o", tmp_path / "made.xml"],
+        ["stand", "original", "--figure", tmp_path / "a.png"],
+    ):
+        result = subprocess.run(
+            [*COMMAND, *words],
+            capture_output=True, env=ENVIRONMENT | {"MPLBACKEND": "nonsense"}, check=False,
+        )  # fmt: skip
+        assert result.returncode in (0, 1), result.stderr
+        assert b"bug" not in result.stderr
 
 
 def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import traceback
+from pathlib import Path
 
 import click
 
@@ -36,6 +38,7 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
     status 2; an error that nobody foresaw one line and exit status 3, with ``--debug`` all of it.
     A signal that ends the process becomes one line and the shell's exit status, 130 for Ctrl-C.
     """
+    os.environ["MPLBACKEND"] = "agg"  # figures are files, whatever windows the environment asks for
     given = sys.argv[1:] if arguments is None else list(arguments)
     debug = DEBUG in given
     given = [argument for argument in given if argument != DEBUG]
@@ -83,6 +86,9 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
         go_on()
         if debug:
             traceback.print_exc()
+        if lack := _lack(error):
+            _say(lack)
+            return BAD_INPUT
         what = f"{type(error).__name__}: {error}".rstrip(": ")
         hint = "" if debug else f"; {DEBUG} shows where"
         _say(f"unforeseen: {what}. This is a bug: please report it to the maintainers{hint}")
@@ -90,6 +96,21 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
     finally:
         standard_input.forget()
     return BAD_INPUT
+
+
+_LACKS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOSPC, errno.EDQUOT)
+
+
+def _lack(error: Exception) -> str:
+    """Says what the system lacks; empty if that is not why."""
+    if isinstance(error, OSError) and error.errno in _LACKS:
+        return f"the system has no more to give: {error.strerror}"
+    if isinstance(error, FileNotFoundError):
+        try:
+            Path.cwd()
+        except FileNotFoundError:
+            return "the current folder is gone; go to one that is there"
+    return ""
 
 
 def _say(text: str) -> None:

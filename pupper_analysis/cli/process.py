@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
+from pupper_analysis.files import ClosedOutput
+
 
 class PatientStream(io.RawIOBase):
     """A stream of bytes that remembers what failed and goes on, so that results are not lost.
@@ -60,13 +62,14 @@ def patient_output() -> Iterator[list[PatientStream]]:
     What the encoding lacks is written as its number.
     """
     before = sys.stdout, sys.stderr
+    _occupy_closed()
     streams = []
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         below = getattr(stream, "buffer", None)
         raw = getattr(below, "raw", below)  # it is the raw stream itself with python -u
         if stream is None:  # closed by who started the process
-            setattr(sys, name, io.StringIO())
+            setattr(sys, name, ClosedOutput())
         elif isinstance(raw, io.RawIOBase) and not isinstance(raw, PatientStream):
             stream.flush()
             patient = PatientStream(raw)
@@ -87,6 +90,19 @@ def patient_output() -> Iterator[list[PatientStream]]:
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()
         sys.stdout, sys.stderr = before
+
+
+def _occupy_closed() -> None:
+    """Opens what stands for nothing as those of the three standard streams that are closed.
+
+    Otherwise the next file that is opened has such a stream's number, and gets what libraries
+    print.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # as the lowest number that is free: this one
 
 
 class Ended(BaseException):

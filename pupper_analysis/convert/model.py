@@ -151,5 +151,5 @@ def _write(output: Path, draft: Draft, *, force: bool) -> list[Path]:
         with whole_file(path) as buffer:
             buffer.write(content)
     with whole_file(output) as buffer:
-        buffer.write(draft.text.encode())
+        buffer.write(draft.text.encode(errors="backslashreplace"))  # a file's name is bytes
     return [*draft.meshes, output]

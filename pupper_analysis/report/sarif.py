@@ -127,6 +127,6 @@ def _plain(text: str) -> str:
 
 def _location(file: str, line: int | None) -> dict[str, Any]:
     # A relative reference may not begin with "C:", which would be a scheme; so ":" is quoted, too.
-    uri = Path(file).as_uri() if Path(file).is_absolute() else quote(file)
+    uri = Path(file).as_uri() if Path(file).is_absolute() else quote(os.fsencode(file))
     # GitHub shows no result without a line.
     return {"artifactLocation": {"uri": uri}, "region": {"startLine": line or 1}}
