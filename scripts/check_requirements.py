@@ -1,8 +1,9 @@
-"""Writes requirements-check.txt: what checking models needs, without what only stands need.
+"""Writes what checking models needs, without what only stands need: a list, and what it locks.
 
 pip knows extras that add, and none that take away: ``pip install pupper-analysis`` is all, so that
 stands work. Where checking is all that is wanted, as in CI, this list is installed instead, and the
-package with ``--no-deps``.
+package with ``--no-deps``. The GitHub Action runs in repositories of others, on a machine that
+holds their secrets: it installs the locked list, in which every package's files have hashes.
 
     python scripts/check_requirements.py
 """
@@ -10,12 +11,15 @@ package with ``--no-deps``.
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import tomllib
 from importlib.metadata import requires, version
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "requirements-check.txt"
+LOCK = ROOT / "requirements-check.lock"
 
 NOT_NEEDED = ("placo", "matplotlib", "clarabel")
 """Of the dependencies: by `check`, `crosscheck`, `audit`, `sync` and `diff`; a test blocks them."""
@@ -53,6 +57,22 @@ def requirements() -> str:
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
+def locked() -> str:
+    """Returns the versions of all that is needed, and to build the package, for any machine."""
+    building = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
+    command = [
+        *(sys.executable, "-m", "uv", "pip", "compile", "--quiet", "-"),
+        *("--universal", "--generate-hashes", "--no-header", "--no-annotate"),
+        *("--python-version", "3.11", "--no-emit-index-url", "--no-emit-find-links"),
+    ]
+    asked = "\n".join([requirements(), *building])
+    made = subprocess.run(command, input=asked, capture_output=True, text=True, check=True)
+    return (
+        f"# Written by scripts/check_requirements.py; pip install --require-hashes.\n{made.stdout}"
+    )
+
+
 if __name__ == "__main__":
     FILE.write_text(requirements())
-    print(f"{FILE.name} is written")
+    LOCK.write_text(locked())
+    print(f"{FILE.name} and {LOCK.name} are written")

@@ -8,12 +8,14 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 from conftest import ROOT
+from packaging.requirements import Requirement
 
 from pupper_analysis import cli
 
@@ -138,6 +140,29 @@ def test_it_installs_what_checking_needs(checkout: Path) -> None:
     names = {path.name for path in (checkout.parent / "temp").rglob("*")}
     assert "mujoco" in names
     assert not {"placo", "matplotlib", "clarabel"} & names
+
+
+def test_what_is_fetched_is_known_by_its_hash() -> None:
+    """It runs in repositories of others: a tag could be moved, and a package's file replaced."""
+    for file in ("action.yml", ".github/workflows/ci.yml"):
+        used = re.findall(r"uses: (\S+)", (ROOT / file).read_text())
+        assert used, file
+        assert all(one == "./" or re.search(r"@[0-9a-f]{40}$", one) for one in used), file
+    assert "--require-hashes" in STEPS["Install"]["run"]
+    lock = (ROOT / "requirements-check.lock").read_text()
+    assert "://" not in lock
+    pinned: dict[str, list[str]] = {}
+    for entry in re.split(r"\n(?=\S)", lock)[1:]:
+        name, version = re.findall(r"^([a-z0-9.-]+)==(\S+)", entry)[0]
+        assert "--hash=sha256:" in entry, name
+        pinned.setdefault(name, []).append(version)
+    asked = (ROOT / "requirements-check.txt").read_text().splitlines()
+    building = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
+    for line in (*asked, *building):
+        if not line.startswith("#"):
+            wanted = Requirement(line)
+            versions = pinned[wanted.name.lower()]
+            assert all(wanted.specifier.contains(one) for one in versions), line
 
 
 def test_requirements_are_those_of_the_project() -> None:
