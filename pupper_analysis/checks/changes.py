@@ -54,7 +54,7 @@ def changes_between(
         sides: What the two are called.
     """
     for name, body in one.bodies.items():
-        yield from _body_changes(name, body, two.bodies[name], tolerances, sides)
+        yield from body_changes(name, body, two.bodies[name], tolerances, sides)
     for name, joint in one.joints.items():
         yield from _joint_changes(name, joint, two.joints[name], tolerances, sides)
     if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
@@ -103,9 +103,10 @@ def patched_with(first: Parameters, second: Parameters, sides: Sides = FORMATS) 
     return patched
 
 
-def _body_changes(
-    name: str, one: Body, two: Body, tolerances: Tolerances, sides: Sides
+def body_changes(
+    name: str, one: Body, two: Body, tolerances: Tolerances, sides: Sides = FORMATS
 ) -> Iterable[Change]:
+    """Yields the differences of two bodies."""
     greater = max(abs(one.mass), abs(two.mass))
     if abs(two.mass - one.mass) > tolerances.mass * greater:
         message = f"body of {name}: mass {sides.pair(one.mass, two.mass, 'kg')}"

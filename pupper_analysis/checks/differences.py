@@ -13,7 +13,8 @@ from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
 
-OF_BODIES_AND_PLACES = ("mass", "com", "inertia", "position", "rotation", "axis", "frame")
+OF_INERTIALS = ("mass", "com", "inertia")
+OF_BODIES_AND_PLACES = (*OF_INERTIALS, "position", "rotation", "axis", "frame")
 LIMITS = ("lower limit", "upper limit", "effort")
 
 ORDER = (

@@ -8,13 +8,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pupper_analysis.checks.differences import Difference
+from pupper_analysis.checks.differences import OF_INERTIALS, Difference
+from pupper_analysis.checks.links import mjcf_links, urdf_links
 from pupper_analysis.checks.patterns.angles import other_angles
 from pupper_analysis.checks.patterns.case import Case
 from pupper_analysis.checks.patterns.dropped import dropped
 from pupper_analysis.checks.patterns.exchanged import exchanged
 from pupper_analysis.checks.patterns.inertials import other_inertials
 from pupper_analysis.checks.patterns.lines import other_lines
+from pupper_analysis.checks.patterns.links import other_links
 from pupper_analysis.checks.patterns.units import other_units
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import trees
@@ -28,7 +30,8 @@ class Cause(Result):
     """One slip that explains several differences.
 
     Attributes:
-        kind: ``units``, ``angles``, ``exchanged``, ``products``, ``inertial`` or ``line``.
+        kind: ``units``, ``angles``, ``exchanged``, ``products``, ``coms``, ``links``,
+            ``scaled links``, ``inertial`` or ``line``.
         message: What it is, in plain words.
         differences: Which of the differences it explains, by number, from 0.
     """
@@ -56,13 +59,40 @@ def causes(
         return ()
     first, raw = trees(robot)
     keys = [(each.kind, each.element) for each in differences]
-    case = Case(robot, first, replace(raw, gravity=first.gravity), second, keys, tolerances)
+    bodies = any(kind in OF_INERTIALS for kind, _ in keys)
+    urdf = urdf_links(robot) if bodies else {}
+    mjcf = mjcf_links(robot, raw, second) if bodies else {}
+    raw = replace(raw, gravity=first.gravity)
+    case = Case(robot, first, raw, second, keys, tolerances, urdf, mjcf)
     found: list[Cause] = []
     taken: set[int] = set()
-    for look in (other_angles, exchanged, other_units, dropped, other_inertials, other_lines):
-        for kind, message, explained in look(case):
-            numbers = tuple(n for n, key in enumerate(keys) if key in explained and n not in taken)
+    for look in (
+        other_angles,
+        exchanged,
+        other_units,
+        dropped,
+        other_links,
+        other_inertials,
+        other_lines,
+    ):
+        for each in look(replace(case, taken={keys[n] for n in taken})):
+            numbers = tuple(
+                n for n, key in enumerate(keys) if key in each.explained and n not in taken
+            )
             if len(numbers) > 1:
                 taken |= set(numbers)
-                found.append(Cause(kind, message, numbers))
+                found.append(Cause(each.kind, each.message, numbers))
+                case = each.undone or case
     return tuple(sorted(found, key=lambda cause: cause.differences))
+
+
+_LOOKS = (
+    other_angles,
+    exchanged,
+    other_units,
+    dropped,
+    other_links,
+    other_inertials,
+    other_lines,
+)
+"""From what explains most at once to what explains a single body."""

@@ -8,7 +8,7 @@ from functools import partial
 
 import mujoco
 
-from pupper_analysis.checks.patterns.case import Case, Found, Key
+from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
 from pupper_analysis.checks.trees import trees
 
 _SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
@@ -52,7 +52,7 @@ def other_angles(case: Case) -> Found:
     limits = [key for key in case.keys if key[0] in ("lower limit", "upper limit")]
     concerned = turned or limits
     if concerned and sum(key in gone for key in concerned) >= 0.6 * len(concerned):
-        yield (
+        yield Finding(
             "angles",
             f"the MJCF's angles are meant otherwise: with {message} in its <compiler>, {count} of "
             f"the {len(case.keys)} differences are gone",

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.checks.alignment import aligned
 from pupper_analysis.checks.changes import changes_between
+from pupper_analysis.checks.links import Links
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.robot.robot import Robot
@@ -17,9 +19,6 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 Key = tuple[str, str]
 """The kind and the element of a difference."""
-
-Found = Iterator[tuple[str, str, set[Key]]]
-"""A cause's kind and message, and the differences that it explains."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +32,9 @@ class Case:
         second: The MJCF's, in the URDF's link frames.
         keys: The differences.
         tolerances: What counts as one.
+        urdf: The links of which the URDF's bodies are made, in the frames of ``first``.
+        mjcf: Those of the MJCF's, in the frames of ``second``.
+        taken: Those that a cause explains already.
     """
 
     robot: Robot
@@ -41,6 +43,14 @@ class Case:
     second: Parameters
     keys: Sequence[Key]
     tolerances: Tolerances
+    urdf: Links
+    mjcf: Links
+    taken: Collection[Key] = ()
+
+    @property
+    def open(self) -> list[Key]:
+        """The differences that no cause explains yet."""
+        return [key for key in self.keys if key not in self.taken]
 
     def left(self, second: Parameters, only: Collection[str] | None = None) -> set[Key]:
         """Returns the differences to another tree in place of the MJCF's.
@@ -72,3 +82,22 @@ class Case:
         left = self.left(second)
         gone = set(self.keys) - left
         return gone if not left - set(self.keys) and len(gone) > 1 else set()
+
+
+class Finding(NamedTuple):
+    """A slip that explains differences.
+
+    Attributes:
+        kind: A cause's.
+        message: In plain words.
+        explained: The differences.
+        undone: What is left to explain when it is undone, for those that look afterwards.
+    """
+
+    kind: str
+    message: str
+    explained: set[Key]
+    undone: Case | None = None
+
+
+Found = Iterator[Finding]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.patterns.case import Case, Found, Key
-from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.checks.changes import body_changes
+from pupper_analysis.checks.links import Link, fold
+from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
 from pupper_analysis.models.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -18,46 +20,71 @@ _MANY = 4  # bodies that have their coms in their links' origins by no accident
 _ORIGIN = 1e-9  # m: a com that is nearer to its link's origin is there
 
 
-def dropped_products(
-    words: str,
-    one: Parameters,
-    two: Parameters,
-    keys: Sequence[Key],
-    tolerances: Tolerances,
-) -> Found:
+def dropped_products(case: Case, lacking: str) -> Found:
     """Finds that one file has no products of inertia at all.
 
+    They are dropped in the other file, in each link's own axes or, had they been folded before, in
+    those of the body that carries it: then the two are alike.
+
     Args:
-        words: What the file is called.
-        one: Its tree.
-        two: That of the other file, in the same link frames.
-        keys: The differences.
-        tolerances: What counts as one.
+        case: The two trees.
+        lacking: The file that is to have none, ``URDF`` or ``MJCF``.
     """
-    names = [element for kind, element in keys if kind == "inertia"]
-    if len(names) < 2:
+    if sum(kind == "inertia" for kind, _ in case.open) < 2:
         return
-    alike = [
-        name
-        for name in names
-        if _is_diagonal(one.bodies[name].inertia)
-        and np.allclose(
-            np.diag(one.bodies[name].inertia),
-            np.diag(two.bodies[name].inertia),
-            rtol=tolerances.inertia,
-        )
-    ]
-    if len(alike) > 1 and all(_is_diagonal(body.inertia) for body in one.bodies.values()):
-        yield (
-            "products",
-            f"all products of inertia are 0 in the {words}, of {len(alike)} bodies that have "
-            "some in the other file: were they dropped, or is it diaginertia for fullinertia?",
-            {("inertia", name) for name in alike},
-        )
+    bare, full = (case.urdf, case.mjcf) if lacking == "URDF" else (case.mjcf, case.urdf)
+    tree, other = (case.second, case.first) if lacking == "URDF" else (case.first, case.second)
+    if not all(_is_diagonal(_own(link)) for links in bare.values() for link in links):
+        return
+    in_links = {
+        name: tuple(_without_products(link) for link in links) for name, links in full.items()
+    }
+    of_links = {name: fold(*(link.body for link in in_links.get(name, ()))) for name in tree.bodies}
+    of_folds = {
+        name: replace(body, inertia=_diagonal(body.inertia)) for name, body in tree.bodies.items()
+    }
+    for bodies, links in ((of_links, in_links), (of_folds, full)):
+        left = {
+            (change.kind, name)
+            for name, body in bodies.items()
+            for change in body_changes(name, body, other.bodies[name], case.tolerances)
+            if change.kind == "inertia"
+        }
+        gone = {key for key in case.open if key[0] == "inertia"} - left
+        if len(gone) > 1 and left <= set(case.keys):
+            count = sum(not _is_diagonal(_own(link)) for group in full.values() for link in group)
+            mended = replace(tree, bodies=bodies)
+            undone = (
+                replace(case, second=mended, mjcf=links)
+                if lacking == "URDF"
+                else replace(case, first=mended, urdf=links)
+            )
+            yield Finding(
+                "products",
+                f"all products of inertia are 0 in the {lacking}, of {count} bodies that have "
+                "some in the other file: were they dropped, or is it diaginertia for fullinertia?",
+                gone,
+                undone,
+            )
+            return
+
+
+def _own(link: Link) -> Array:
+    """Returns the inertia of a link in its own axes."""
+    return link.axes.T @ link.body.inertia @ link.axes
+
+
+def _without_products(link: Link) -> Link:
+    bare = link.axes @ _diagonal(_own(link)) @ link.axes.T
+    return replace(link, body=replace(link.body, inertia=bare))
+
+
+def _diagonal(inertia: Array) -> Array:
+    return np.diag(np.diag(inertia))
 
 
 def _is_diagonal(inertia: Array) -> bool:
-    off = inertia - np.diag(np.diag(inertia))
+    off = inertia - _diagonal(inertia)
     return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
 
 
@@ -75,7 +102,7 @@ def dropped_coms(words: str, one: Parameters, keys: Sequence[Key]) -> Found:
         if kind == "com" and float(np.linalg.norm(one.bodies[element].com)) < _ORIGIN
     ]
     if len(names) >= _MANY:
-        yield (
+        yield Finding(
             "coms",
             f"the coms of {len(names)} bodies are their links' origins in the {words}, and "
             f"elsewhere in the other file: {', '.join(names[:_MANY])}"
@@ -86,7 +113,7 @@ def dropped_coms(words: str, one: Parameters, keys: Sequence[Key]) -> Found:
 
 def dropped(case: Case) -> Found:
     """Finds what one file has left out of its inertials."""
-    trees_of = (("URDF", case.first, case.first), ("MJCF", case.raw, case.second))
-    for (words, own, one), (_, _, two) in (trees_of, trees_of[::-1]):
-        yield from dropped_products(words, one, two, case.keys, case.tolerances)
+    trees_of = (("URDF", case.first), ("MJCF", case.raw))
+    for words, own in trees_of:
+        yield from dropped_products(case, words)
         yield from dropped_coms(words, own, case.keys)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations, islice
 
-from pupper_analysis.checks.patterns.case import Case, Found, Key
+from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
 from pupper_analysis.models.parameters import Parameters
 
 
@@ -39,7 +39,7 @@ def exchanged(case: Case) -> Found:
             second, gone = _renamed(second, exchange), gone | (before - after)
     if pairs:
         names = ", ".join(f"{one} and {two}" for one, two in pairs)
-        yield (
+        yield Finding(
             "exchanged",
             f"limbs are exchanged between the files: {names}; with their names exchanged in one of "
             f"the files, {len(gone)} of the {len(case.keys)} differences are gone",

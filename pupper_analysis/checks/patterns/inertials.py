@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pupper_analysis.checks.patterns.case import Case, Found
+from pupper_analysis.checks.patterns.case import Case, Finding, Found
 
 _MANY = 4  # bodies that are told in one line
 
@@ -20,16 +20,16 @@ def other_inertials(case: Case) -> Found:
     others = []
     for name, one in case.first.bodies.items():
         two = case.second.bodies[name]
-        if not {(kind, name) for kind in kinds} <= set(case.keys):
+        if not {(kind, name) for kind in kinds} <= set(case.open):
             continue
         if one.mass and two.mass and abs(two.mass - one.mass) >= _OTHER * one.mass:
             others.append(name)
     if len(others) >= _MANY:
         listed = ", ".join(others[:_MANY]) + (" …" if len(others) > _MANY else "")
-        yield (
+        yield Finding(
             "inertial",
-            f"the inertials of {len(others)} bodies have nothing in common, neither mass nor com "
-            f"nor inertia: {listed} (another version of the robot?)",
+            f"the inertials of {len(others)} bodies differ in mass, com and inertia, and no single "
+            f"link of theirs explains it: {listed} (another version of the robot?)",
             {(kind, name) for kind in kinds for name in others},
         )
         return
@@ -46,7 +46,7 @@ def other_inertials(case: Case) -> Found:
             None,
         )
         whose = f"it is that of {twin} in the URDF" if twin else "another body's, or version's?"
-        yield (
+        yield Finding(
             "inertial",
             f"body of {name}: nothing of its inertial is the same: mass {one.mass:.6g} kg in the "
             f"URDF, {two.mass:.6g} kg in the MJCF, and another com and inertia ({whose})",

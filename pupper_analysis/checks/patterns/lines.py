@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.checks.patterns.case import Case, Found
+from pupper_analysis.checks.patterns.case import Case, Finding, Found
 from pupper_analysis.checks.words import mm
 from pupper_analysis.models.parameters import Joint, Parameters
 
@@ -36,7 +36,7 @@ def other_lines(case: Case) -> Found:
             said.append(f"is {mm(away)} away")
         if angle > case.tolerances.axis:
             said.append(f"is turned by {np.degrees(angle):.4g} deg")
-        yield (
+        yield Finding(
             "line",
             f"joint {name}: its axis {' and '.join(said) or 'is elsewhere'} in the MJCF, and all "
             "that it moves is where it is in the URDF (a joint's pos or axis? a link's origin?)",

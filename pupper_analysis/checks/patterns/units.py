@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.patterns.case import Case, Found
+from pupper_analysis.checks.patterns.case import Case, Finding, Found
 from pupper_analysis.models.xml import MAX_NUMBER
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ def other_units(case: Case) -> Found:
         if factor is None:
             continue
         meant = _unit(factor, units)
-        yield (
+        yield Finding(
             "units",
             f"all {what} of the MJCF are {factor:.6g} times those of the URDF{meant}",
             {key for key in case.keys if key[0] in kinds},

@@ -1,0 +1,147 @@
+"""The links of which each moving body is made, in both files, in the same frame.
+
+Links on fixed joints are folded into the body that carries them before two files are compared. The
+fold says that a body differs; which of its links differs, the links alone can say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_tensor
+from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.models.parameters import Body, Parameters
+from pupper_analysis.models.xml import parse_text
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """One link's inertial, in the frame of the body that it is a part of.
+
+    Attributes:
+        name: The URDF's link, or the MJCF's body.
+        body: Its mass (kg), com (m) and inertia about that (kg m^2).
+        axes: (3, 3) from the link's own axes to the body's.
+    """
+
+    name: str
+    body: Body
+    axes: Array
+
+
+Links = Mapping[str, tuple[Link, ...]]
+"""{base or joint: the links with mass that move with it}."""
+
+
+def urdf_links(robot: Robot) -> Links:
+    """Returns the links of the URDF's bodies, in the frames of its own tree."""
+    model = robot.pin_model
+    found: dict[str, list[Link]] = {}
+    for element in parse_text(robot.description.urdf).iter("link"):
+        name = str(element.get("name"))
+        inertial = element.find("inertial")
+        if inertial is None or not model.existFrame(name, pin.FrameType.BODY):
+            continue
+        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        body = _stated(inertial)
+        if body.mass:
+            moved = _placed(body, frame.placement)
+            mover = _mover(robot, model, int(frame.parentJoint))
+            found.setdefault(mover, []).append(
+                Link(name, moved, np.array(frame.placement.rotation))
+            )
+    return {mover: tuple(links) for mover, links in found.items()}
+
+
+def mjcf_links(robot: Robot, raw: Parameters, aligned: Parameters) -> Links:
+    """Returns the links of the MJCF's bodies, in the frames to which its tree was aligned.
+
+    Args:
+        robot: The robot.
+        raw: The MJCF's tree, in its own link frames.
+        aligned: The same in others.
+    """
+    model, mujoco_model = pinocchio_from_mujoco(robot.mj_model), robot.mj_model
+    here, there = _at_zero(raw), _at_zero(aligned)
+    found: dict[str, list[Link]] = {}
+    for index in np.flatnonzero(mujoco_model.body_mass > 0):
+        name = str(mujoco_model.body(index).name)
+        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        mover = _mover(robot, model, int(frame.parentJoint))
+        pose = there[mover].actInv(here[mover]) * frame.placement
+        turn = pin.Quaternion(*mujoco_model.body_iquat[index]).toRotationMatrix()
+        inertia = turn @ np.diag(mujoco_model.body_inertia[index]) @ turn.T
+        own = Body(
+            float(mujoco_model.body_mass[index]), np.array(mujoco_model.body_ipos[index]), inertia
+        )
+        found.setdefault(mover, []).append(Link(name, _placed(own, pose), np.array(pose.rotation)))
+    return {mover: tuple(links) for mover, links in found.items()}
+
+
+def _mover(robot: Robot, model: pin.Model, joint: int) -> str:
+    """Returns the joint that moves a frame's body, or the base."""
+    name = str(model.names[joint])
+    return name if name in robot.joint_names else robot.base
+
+
+def _stated(inertial: etree._Element) -> Body:
+    """Reads a URDF's inertial, in its link's frame."""
+    mass, origin, entries = (inertial.find(tag) for tag in ("mass", "origin", "inertia"))
+    place, angles = np.zeros(3), np.zeros(3)
+    if origin is not None:
+        place = np.array((origin.get("xyz") or "0 0 0").split(), dtype=float)
+        angles = np.array((origin.get("rpy") or "0 0 0").split(), dtype=float)
+    tensor = np.zeros((3, 3))
+    if entries is not None:
+        tensor = inertia_tensor(float(entries.get(label) or 0.0) for label in INERTIA_ENTRIES)
+    turn = pin.rpy.rpyToMatrix(angles)
+    return Body(0.0 if mass is None else float(mass.get("value")), place, turn @ tensor @ turn.T)
+
+
+def _placed(body: Body, pose: pin.SE3) -> Body:
+    """Returns a body in the frame in which its own stands in a pose."""
+    turn = np.array(pose.rotation)
+    return replace(body, com=np.array(pose.act(body.com)), inertia=turn @ body.inertia @ turn.T)
+
+
+def _at_zero(tree: Parameters) -> dict[str, pin.SE3]:
+    """Returns where each body's frame is at zero angles, in the base's."""
+    poses = {tree.base: pin.SE3.Identity()}
+    for name in tree.parents_first():
+        joint = tree.joints[name]
+        poses[name] = poses[joint.parent] * pin.SE3(joint.rotation, joint.position)
+    return poses
+
+
+def fold(*bodies: Body) -> Body:
+    """Returns one body that is made of some, all in the same frame."""
+    return from_moments(sum((moments(body) for body in bodies), start=np.zeros(10)))
+
+
+def moments(body: Body) -> Array:
+    """Returns a body's mass, first and second moments about its frame's origin (10,).
+
+    They add up when bodies are put together: the mass (kg), the first moments (kg m), and the six
+    entries of the inertia about the origin (kg m^2).
+    """
+    c = body.com
+    about = body.inertia + body.mass * (float(c @ c) * np.eye(3) - np.outer(c, c))
+    entries = [about[place] for place in INERTIA_ENTRIES.values()]
+    return np.array([body.mass, *(body.mass * c), *entries])
+
+
+def from_moments(values: Array) -> Body:
+    """Returns the body of some moments, which `moments` returns."""
+    mass = float(values[0])
+    com = values[1:4] / mass if mass else np.zeros(3)
+    shift = mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
+    return Body(mass, com, inertia_tensor(values[4:]) - shift)

@@ -1,0 +1,216 @@
+"""Links that one file lacks, or that weigh a multiple: what the folded bodies that differ hide.
+
+Masses and moments add up, so the difference of two folded bodies is that of their links. A slip is
+undone, link by link; it is a cause only if nothing of the body's differences is left then.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.checks.changes import body_changes
+from pupper_analysis.checks.differences import OF_INERTIALS
+from pupper_analysis.checks.links import Link, from_moments, moments
+from pupper_analysis.checks.patterns.case import Case, Finding, Found
+from pupper_analysis.models.parameters import Body
+
+Array = NDArray[np.float64]
+
+_MOST = 12
+"""Links of one body of which every subset is tried: 4096 of them, in a millisecond."""
+
+_LEFT = 0.02
+"""Share of a body's difference that may be left where a slip is undone.
+
+Files of 5 to 6 digits leave some thousandths of a link that is a hundredth of its body. A wrong set
+of links leaves about as much as it takes away.
+"""
+
+_NAMED = 4  # links that are told in one line
+
+
+@dataclass(frozen=True, eq=False)
+class _Slip:
+    """What is wrong with some links of one body, and what is gone if it is undone.
+
+    Attributes:
+        mover: The joint that moves the body, or the base.
+        links: The links.
+        lacks: The file that lacks them, ``URDF`` or ``MJCF``; empty if they weigh a multiple.
+        factor: What they weigh in the MJCF, relative to the URDF.
+        inertia: Whether their inertias are that multiple, too.
+    """
+
+    mover: str
+    links: tuple[Link, ...]
+    lacks: str
+    factor: float = 0.0
+    inertia: bool = False
+
+
+def other_links(case: Case) -> Found:
+    """Finds links that one file lacks, or that weigh another multiple, as many as alike at once."""
+    differ = dict.fromkeys(name for kind, name in case.open if kind in OF_INERTIALS)
+    if not differ:
+        return
+    slips = [slip for name in differ if (slip := _slip(case, name)) is not None]
+    groups: dict[tuple[str, float, bool], list[_Slip]] = defaultdict(list)
+    for slip in slips:
+        groups[slip.lacks, float(f"{slip.factor:.3g}"), slip.inertia].append(slip)
+    for (lacks, *_), group in groups.items():
+        kind, words = ("links", _lacking) if lacks else ("scaled links", _scaled)
+        movers = {slip.mover for slip in group}
+        explained = {
+            (kind, name) for kind, name in case.open if kind in OF_INERTIALS and name in movers
+        }
+        yield Finding(kind, words(group), explained)
+
+
+def _slip(case: Case, name: str) -> _Slip | None:
+    """Returns the one slip that explains how a body differs, if any does."""
+    one, two = case.first.bodies[name], case.second.bodies[name]
+    apart = moments(one) - moments(two)
+    if not one.mass or not two.mass or not apart[0]:
+        return None
+    lacks, links = ("MJCF", case.urdf) if apart[0] > 0 else ("URDF", case.mjcf)
+    own = [link for link in links.get(name, ()) if link.body.mass <= 1.01 * abs(apart[0])]
+    if len(own) < len(links.get(name, ())):  # a body of which all links are gone is another thing
+        for chosen in _subsets(own, abs(apart[0])):
+            extra = sum((moments(link.body) for link in chosen), start=np.zeros(10))
+            less = from_moments(moments(one if lacks == "MJCF" else two) - extra)
+            if _is_it(case, name, less, two if lacks == "MJCF" else one, extra, apart):
+                return _Slip(name, chosen, lacks)
+    # What another cause explains of the inertia says nothing of the link's.
+    both = (False,) if ("inertia", name) in case.taken else (True, False)
+    for link, inertia in product(case.urdf.get(name, ()), both):
+        factor = 1.0 - float(apart[0]) / link.body.mass
+        if factor <= 0:
+            continue
+        changed = Body(
+            factor * link.body.mass,
+            link.body.com,
+            (factor if inertia else 1.0) * link.body.inertia,
+        )
+        extra = moments(link.body) - moments(changed)
+        if _is_it(case, name, from_moments(moments(one) - extra), two, extra, apart):
+            return _Slip(name, (link,), "", factor, inertia)
+    return None
+
+
+def _subsets(links: Sequence[Link], mass: float) -> Iterator[tuple[Link, ...]]:
+    """Yields sets of links of a mass, the smallest first; of many links those alike in name."""
+    if len(links) > _MOST:
+        named = {link.name: link for link in links}
+        alike = [[named[name] for name in names] for names in by_pattern(list(named)).values()]
+        tries = [*alike, *([link] for link in links), list(links)]
+    else:
+        masses = np.array([link.body.mass for link in links])
+        choices = np.array(list(product((False, True), repeat=len(links))))
+        near = np.abs(choices @ masses - mass) <= 1.5 * _LEFT * mass if len(links) else []
+        tries = [
+            [link for link, taken in zip(links, choice, strict=True) if taken]
+            for choice in choices[near]
+        ]
+    for chosen in sorted(tries, key=len):
+        if chosen:
+            yield tuple(chosen)
+
+
+def _is_it(case: Case, name: str, one: Body, two: Body, extra: Array, apart: Array) -> bool:
+    """Tells whether two bodies are the same, and what was undone is what they differed by.
+
+    But for an inertia that another cause explains already: what is left of it says nothing.
+    """
+    taken = {kind for kind, element in case.taken if element == name}
+    changes = {change.kind for change in body_changes(name, one, two, case.tolerances)}
+    if not one.mass > 0 or changes - taken:
+        return False
+    scale = _scale(case.first.bodies[name], case.second.bodies[name])
+    if "inertia" in taken:
+        scale[4:] = math.inf
+    extra = extra if float(extra[0] * apart[0]) >= 0 else -extra
+    left, whole = (float(np.linalg.norm(each / scale)) for each in (apart - extra, apart))
+    return left <= _LEFT * whole
+
+
+def _scale(one: Body, two: Body) -> Array:
+    """Returns what moments are weighed by (10,): lengths by a body's radius of gyration."""
+    mass = max(one.mass, two.mass)
+    turning = max(float(np.trace(body.inertia)) for body in (one, two))
+    far = max(float(np.linalg.norm(body.com)) for body in (one, two))
+    length = max(math.sqrt(max(turning, 0.0) / mass), far, 1e-6)
+    return np.array([1.0, *(length,) * 3, *(length**2,) * 6])
+
+
+def _lacking(slips: Sequence[_Slip]) -> str:
+    """Says which links a file lacks, those of one name pattern at once."""
+    links = {link.name: link.body.mass for slip in slips for link in slip.links}
+    other = "URDF" if slips[0].lacks == "MJCF" else "MJCF"
+    groups = sorted(
+        by_pattern(list(links)).items(), key=lambda group: -sum(links[name] for name in group[1])
+    )
+    said = []
+    for pattern, names in groups[:_NAMED]:
+        masses = [links[name] for name in names]
+        count = f"{len(names)} {pattern}" if len(names) > 1 else pattern
+        alike = len(names) > 1 and math.isclose(min(masses), max(masses), rel_tol=1e-6)
+        said.append(
+            f"{count} of {masses[0]:.6g} kg each" if alike else f"{count} of {sum(masses):.6g} kg"
+        )
+    more = " …" if len(groups) > _NAMED else ""
+    return (
+        f"the {slips[0].lacks} lacks mass that the {other} has, "
+        f"{sum(links.values()):.6g} kg in all, that of {', '.join(said)}{more}"
+    )
+
+
+def _scaled(slips: Sequence[_Slip]) -> str:
+    """Says which links weigh a multiple in the MJCF."""
+    factor = float(f"{slips[0].factor:.6g}")
+    named = [
+        f"{link.name} ({link.body.mass:.6g} kg in the URDF, "
+        f"{slip.factor * link.body.mass:.6g} kg in the MJCF)"
+        for slip in slips
+        for link in slip.links
+    ]
+    names = ", ".join(named[:_NAMED])
+    if len(named) > _NAMED:
+        names += f" and {len(named) - _NAMED} more"
+    power = math.log10(factor)
+    decimal = round(power) and math.isclose(power, round(power), abs_tol=1e-3)
+    guess = " (g for kg?)" if abs(round(power)) == _GRAMS else " (a decimal point?)"
+    what = "mass and inertia of {} are" if slips[0].inertia else "the mass of {} is"
+    return (
+        f"{what.format(names)} {factor:.6g} times in the MJCF what the URDF has"
+        f"{guess if decimal else ''}"
+    )
+
+
+_GRAMS = 3  # powers of ten between g and kg
+
+
+def by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
+    """Returns {``*_rotor`` or ``sensor_*``, or a name by itself: the names}, the largest first."""
+    left, found = list(names), dict[str, list[str]]()
+    while left:
+        alike: dict[str, list[str]] = defaultdict(list)
+        for name in left:
+            for place in (match.start() for match in re.finditer(r"[^A-Za-z0-9]", name)):
+                alike[f"*{name[place:]}"].append(name)
+                alike[f"{name[: place + 1]}*"].append(name)
+        pattern, group = max(
+            alike.items(), key=lambda each: (len(each[1]), len(each[0])), default=("", [])
+        )
+        if len(group) < 2:
+            return found | {name: [name] for name in left}
+        found[pattern] = group
+        left = [name for name in left if name not in group]
+    return found
