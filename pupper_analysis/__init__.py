@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         NoEquilibriumError,
         NoStiffnessError,
         NotSettlingError,
+        NotStandingError,
         OutputError,
         PupperAnalysisError,
         StanceUnreachableError,
@@ -97,7 +98,7 @@ if TYPE_CHECKING:
         tightest_tolerance,
         write_randomisation,
     )
-    from pupper_analysis.study.variables import grid, log_uniform, normal, uniform, values
+    from pupper_analysis.study.variables import linspace, log_uniform, normal, uniform, values
     from pupper_analysis.sync.models import Sync, sync_models
 
 __version__ = "0.1.0"
@@ -141,6 +142,7 @@ _HOME = {
     "NoEquilibriumError": "errors",
     "NoStiffnessError": "errors",
     "NotSettlingError": "errors",
+    "NotStandingError": "errors",
     "PushRecovery": "simulation.push",
     "push_recovery": "simulation.push",
     "PushTrial": "simulation.push_trial",
@@ -202,7 +204,7 @@ _HOME = {
     "certainty": "study.tolerance",
     "tightest_tolerance": "study.tolerance",
     "write_randomisation": "study.tolerance",
-    "grid": "study.variables",
+    "linspace": "study.variables",
     "log_uniform": "study.variables",
     "normal": "study.variables",
     "uniform": "study.variables",
@@ -242,6 +244,7 @@ __all__ = [
     "NoEquilibriumError",
     "NoStiffnessError",
     "NotSettlingError",
+    "NotStandingError",
     "Objective",
     "OutputError",
     "PathTracking",
@@ -282,9 +285,9 @@ __all__ = [
     "fastest_path",
     "gravity_compensation",
     "gravity_compensations",
-    "grid",
     "inverse_dynamics",
     "linear_shares",
+    "linspace",
     "load_robot",
     "load_variant",
     "log_uniform",

@@ -224,6 +224,18 @@ class NoEquilibriumError(PupperAnalysisError):
         super().__init__(f"no equilibrium: {problem}")
 
 
+class NotStandingError(PupperAnalysisError):
+    """A servo-driven robot does not stay up where its stand lets it come to rest.
+
+    Attributes:
+        problems: Why: ``failures`` of the ``SteadyState``.
+    """
+
+    def __init__(self, problems: tuple[str, ...]) -> None:
+        self.problems = problems
+        super().__init__("; ".join(problems))
+
+
 class NoStiffnessError(PupperAnalysisError):
     """Servos of no stiffness carry a robot in its stand without feed-forward.
 

@@ -39,7 +39,7 @@ def study(vary: Mapping[str, Any], *measures: Any, robot: Any = "v3", **options:
 
 
 def test_a_grid_has_both_ends_and_even_steps() -> None:
-    assert pa.grid(0.8, 1.6, 5).levels == pytest.approx((0.8, 1.0, 1.2, 1.4, 1.6))
+    assert pa.linspace(0.8, 1.6, 5).levels == pytest.approx((0.8, 1.0, 1.2, 1.4, 1.6))
 
 
 @pytest.mark.parametrize(
@@ -67,9 +67,9 @@ def test_no_share_is_infinitely_far() -> None:
 @pytest.mark.parametrize(
     ("make", "arguments", "message"),
     [
-        (pa.grid, (1.6, 0.8, 5), "from 1.6 to 0.8 is empty"),
-        (pa.grid, (0.8, 1.6, 1), "1 values"),
-        (pa.grid, (0.8, 1.6, 2.5), "not a whole number|is not a whole"),
+        (pa.linspace, (1.6, 0.8, 5), "from 1.6 to 0.8 is empty"),
+        (pa.linspace, (0.8, 1.6, 1), "1 values"),
+        (pa.linspace, (0.8, 1.6, 2.5), "not a whole number|is not a whole"),
         (pa.values, ([],), "0 of them"),
         (pa.values, ([1, 2, 1],), "twice"),
         (pa.values, ("12",), "not a sequence"),
@@ -85,11 +85,23 @@ def test_what_is_no_variable_is_refused(make: Any, arguments: Any, message: str)
 
 
 def test_plain_data_says_the_same() -> None:
-    for made in (pa.grid(1, 2, 3), pa.values([1, 2]), pa.uniform(1, 2), pa.normal(1, 2)):
+    for made in (pa.linspace(1, 2, 3), pa.values([1, 2]), pa.uniform(1, 2), pa.normal(1, 2)):
         assert variable("x", made.asked()) == made
     assert variable("x", [5, 10]) == pa.values([5, 10])
     assert variable("x", 7) == pa.values([7])
-    for wrong in ({"gauss": [1, 2]}, {"grid": [1, 2]}, {"grid": 3}, "5", {}, None):
+    with pytest.raises(pa.ConfigurationError) as refused:  # three values, or a range and a count?
+        variable("x", {"grid": [0.8, 1.4, 3]})
+    for meant in ("{values = [0.8, 1.4, 3]}", "{linspace = [0.8, 1.4, 3]}"):
+        assert meant in str(refused.value)
+    for wrong in (
+        {"gauss": [1, 2]},
+        {"linspace": [1, 2]},
+        {"linspace": 3},
+        {"grid": 3},
+        "5",
+        {},
+        None,
+    ):
         with pytest.raises(pa.ConfigurationError, match="vary"):
             variable("x", wrong)
 
@@ -149,7 +161,7 @@ def test_a_designs_hash_is_of_its_numbers_by_name() -> None:
         ({"leg": [1]}, "no such number; there are leg_scale, torso_mass_scale, height"),
         ({"weight:leg": [1]}, "'weight' is no number of a model; there are mass:NAME"),
         ({"kp": [0, 5]}, "from 0 to 5: it must be > 0"),
-        ({"leg_scale": pa.grid(-1, 1, 3)}, "from -1 to 1: it must be > 0"),
+        ({"leg_scale": pa.linspace(-1, 1, 3)}, "from -1 to 1: it must be > 0"),
         ({"slope": [2.0]}, "<= 1.5708"),
         ({"payload": pa.uniform(-1, 1)}, ">= 0"),
         ({"mass:*": [0.0]}, "must be > 0"),
@@ -236,7 +248,7 @@ seed = 5
 time_limit = 20
 payload_point = [0.05, 0, 0]
 [vary]
-leg_scale = { grid = [0.8, 1.6, 3] }
+leg_scale = { linspace = [0.8, 1.6, 3] }
 "mass:leg_*_3" = { normal = [1.0, 0.05] }
 kp = [5, 10]
 [stand]
@@ -251,7 +263,7 @@ def test_a_file_says_the_same_as_python(tmp_path: Path) -> None:
     made = pa.Study(
         "v3",
         {
-            "leg_scale": pa.grid(0.8, 1.6, 3),
+            "leg_scale": pa.linspace(0.8, 1.6, 3),
             "mass:leg_*_3": pa.normal(1.0, 0.05),
             "kp": [5, 10],
         },

@@ -67,7 +67,7 @@ def test_it_counts_what_the_table_has() -> None:
     known = table["servo_sag"].dropna()
     assert (sag.least, sag.median, sag.greatest) == (known.min(), known.median(), known.max())
     assert sag.designs == len(known) == 12
-    assert "servos (m)" in sag.meaning
+    assert (sag.unit, "servos" in sag.meaning) == ("m", True)
     assert found.axes == ("leg_scale", "height")  # of most values, in the study's order
     assert found.robot == "v3"
     assert found.certainty is None  # no samples of distributions: no probabilities
@@ -145,15 +145,15 @@ def test_the_page_has_the_table_s_numbers() -> None:
     for row, (_, design) in zip(designs, found.table.iterrows(), strict=True):
         assert float(row["leg_scale"]) == design["leg_scale"]
         if np.isfinite(design["servo_sag"]):
-            assert float(row["servo_sag"]) == pytest.approx(design["servo_sag"], rel=1e-4)
+            assert float(row["servo_sag (m)"]) == pytest.approx(design["servo_sag"], rel=1e-4)
         else:
-            assert row["servo_sag"] == "-"
+            assert row["servo_sag (m)"] == "-"
             assert row["failure"] == design["failure"]
     failed = {row["failure"]: row for row in tables["What failed, by kind"]}
     assert failed["unreachable"]["designs (–)"] == "6"
     assert failed["unreachable"]["share (–)"].startswith("33.3%")
     varied = {row["number"]: row for row in tables["What varies"]}
-    assert varied["height"]["range or values"] == "0.12, 0.15, 0.5"
+    assert varied["height (m)"]["range or values"] == "0.12, 0.15, 0.5"
     front = next(rows for title, rows in tables.items() if "no other beats" in title)
     assert [float(row["leg_scale"]) for row in front] == found.front["leg_scale"].to_list()
     assert "18 designs, of which 6 failed" in page.shown()
@@ -190,16 +190,20 @@ def drawing(page: Page, title: str) -> object:
 
 def test_maps_are_coloured_by_their_means_and_tell_them() -> None:
     found = outcome()
-    svg = drawing(Page(written(found, robots=False)), "peak_utilisation, mean")
+    svg = drawing(
+        Page(written(found, robots=False)),
+        "peak_utilisation over leg_scale and height: kp = 5 N m/rad",
+    )
     fills = [rect.get("fill") for rect in svg.iter("rect") if "cell" in rect.get("class")][:9]
-    means = found.table.groupby(["height", "leg_scale"])["peak_utilisation"].mean().to_numpy()
+    soft = found.table[found.table["kp"] == 5.0]  # nothing is averaged
+    means = soft.sort_values(["height", "leg_scale"])["peak_utilisation"].to_numpy()
     assert fills[6:] == [None] * 3  # out of reach
     inside = means[:6]
     assert fills[int(np.argmin(inside))] == colour(0.0) == "#440154"
     assert fills[int(np.argmax(inside))] == colour(1.0) == "#fde725"
     (line,) = [one for one in svg.iter("polyline") if one.get("class") == "unseen"]
     labels = line.get("data-labels").split("|")
-    assert labels[0] == f"leg_scale 0.8, height 0.12: {means[0]:.4g} (2)"
+    assert labels[0] == f"leg_scale 0.8, height 0.12: {means[0]:.4g}"
     assert labels[8] == "leg_scale 1.2, height 0.5: -"
 
 
@@ -208,9 +212,37 @@ def test_what_becomes_of_designs_is_drawn_by_kind() -> None:
     lines = {one.get("data-en"): one for one in svg.iter("polyline")}
     assert set(lines) == {"all measured", "unreachable"}
     assert lines["unreachable"].get("data-labels").split("|")[0] == (
-        "leg_scale 0.8, height 0.5: 2 / 2"
+        "leg_scale 0.8, height 0.5: 1 / 1"
     )
     assert lines["unreachable"].get("data-zh") == "够不到"
+
+
+def test_no_mean_leaves_out_what_does_not_stand_in_silence() -> None:
+    """Of two designs in a cell one falls: it has no sag, and the cell is marked and says so."""
+    found = outcome()
+    table = found.table[found.table["height"] < 0.5].assign(mass=range(12))  # too many for maps
+    names = {**found.variables, "mass": {"values": list(range(12))}}
+    worst = table["kp"].eq(5.0) & table["leg_scale"].eq(1.2) & table["height"].eq(0.12)
+    table.loc[worst, "servo_sag"] = np.nan
+    fallen = replace(found, table=table, variables=names)
+    page = Page(written(fallen, robots=False))
+    svg = drawing(page, "servo_sag (m) over leg_scale and height: mean over mass, kp")
+    (line,) = [one for one in svg.iter("polyline") if one.get("class") == "unseen"]
+    told = line.get("data-labels").split("|")
+    assert [label.rpartition(" (")[2] for label in told].count("2 / 2)") == 5
+    (partial,) = [label for label in told if label.endswith(" (1 / 2)")]
+    assert partial.startswith("leg_scale 1.2, height 0.12: ")
+    assert "some do not stand: the mean is of the others alone" in page.shown()
+
+
+def test_a_failure_s_reason_is_in_chinese_too() -> None:
+    found = outcome()
+    fell = replace(found.failures[0], kind="no equilibrium", measure="servo_sag", reason=(
+        "no equilibrium: with pinned feet and kp = 5 N m/rad it ends where 33% of the feed-forward "
+        "is taken away"))  # fmt: skip
+    root = Page(written(replace(found, failures=(fell,)), robots=False)).root
+    (row,) = [r for r in root.iter("tr") if "no equilibrium" in shown(r, "en")]
+    assert "没有平衡：" in shown(row, "zh")
 
 
 def test_every_design_is_a_line_and_many_are_thinned() -> None:

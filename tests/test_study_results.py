@@ -16,6 +16,7 @@ from scipy import stats
 
 import pupper_analysis as pa
 from pupper_analysis.report.figures import study as figures
+from pupper_analysis.study.cells import mean_map, panels
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
 from pupper_analysis.study.measures import MEASURES
@@ -91,6 +92,32 @@ def test_a_heat_map_has_the_measure_where_it_is(table: pd.DataFrame, tmp_path: P
     assert much[0] > much[2] + 0.3
     unknown = colours(tmp_path / "map.png", (0.3, 0.8))
     assert unknown == pytest.approx((0.93, 0.93, 0.93), abs=0.01)
+
+
+def test_a_panel_for_each_value_of_another_variable_and_hatched_means_of_more(
+    table: pd.DataFrame, tmp_path: Path
+) -> None:
+    """Where z = 2 all of y > 1 fail: beside the panel of z = 1; or in a mean, which is hatched."""
+    other = table.assign(z=2.0, m=np.where(table["y"] > 1, np.nan, table["m"]))
+    both = pd.concat([table.assign(z=1.0), other], ignore_index=True)
+    shown = panels(both, ["x", "y", "z"], "x", "y")
+    assert [panel.fixed for panel in shown] == [{"z": 1.0}, {"z": 2.0}]
+    assert not any(mean_map(one.table, "x", "y", "m").partial.any() for one in shown)
+    many = both.assign(z=np.arange(len(both), dtype=float))
+    (whole,) = panels(many, ["x", "y", "z"], "x", "y")
+    assert whole.averaged == ("z",)
+    found = mean_map(whole.table, "x", "y", "m")
+    assert found.partial.tolist() == [[False] * 4, [True] * 4, [False] * 4]
+    assert (found.counts[1] / found.designs[1]).tolist() == [0.5] * 4
+    for name, given in (("panels", both), ("mean", many)):
+        path = tmp_path / f"{name}.png"
+        figures.heat_map(given, "x", "y", "m", path, others=["x", "y", "z"])
+    plain = tmp_path / "plain.png"
+    figures.heat_map(table, "x", "y", "m", plain)
+    assert imread(tmp_path / "panels.png").shape[1] > imread(plain).shape[1]
+    rows = [imread(path)[150:250, 80:480, :3] for path in (tmp_path / "mean.png", plain)]
+    white = [int((row.min(axis=2) > 0.99).sum()) for row in rows]
+    assert white[0] > white[1] + 100  # hatches
 
 
 def test_a_failure_map_has_the_reason_where_it_is(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -297,7 +324,7 @@ def test_randomisation_as_yaml(tmp_path: Path) -> None:
         "mass:leg_*_3": pa.normal(1.0, 0.05),
         "kp": pa.uniform(4, 6),
         "leg_scale": [0.9, 1.1],
-        "payload": pa.grid(0, 1, 3),
+        "payload": pa.linspace(0, 1, 3),
     }
     study = pa.Study("v3", vary, ["sag"], samples=4)
     write_randomisation(study.asked()["vary"], tmp_path / "random.yaml")
@@ -307,7 +334,7 @@ def test_randomisation_as_yaml(tmp_path: Path) -> None:
          "std": 0.05},
         {"name": "kp", "operation": "absolute", "distribution": "uniform", "low": 4.0, "high": 6.0},
         {"name": "leg_scale", "operation": "scale", "distribution": "values", "values": [0.9, 1.1]},
-        {"name": "payload", "operation": "absolute", "distribution": "grid", "low": 0.0,
+        {"name": "payload", "operation": "absolute", "distribution": "linspace", "low": 0.0,
          "high": 1.0, "count": 3.0},
     ]  # fmt: skip
 
@@ -325,7 +352,7 @@ def test_a_search_finds_what_a_grid_finds(tmp_path: Path, thread: Executor) -> N
     """The longest legs that sag by 8 mm at most, with the stiffest servos: from a fine grid."""
     options = {"maximise": ["leg_scale"], "subject_to": {"servo_sag": (None, 8e-3)}, "trials": 48}
     found = searched().optimise(tmp_path / "search", executor=thread, **options)
-    grid = pa.Study("v3", {"leg_scale": pa.grid(0.8, 1.8, 41), "kp": [20.0]}, ["servo_sag"])
+    grid = pa.Study("v3", {"leg_scale": pa.linspace(0.8, 1.8, 41), "kp": [20.0]}, ["servo_sag"])
     table = grid.run(tmp_path / "grid", executor=thread)
     best = float(table[table["servo_sag"] <= 8e-3]["leg_scale"].max())
     assert len(found.best) == 1

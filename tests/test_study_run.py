@@ -56,7 +56,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
     assert len(undisturbed) == 12
     assert list(undisturbed.columns[:4]) == ["design", "leg_scale", "slope", "kp"]
-    assert list(undisturbed.columns[-2:]) == ["failure", "reason"]
+    assert list(undisturbed.columns[-3:]) == ["failure", "failed_measure", "reason"]
     row = undisturbed.iloc[7]  # of the product: the last variable changes first
     assert tuple(row[["leg_scale", "slope", "kp"]]) == (1.3, 0.0, 5.0)
     robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=1.3))
@@ -71,12 +71,43 @@ def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
 def test_what_fails_is_a_row_with_its_reason(undisturbed: pd.DataFrame) -> None:
     soft = undisturbed[undisturbed["kp"] == 0.2]
     assert set(soft["failure"]) == {"no equilibrium"}
-    assert soft["reason"].str.startswith("base_height: no equilibrium: ").all()
+    assert soft["reason"].str.startswith("no equilibrium: ").all()
+    assert set(soft["failed_measure"]) == {"base_height"}
     assert soft["servo_sag"].isna().all()
     assert soft["peak_utilisation"].notna().all()  # what can be told is told
     others = undisturbed[undisturbed["kp"] > 0.2]
     assert others["failure"].isna().all()
     assert others["servo_sag"].notna().all()
+
+
+@pytest.mark.slow
+def test_what_does_not_stand_is_told_as_zero_and_has_no_sag(
+    threads: Executor, tmp_path: Path
+) -> None:
+    """Of v3 on legs of 1.4: it stands, has no equilibrium, or one that is not stable; or no place.
+
+    A fallen robot's sag would be one of an equilibrium that it never comes to.
+    """
+    measures = ("stands", "verified", "sag", "stiffness", "peak_utilisation")
+    vary = {"leg_scale": [1.4], "torso_mass_scale": [1.0, 1.75, 2.5], "height": [0.19, 0.9]}
+    table = study(vary, *measures).run(tmp_path, executor=threads).set_index(
+        ["torso_mass_scale", "height"]
+    )  # fmt: skip
+    assert table["stands"].to_list() == [1, 0, 0, 0, 0, 0]
+    assert table["sag"].notna().to_list() == [True, False, False, False, False, False]
+    assert table["failure"].isna().to_list() == [True, False, False, False, False, False]
+    heavy = table.loc[(2.5, 0.19)]
+    assert (heavy["failure"], heavy["failed_measure"]) == ("does not stay up", "stands")
+    pose = pa.steady_state(*standing(1.4, 2.5, 0.19))
+    assert heavy["reason"] == "; ".join(pose.failures)
+    assert heavy["stiffness"] == pytest.approx(pose.stiffness, rel=1e-6)  # told as it is
+    assert heavy["peak_utilisation"] > 0
+    assert (table["verified"].xs(0.9, level="height") == 0).all()
+
+
+def standing(legs: float, torso: float, height: float) -> tuple[pa.Robot, pa.Stand]:
+    robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=legs, torso_mass_scale=torso))
+    return robot, pa.solve_stand(robot, pa.StandTask(height=height))
 
 
 @pytest.mark.slow
@@ -92,7 +123,8 @@ def test_failures_of_all_kinds(threads: Executor, tmp_path: Path) -> None:
                                             "com outside the support polygon"}  # fmt: skip
     flat = table[~high & (table["slope"] == 0)]
     assert set(flat["failure"]) == {"error"}
-    assert set(flat["reason"]) == {"fails: RuntimeError: on purpose"}
+    assert set(flat["reason"]) == {"RuntimeError: on purpose"}
+    assert set(flat["failed_measure"]) == {"fails"}
     assert flat["peak_utilisation"].notna().all()
 
 
@@ -319,7 +351,7 @@ from pupper_analysis.study import running
 running.SHARD_SECONDS = 0.2
 
 if __name__ == "__main__":
-    vary = {{"torso_mass_scale": pa.grid(1.0, 2.0, 24)}}
+    vary = {{"torso_mass_scale": pa.linspace(1.0, 2.0, 24)}}
     study = pa.Study("v3", vary, [study_measures.slow, "servo_sag"])
     print("begins", flush=True)
     study.execute(sys.argv[1], workers=2)
@@ -328,7 +360,7 @@ if __name__ == "__main__":
 
 
 def slow_study() -> pa.Study:
-    vary = {"torso_mass_scale": pa.grid(1.0, 2.0, 24)}
+    vary = {"torso_mass_scale": pa.linspace(1.0, 2.0, 24)}
     return study(vary, study_measures.slow, "servo_sag")
 
 
@@ -493,7 +525,7 @@ LEGS = """
 robot = "v3"
 measure = ["peak_utilisation", "servo_sag"]
 [vary]
-leg_scale = { grid = [1.2, 1.3, 2] }
+leg_scale = { linspace = [1.2, 1.3, 2] }
 kp = [0.2, 10]
 """
 
@@ -511,10 +543,11 @@ def test_the_command(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert status == 0
     assert "4 designs; failed: 2 no equilibrium" in out
     table = pa.read_study(folder)
-    line = next(line for line in out.splitlines() if line.startswith("servo_sag")).split()
+    _, unit, *line = next(row for row in out.splitlines() if row.startswith("servo_sag")).split()
+    assert unit == "(m)"
     least, most = table["servo_sag"].min(), table["servo_sag"].max()
-    assert [float(line[1]), float(line[3])] == pytest.approx([least, most], rel=1e-4)
-    assert line[4] == "2"
+    assert [float(line[0]), float(line[2])] == pytest.approx([least, most], rel=1e-4)
+    assert line[3] == "2"
     status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--dry-run")
     assert "4 designs, of which 4 are there" in out
     written = tmp_path / "study.json"
@@ -553,7 +586,7 @@ def test_the_command_refuses_before_anything_runs(
 def test_ctrl_c_leaves_a_folder_to_go_on_with(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(
         'robot = "v3"\nmeasure = ["study_measures:slow"]\n[vary]\n'
-        "torso_mass_scale = { grid = [1.0, 2.0, 400] }\n"
+        "torso_mass_scale = { linspace = [1.0, 2.0, 400] }\n"
     )
     folder = tmp_path / "study"
     command = [sys.executable, "-m", "pupper_analysis", "study", str(tmp_path / "study.toml"), "-o"]

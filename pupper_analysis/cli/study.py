@@ -62,9 +62,9 @@ def study_command(
       robot = "v3"
       measure = ["peak_utilisation", "servo_sag", "stands"]
       [vary]
-      leg_scale = { grid = [0.8, 1.6, 9] }
-      torso_mass_scale = { grid = [1.0, 3.0, 9] }
-      kp = [5, 10, 20]
+      leg_scale = { linspace = [0.8, 1.6, 9] }
+      torso_mass_scale = { linspace = [1.0, 3.0, 9] }
+      kp = { values = [5, 10, 20] }
 
     \b
     Examples:

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from pupper_analysis.report.console import console, titled_table
+from pupper_analysis.study.cells import labelled, measures_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -86,13 +87,10 @@ def print_estimate(out: Console, expected: Estimate, workers: int | None) -> Non
 def print_summary(out: Console, variables: Mapping[str, Variable], table: pd.DataFrame) -> None:
     """Prints the range of each measure, and failures by kind."""
     shown = titled_table(out, "Measured", "measure", "least", "median", "greatest", "designs")
-    for name in table.columns:
-        if name in variables or name in ("design", "failure", "reason"):
-            continue
+    for name in measures_in(table, tuple(variables)):
         column = table[name].dropna()
-        if len(column):
-            numbers = (column.min(), column.median(), column.max())
-            shown.add_row(name, *(f"{value:.5g}" for value in numbers), str(len(column)))
+        numbers = (column.min(), column.median(), column.max())
+        shown.add_row(labelled(name), *(f"{value:.5g}" for value in numbers), str(len(column)))
     out.print(shown)
     failed = table["failure"].dropna().value_counts().to_dict()
     text = counted({str(kind): int(count) for kind, count in failed.items()})

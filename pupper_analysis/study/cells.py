@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -10,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.study.design import ENDS, NUMBERS
+from pupper_analysis.study.measures import MEASURES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,6 +21,9 @@ Array = NDArray[np.float64]
 
 BINS, FEWEST = 24, 4
 """Cells along one side of a map, of a variable that has more than ``BINS`` values."""
+
+PANELS = 6
+"""Maps beside each other, one for each combination of the other variables: more are no picture."""
 
 EACH = 3
 """Designs that a cell then has, on average: fewer cells of more designs, than a map of holes."""
@@ -62,12 +68,41 @@ class MeanMap:
         y: The cells upwards.
         means: (ny, nx); not a number where nothing was measured.
         counts: (ny, nx) how many designs each is the mean of.
+        designs: (ny, nx) how many are there: where they are more, those of which there is nothing
+            to measure, as they do not stand, are missing in the mean.
     """
 
     x: Cells
     y: Cells
     means: Array
     counts: Array
+    designs: Array
+
+    @property
+    def partial(self) -> NDArray[np.bool_]:
+        """(ny, nx) whether some designs of a cell are missing in its mean."""
+        found: NDArray[np.bool_] = (self.counts > 0) & (self.counts < self.designs)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Designs of one map.
+
+    Attributes:
+        fixed: {variable: the value that all of them have}.
+        averaged: The other variables, over which a cell's mean goes.
+        table: Their rows.
+    """
+
+    fixed: dict[str, float]
+    averaged: tuple[str, ...]
+    table: pd.DataFrame
+
+    def values(self) -> str:
+        """Returns the fixed values with their units."""
+        told = [f"{name} = {value:g} {unit_of(name)}" for name, value in self.fixed.items()]
+        return ", ".join(one.rstrip() for one in told)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +132,41 @@ def mean_map(table: pd.DataFrame, x: str, y: str, measure: str) -> MeanMap:
     check_columns(table, x, y, measure)
     columns, rows = (Cells(table[name].to_numpy(float)) for name in (x, y))
     values = table[measure].to_numpy(float)
-    sums, counts = (np.zeros((len(rows.centres), len(columns.centres))) for _ in range(2))
+    sums, counts, there = (np.zeros((len(rows.centres), len(columns.centres))) for _ in range(3))
     known = np.isfinite(values)
+    np.add.at(there, (rows.index, columns.index), 1.0)
     at = (rows.index[known], columns.index[known])
     np.add.at(sums, at, values[known])
     np.add.at(counts, at, 1.0)
     with np.errstate(invalid="ignore"):
-        return MeanMap(columns, rows, sums / counts, counts)
+        return MeanMap(columns, rows, sums / counts, counts, there)
+
+
+def panels(table: pd.DataFrame, variables: Sequence[str], x: str, y: str) -> list[Panel]:
+    """Returns the designs of a map for each, so that no more is averaged than must be.
+
+    Each combination of the other variables' values has a map of its own where these are few, and
+    each cell of it one design; else a cell is a mean over them.
+    """
+    others = [name for name in spread_in(table, variables) if name not in (x, y)]
+    several = math.prod(table[name].nunique() for name in others)
+    if not others or several > PANELS:
+        return [Panel({}, tuple(others), table)]
+    parts = [part for _, part in table.groupby(others, sort=True)]
+    return [Panel({n: float(part[n].iloc[0]) for n in others}, (), part) for part in parts]
+
+
+def unit_of(column: str) -> str:
+    """Returns the unit of a measure or of a number that varies; empty of ratios and factors."""
+    measure = MEASURES.get(column.partition(".")[0])
+    unit = measure.unit if measure else NUMBERS[column].unit if column in NUMBERS else ""
+    return "" if unit in ("1", "-") else unit
+
+
+def labelled(column: str) -> str:
+    """Returns the name of a measure or of a number that varies, with its unit."""
+    unit = unit_of(column)
+    return f"{column} ({unit})" if unit else column
 
 
 def end_map(table: pd.DataFrame, x: str, y: str) -> EndMap:
@@ -129,7 +192,7 @@ def span(low: float, high: float) -> float:
 
 def measures_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
     """Returns the columns of a study's table with measures, of which something was measured."""
-    given = (*variables, "design", "failure", "reason")
+    given = (*variables, "design", *ENDS)
     return [str(name) for name in table.columns if name not in given and table[name].notna().any()]
 
 

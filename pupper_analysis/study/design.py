@@ -14,6 +14,7 @@ from pupper_analysis.errors import (
     NoEquilibriumError,
     NoStiffnessError,
     NotSettlingError,
+    NotStandingError,
     PupperAnalysisError,
     StanceUnreachableError,
     StaticsInfeasibleError,
@@ -72,7 +73,7 @@ MODEL = {
 NUMBERS = {**STANCE, **MODEL}
 
 KEPT = 8
-"""So many robots and stands are remembered: neighbours in a product of grids share them."""
+"""So many robots and stands are remembered: neighbours in a product of lists share them."""
 
 
 class Remembered:
@@ -204,11 +205,22 @@ def check_range(name: str, low: float, high: float) -> None:
         raise ConfigurationError(f"vary[{name!r}]", problem)
 
 
+FALLS = (
+    StanceUnreachableError,
+    StaticsInfeasibleError,
+    NoEquilibriumError,
+    NotStandingError,
+    NotSettlingError,
+)
+"""What is raised of a design that cannot stand so; of others it is not known."""
+
+
 def failure(error: BaseException) -> str:
     """Returns of which kind a failure is, in words that a table can be sorted by."""
     kinds = {
         StanceUnreachableError: "unreachable",
         NoEquilibriumError: "no equilibrium",
+        NotStandingError: "does not stay up",
         NoStiffnessError: "no stiffness",
         NotSettlingError: "not settling",
         ConfigurationError: "invalid",
@@ -223,24 +235,33 @@ def failure(error: BaseException) -> str:
 def row_of(maker: Maker, numbers: Mapping[str, float], measures: tuple[Measure, ...]) -> Row:
     """Makes a design and measures it; what fails is said in the row.
 
-    A measure that fails leaves the others: the row's reason is that of the first that did.
+    A measure that fails leaves the others: the row's reason is that of the first that did. Of a
+    design that cannot stand, a measure that has a value of what has fallen has this one.
     """
-    row: Row = {"failure": None, "reason": None}
+    row: Row = dict.fromkeys(ENDS)
     try:
         design = maker.design(numbers)
     except Exception as error:
-        return {"failure": failure(error), "reason": _reason(error)}
+        fallen = {one.name: one.fallen for one in measures if one.fallen is not None}
+        told = {**row, "failure": failure(error), "reason": _reason(error)}
+        return {**told, **fallen} if isinstance(error, FALLS) else told
     for measure in measures:
         try:
             found = measure.function(design)
             row.update(_columns(measure.name, found))
         except Exception as error:
+            if isinstance(error, FALLS) and measure.fallen is not None:
+                row[measure.name] = measure.fallen
             if row["failure"] is None:
-                row["failure"], row["reason"] = failure(error), f"{measure.name}: {_reason(error)}"
+                row["failure"], row["reason"] = failure(error), _reason(error)
+                row["failed_measure"] = measure.name
     return row
 
 
 Row = dict[str, Any]
+
+ENDS = ("failure", "failed_measure", "reason")
+"""Columns that tell what failed: of which kind, in measuring what (None: in making it), and why."""
 
 
 def _columns(name: str, found: Any) -> Row:

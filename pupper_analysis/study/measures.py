@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.push import push_recovery
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
@@ -45,9 +45,35 @@ class Design:
         return stand_statics(self.robot, self.stand)
 
     @cached_property
+    def _sought(self) -> SteadyState | PupperAnalysisError:
+        """The equilibrium, or why there is none: what is in vain is looked for once, too."""
+        try:
+            return steady_state(self.robot, self.stand)
+        except PupperAnalysisError as error:
+            return error
+
+    @property
+    def equilibrium(self) -> SteadyState:
+        """Where its servos balance it without feed-forward, whether it stays there or not.
+
+        Raises:
+            PupperAnalysisError: As ``steady_state``.
+        """
+        if isinstance(self._sought, PupperAnalysisError):
+            raise self._sought
+        return self._sought
+
+    @property
     def rest(self) -> SteadyState:
-        """Where the servos let it come to rest, without feed-forward."""
-        return steady_state(self.robot, self.stand)
+        """Where its servos let it come to rest, without feed-forward.
+
+        Raises:
+            NotStandingError: If it does not stay up there: then it rests elsewhere, if at all.
+            PupperAnalysisError: As ``steady_state``.
+        """
+        if self.equilibrium.failures:
+            raise NotStandingError(self.equilibrium.failures)
+        return self.equilibrium
 
     @cached_property
     def workspace(self) -> BaseWorkspace:
@@ -86,16 +112,24 @@ class Measure:
     Attributes:
         name: The column that it fills; with several values, ``NAME.KEY`` for each.
         function: Of a design.
-        meaning: In words, with its unit.
+        meaning: In words.
+        unit: Its unit; ``1`` of a ratio, empty of one's own functions.
         simulates: Whether it takes a simulation, or some seconds.
         better: ``min`` or ``max``, where one is better whatever the robot is for.
+        fallen: Its value of a design that cannot stand so; None where it has none.
     """
 
     name: str
     function: Callable[[Design], Value | Mapping[str, Value]]
     meaning: str
+    unit: str
     simulates: bool = False
     better: str = ""
+    fallen: float | None = None
+
+
+def _stands(design: Design) -> bool:
+    return bool(design.rest)  # or it says why not
 
 
 def _least_peak(design: Design) -> float:
@@ -104,86 +138,99 @@ def _least_peak(design: Design) -> float:
 
 
 _ALL = (
-    Measure("total_mass", lambda d: d.robot.total_mass, "mass with payload (kg)"),
+    Measure("total_mass", lambda d: d.robot.total_mass, "mass with payload", "kg"),
     Measure(
         "peak_utilisation",
         lambda d: float(d.statics.motor_utilisation.max()),
         "largest torque / effort limit of a motor, in the stand",
+        "1",
         better="min",
     ),
     Measure(
         "peak_torque",
         lambda d: float(np.abs(d.statics.joint_torques).max()),
-        "largest torque of a motor, in the stand (N m)",
+        "largest torque of a motor, in the stand",
+        "N m",
         better="min",
     ),
-    Measure("least_peak_utilisation", _least_peak, "the same with the best contact forces"),
-    Measure("torque", lambda d: d.per_joint(d.statics.joint_torques), "each motor's torque (N m)"),
+    Measure("least_peak_utilisation", _least_peak, "the same with the best contact forces", "1"),
+    Measure("torque", lambda d: d.per_joint(d.statics.joint_torques), "each motor's torque", "N m"),
     Measure(
         "utilisation",
         lambda d: d.per_joint(d.statics.motor_utilisation),
         "each motor's torque / effort limit",
+        "1",
     ),
     Measure(
         "friction_utilisation",
         lambda d: max(d.statics.friction_utilisation.values()),
         "largest share of a foot's friction that is used",
+        "1",
         better="min",
     ),
     Measure(
         "com_margin",
         lambda d: d.stand.com_margin,
-        "com to support polygon's edge (m)",
+        "com to support polygon's edge",
+        "m",
         better="max",
     ),
     Measure(
         "base_height",
         lambda d: d.rest.base_height,
-        "height of the base at rest on its servos, without feed-forward (m)",
+        "height of the base at rest on its servos, without feed-forward",
+        "m",
     ),
     Measure(
         "sag",
         lambda d: d.rest.height_loss,
-        "height lost at rest, in servos and ground (m)",
+        "height lost at rest, in servos and ground",
+        "m",
         better="min",
     ),
     Measure(
         "servo_sag",
         lambda d: d.rest.servo_sag,
-        "the part of it lost in the servos (m)",
+        "the part of it lost in the servos",
+        "m",
         better="min",
     ),
-    Measure("contact_sag", lambda d: d.rest.contact_sag, "the part lost in the ground (m)"),
+    Measure("contact_sag", lambda d: d.rest.contact_sag, "the part lost in the ground", "m"),
     Measure(
         "stiffness",
-        lambda d: d.rest.stiffness,
-        "least eigenvalue at rest (rad^2/s^2)",
+        lambda d: d.equilibrium.stiffness,
+        "least eigenvalue at rest",
+        "rad^2/s^2",
         better="max",
     ),
     Measure(
         "release_margin",
-        lambda d: d.rest.release_margin,
+        lambda d: d.equilibrium.release_margin,
         "friction left / weight",
+        "1",
         better="max",
     ),
     Measure(
         "rest_utilisation",
         lambda d: d.utilisation_at_rest(),
         "largest torque / effort limit of a motor, at rest on its servos",
+        "1",
         better="min",
     ),
-    Measure("stands", lambda d: not d.rest.failures, "whether it stays up on its servos"),
+    Measure("stands", _stands, "whether it stays up on its servos", "1", fallen=0.0),
     Measure(
         "payload_limit",
         lambda d: payload_limit(d.robot, d.stand).mass,
-        "greatest mass it can carry, beyond its payload (kg)",
+        "greatest mass it can carry, beyond its payload",
+        "kg",
         simulates=True,
         better="max",
     ),
     Measure(
         "minimum_stiffness",
         lambda d: minimum_stiffness(d.robot, d.stand),
-        "least kp with which it stands (N m/rad)",
+        "least kp with which it stands",
+        "N m/rad",
         simulates=True,
         better="min",
     ),
@@ -191,7 +238,8 @@ _ALL = (
         Measure(
             f"{direction}_range",
             lambda d, direction=direction: d.span(direction),  # type: ignore[misc]
-            f"how far the base can go in {direction} ({unit})",
+            f"how far the base can go in {direction}",
+            unit,
             simulates=True,
         )
         for direction, unit in (("height", "m"), ("roll", "rad"), ("pitch", "rad"), ("yaw", "rad"))
@@ -200,22 +248,29 @@ _ALL = (
         "verified",
         lambda d: d.simulated.passed,
         "whether MuJoCo confirms the stand",
+        "1",
         simulates=True,
+        fallen=0.0,
     ),
     Measure(
         "simulated_height",
         lambda d: d.simulated_rest.base_height,
-        "height of the base after 5 s in MuJoCo without feed-forward (m)",
+        "height of the base after 5 s in MuJoCo without feed-forward",
+        "m",
         simulates=True,
     ),
     Measure(
         "push_recovery",
         lambda d: push_recovery(d.robot, d.stand).weakest_impulse,
-        "least push that topples it (N s)",
+        "least push that topples it",
+        "N s",
         simulates=True,
         better="max",
     ),
 )
+
+REVISION = 2
+"""Of what measures mean, raised when one changes: results of before are not taken for it."""
 
 MEASURES: Mapping[str, Measure] = {measure.name: measure for measure in _ALL}
 """The named measures."""
@@ -250,7 +305,7 @@ def measure_of(given: str | Function) -> Measure:
     if name in MEASURES:
         problem = f"the function {name!r} has the name of a measure; give it another"
         raise ConfigurationError("measure", problem)
-    return Measure(name, OfRobotAndStand(function), inspect.getdoc(function) or "", simulates=False)
+    return Measure(name, OfRobotAndStand(function), inspect.getdoc(function) or "", "")
 
 
 def modules_in(measures: object) -> tuple[str, ...]:

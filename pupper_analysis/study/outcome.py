@@ -34,12 +34,14 @@ class Failures(Result):
 
     Attributes:
         kind: How.
+        measure: In measuring what, the first of them; None if there is no such design to measure.
         designs: How many.
         share: Of all designs.
         reason: What the first of them says.
     """
 
     kind: str
+    measure: str | None
     designs: int
     share: float
     reason: str
@@ -51,7 +53,8 @@ class Measured(Result):
 
     Attributes:
         measure: Its column.
-        meaning: In words, with its unit; empty of one's own functions without a docstring.
+        meaning: In words; empty of one's own functions without a docstring.
+        unit: Its unit; ``1`` of a ratio, empty of one's own functions.
         least: The least value.
         median: The median.
         greatest: The greatest.
@@ -62,6 +65,7 @@ class Measured(Result):
 
     measure: str
     meaning: str
+    unit: str
     least: float
     median: float
     greatest: float
@@ -217,11 +221,12 @@ def main_effects(table: pd.DataFrame, variables: Iterable[str], measure: str) ->
 
 def _measured(table: pd.DataFrame, name: str, spread: Sequence[str], study: Study) -> Measured:
     column = table[name].dropna()
-    own = {one.name: one.meaning for one in study.measures}
-    kind = name if name in own else name.partition(".")[0]
+    own = {one.name: one for one in study.measures}
+    kind = own[name if name in own else name.partition(".")[0]]
     return Measured(
         measure=name,
-        meaning=own.get(kind, "").partition("\n")[0],
+        meaning=kind.meaning.partition("\n")[0],
+        unit=kind.unit,
         least=float(column.min()),
         median=float(column.median()),
         greatest=float(column.max()),
@@ -231,16 +236,13 @@ def _measured(table: pd.DataFrame, name: str, spread: Sequence[str], study: Stud
 
 
 def _failures(table: pd.DataFrame) -> tuple[Failures, ...]:
-    counts = table["failure"].value_counts()
-    return tuple(
-        Failures(
-            str(kind),
-            int(count),
-            float(count) / len(table),
-            str(table.loc[table["failure"] == kind, "reason"].iloc[0]),
-        )
-        for kind, count in counts.items()
-    )
+    found = []
+    for kind, count in table["failure"].value_counts().items():
+        first = table[table["failure"] == kind].iloc[0]
+        measure = first["failed_measure"] if isinstance(first["failed_measure"], str) else None
+        share = float(count) / len(table)
+        found.append(Failures(str(kind), measure, int(count), share, str(first["reason"])))
+    return tuple(found)
 
 
 def _better(measures: Sequence[str]) -> dict[str, str]:

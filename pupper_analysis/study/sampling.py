@@ -1,4 +1,4 @@
-"""Which designs a study has: the product of grids, Sobol's sequence, or Saltelli's scheme."""
+"""Which designs a study has: the product of lists, Sobol's sequence, or Saltelli's scheme."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import MissingPackageError, OutputError, StudyError
 from pupper_analysis.files import whole_file
-from pupper_analysis.study.design import Row
+from pupper_analysis.study.design import ENDS, Row
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -195,7 +195,7 @@ def keys(designs: Sequence[str]) -> NDArray[np.uint64]:
 
 
 def _kind(pa: Any, name: str) -> Any:
-    return pa.string() if name in ("design", "failure", "reason") else pa.float64()
+    return pa.string() if name in ("design", *ENDS) else pa.float64()
 
 
 _own = threading.Lock()

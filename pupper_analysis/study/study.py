@@ -24,7 +24,14 @@ from pupper_analysis.robot.payload import point_on_base
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.design import check_name, check_range
-from pupper_analysis.study.measures import Function, asked, fingerprint, measure_of, modules_in
+from pupper_analysis.study.measures import (
+    REVISION,
+    Function,
+    asked,
+    fingerprint,
+    measure_of,
+    modules_in,
+)
 from pupper_analysis.study.numbers import SERVOS, Named, joints_of
 from pupper_analysis.study.running import Progress, Run, Settings
 from pupper_analysis.study.sampling import BLOCK, Sampling
@@ -75,7 +82,7 @@ class Study:
         Args:
             robot: {``urdf``: path, ``mjcf``: path, and other arguments of ``load_robot``}, or a
                 ``Source``.
-            vary: {name of a number: a grid, values, a distribution, a list, a number}.
+            vary: {name of a number: a list, a ``linspace``, a distribution, a number}.
             measure: Names of ``MEASURES``, or functions of (robot, stand).
             samples: How many designs, where there is a distribution; otherwise they are the product
                 of all lists.
@@ -158,6 +165,7 @@ class Study:
             },
             "point": self.point,
             "measures": sorted(fingerprint(one) for one in self.measures),
+            "revision": REVISION,
             "versions": versions(),
         }
         data = orjson.dumps(parts, option=orjson.OPT_SORT_KEYS)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type
+from pupper_analysis.study.design import ENDS
 from pupper_analysis.study.sampling import Sampling
 from pupper_analysis.study.store import Store, needed
 from pupper_analysis.study.variables import variable
@@ -36,13 +37,13 @@ def ordered(frame: pd.DataFrame, order: Mapping[str, int]) -> pd.DataFrame:
     """Returns the rows of designs, {hash: place}, in their order; empty columns are left out."""
     kept = frame[frame["design"].isin(order.keys())]
     placed = kept.assign(_at=kept["design"].map(order)).sort_values("_at").drop(columns="_at")
-    ends = [name for name in ("failure", "reason") if name in placed]
+    ends = [name for name in ENDS if name in placed]
     front = [name for name in placed.columns if name not in ends]
     return (
         placed[[*front, *ends]]
         .dropna(axis="columns", how="all")
         .reset_index(drop=True)
-        .pipe(lambda table: table.assign(**{end: None for end in ends if end not in table}))
+        .pipe(lambda table: table.assign(**{end: None for end in ENDS if end not in table}))
     )
 
 

@@ -236,7 +236,7 @@ def write_randomisation(spreads: Mapping[str, Mapping[str, Any]], path: str | Pa
         if not isinstance(given, Mapping) or len(given) != 1:
             raise ConfigurationError("spreads", f"{name!r}: {given!r} is not {{kind: numbers}}")
         ((kind, numbers),) = given.items()
-        keys = {"normal": ("mean", "std"), "values": (), "grid": ("low", "high", "count")}
+        keys = {"normal": ("mean", "std"), "values": (), "linspace": ("low", "high", "count")}
         named = keys.get(kind, ("low", "high"))
         acts = "scale" if ":" in name or name.endswith("_scale") else "absolute"
         lines += [f'- name: "{name}"', f"  operation: {acts}", f"  distribution: {kind}"]

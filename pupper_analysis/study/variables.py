@@ -1,4 +1,4 @@
-"""What varies in a study: grids, lists of values, and distributions."""
+"""What varies in a study: lists of values, and distributions."""
 
 from __future__ import annotations
 
@@ -71,12 +71,12 @@ class Values(Variable):
 
 
 @dataclass(frozen=True)
-class Grid(Values):
+class Linspace(Values):
     """Evenly spaced values."""
 
     def asked(self) -> dict[str, Any]:
         """Returns it as a study's file has it."""
-        return {"grid": [self.numbers[0], self.numbers[-1], len(self.numbers)]}
+        return {"linspace": [self.numbers[0], self.numbers[-1], len(self.numbers)]}
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ MOST_LEVELS = 1_000_000
 """Of one variable: a longer list is a distribution."""
 
 
-def grid(low: float, high: float, count: int) -> Grid:
+def linspace(low: float, high: float, count: int) -> Linspace:
     """Makes evenly spaced values.
 
     Args:
@@ -157,12 +157,12 @@ def grid(low: float, high: float, count: int) -> Grid:
     Raises:
         ConfigurationError: If they are none.
     """
-    first, last = _ordered("grid", low, high)
+    first, last = _ordered("linspace", low, high)
     check_type("count", count, int)
     if not 2 <= count <= MOST_LEVELS:
         problem = f"{count} values between {first:g} and {last:g}; give 2 to {MOST_LEVELS}"
-        raise ConfigurationError("grid", problem)
-    return Grid(tuple(np.linspace(first, last, int(count)).tolist()))
+        raise ConfigurationError("linspace", problem)
+    return Linspace(tuple(np.linspace(first, last, int(count)).tolist()))
 
 
 def values(numbers: Sequence[float]) -> Values:
@@ -214,7 +214,7 @@ def normal(mean: float, deviation: float) -> Normal:
 
 
 KINDS: Mapping[str, Callable[..., Variable]] = {
-    "grid": grid,
+    "linspace": linspace,
     "values": lambda *numbers: values(numbers),
     "uniform": uniform,
     "normal": normal,
@@ -238,6 +238,8 @@ def variable(name: str, given: object) -> Variable:
             return given
         if isinstance(given, Mapping):
             ((kind, numbers),) = given.items() if len(given) == 1 else (("", ()),)
+            if kind == "grid":
+                raise ConfigurationError("grid", _ambiguous(numbers))
             if kind not in KINDS or not isinstance(numbers, Sequence) or isinstance(numbers, str):
                 known = ", ".join(KINDS)
                 raise ConfigurationError("kind", f"{dict(given)!r} is not {{kind: [numbers]}}, "
@@ -249,8 +251,17 @@ def variable(name: str, given: object) -> Variable:
     except ConfigurationError as error:
         raise ConfigurationError(f"vary[{name!r}]", str(error)) from error
     except TypeError as error:
-        problem = f"{given!r}: a grid takes low, high, count; a distribution two numbers"
+        problem = f"{given!r}: linspace takes low, high, count; a distribution two numbers"
         raise ConfigurationError(f"vary[{name!r}]", problem) from error
+
+
+def _ambiguous(numbers: Any) -> str:
+    """Returns what the two things are that ``grid`` could mean."""
+    listed = ", ".join(map(str, numbers)) if isinstance(numbers, list | tuple) else str(numbers)
+    return (
+        f"[{listed}] may be values, or a range and a count: write {{values = [{listed}]}} for "
+        f"these, or {{linspace = [{listed}]}} for low, high and how many, evenly spaced"
+    )
 
 
 def _ordered(name: str, low: float, high: float) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from pupper_analysis.report.html.plots import (
     word_at,
 )
 from pupper_analysis.report.html.words import text, word
-from pupper_analysis.study.cells import Cells, EndMap, MeanMap, span
+from pupper_analysis.study.cells import Cells, EndMap, MeanMap, labelled, span
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,8 +60,12 @@ def colour(share: float) -> str:
     return "#{:02x}{:02x}{:02x}".format(*mixed)
 
 
-def mean_plot(title: Words, found: MeanMap, x: str, y: str, measure: str) -> Plot:
+def mean_plot(
+    title: Words, found: MeanMap, x: str, y: str, measure: str, ends: tuple[float, float]
+) -> Plot:
     """Draws means over two variables, which show under the pointer.
+
+    Cells are crossed out by lines in whose mean designs are missing, as they do not stand.
 
     Args:
         title: What they show.
@@ -69,9 +73,9 @@ def mean_plot(title: Words, found: MeanMap, x: str, y: str, measure: str) -> Plo
         x: The variable along.
         y: The variable upwards.
         measure: The measure.
+        ends: The least and the greatest value that colours tell.
     """
-    known = found.means[np.isfinite(found.means)]
-    low, high = float(known.min()), float(known.max())
+    low, high = ends
     wide = span(low, high)
 
     def filled(row: int, column: int) -> tuple[str, float]:
@@ -82,18 +86,32 @@ def mean_plot(title: Words, found: MeanMap, x: str, y: str, measure: str) -> Plo
 
     def told(row: int, column: int) -> str:
         mean = float(found.means[row, column])
-        return f"{mean:.4g} ({found.counts[row, column]:.0f})" if math.isfinite(mean) else "-"
+        if not math.isfinite(mean):
+            return "-"
+        several = found.designs[row, column] > 1
+        of = f" ({found.counts[row, column]:.0f} / {found.designs[row, column]:.0f})"
+        return f"{mean:.4g}{of if several else ''}"
 
     grid = _Grid(found.x, found.y)
-    marks = [*grid.cells(filled), *grid.axes(x, y), *_bar(low, high)]
-    marks.append(grid.labels(Name(measure), x, y, told))
+    marks = [*grid.cells(filled), *grid.crossed(found.partial), *grid.axes(x, y)]
+    marks += _bar(low, high)
+    marks.append(grid.labels(Name(labelled(measure)), x, y, told))
     return Plot(title, WIDTH, MAP_HEIGHT, tuple(marks))
 
 
-def end_plot(title: Words, found: EndMap, x: str, y: str) -> Plot:
-    """Draws what most designs of each cell come to; paler where they come to different ends."""
+def end_plot(title: Words, found: EndMap, x: str, y: str, kinds: Sequence[str]) -> Plot:
+    """Draws what most designs of each cell come to; paler where they come to different ends.
+
+    Args:
+        title: What it shows.
+        found: What becomes of the designs.
+        x: The variable along.
+        y: The variable upwards.
+        kinds: Of the whole study, whose colours are the same in all its maps.
+    """
     total, most = found.counts.sum(axis=0), found.counts.argmax(axis=0)
-    shade = [_ENDS[0], *(_ENDS[1 + i % (len(_ENDS) - 1)] for i in range(len(found.kinds) - 1))]
+    tones = [_ENDS[0], *(_ENDS[1 + i % (len(_ENDS) - 1)] for i in range(len(kinds) - 1))]
+    shade = [tones[kinds.index(kind)] for kind in found.kinds]
 
     def filled(row: int, column: int) -> tuple[str, float]:
         if not total[row, column]:
@@ -157,7 +175,9 @@ def parallel_plot(title: Words, table: pd.DataFrame, columns: Sequence[str], sha
         marks.append(word_at(at, top - 6, Name(f"{high[index]:.4g}"), "middle"))
         marks.append(word_at(at, foot + 14, Name(f"{low[index]:.4g}"), "middle"))
         # Names below one another in turn, so that long ones do not run into their neighbours.
-        marks.append(word_at(at, foot + 32 + 16 * (index % 2), Name(_cut(name)), "middle"))
+        marks.append(
+            word_at(at, foot + 32 + 16 * (index % 2), Name(_cut(labelled(name))), "middle")
+        )
     marks += _bar(least, most)
     return Plot(title, WIDTH, MAP_HEIGHT, tuple(marks))
 
@@ -238,6 +258,20 @@ class _Grid:
             marks.append({"tag": "rect", "class": kind, **bounds, **style})
         return marks
 
+    def crossed(self, chosen: NDArray[np.bool_]) -> list[Mark]:
+        """Returns lines across some cells."""
+        marks = []
+        for row, column in np.argwhere(chosen):
+            left, foot = LEFT + column * self.across, TOP + self.tall - row * self.up
+            for x0, y0, x1, y1 in (
+                (0.0, 0.5, 0.5, 1.0),
+                (0.0, 0.0, 1.0, 1.0),
+                (0.5, 0.0, 1.0, 0.5),
+            ):
+                begin = left + x0 * self.across, foot - y0 * self.up
+                marks.append(straight(*begin, left + x1 * self.across, foot - y1 * self.up, "axis"))
+        return marks
+
     def labels(
         self,
         name: Words,
@@ -264,11 +298,11 @@ class _Grid:
         marks = _frame(x, y, self.wide, self.tall)
         for index in _some(len(self.x.centres)):
             at = LEFT + (index + 0.5) * self.across
-            words = Name(f"{self.x.centres[index]:.3g}")
+            words = Name(f"{self.x.centres[index]:.4g}")
             marks.append(word_at(at, TOP + self.tall + 16, words, "middle"))
         for index in _some(len(self.y.centres)):
             at = TOP + self.tall - (index + 0.5) * self.up
-            marks.append(word_at(LEFT - 6, at + 4, Name(f"{self.y.centres[index]:.3g}"), "end"))
+            marks.append(word_at(LEFT - 6, at + 4, Name(f"{self.y.centres[index]:.4g}"), "end"))
         return marks
 
 
@@ -278,11 +312,11 @@ def _some(count: int) -> range:
 
 
 def _frame(x: str, y: str, wide: float, tall: float) -> list[Mark]:
-    up = word_at(14, TOP + tall / 2, Name(y), "middle")
+    up = word_at(14, TOP + tall / 2, Name(labelled(y)), "middle")
     return [
         straight(LEFT, TOP + tall, LEFT + wide, TOP + tall, "axis"),
         straight(LEFT, TOP, LEFT, TOP + tall, "axis"),
-        word_at(LEFT + wide / 2, TOP + tall + 36, Name(x), "middle"),
+        word_at(LEFT + wide / 2, TOP + tall + 36, Name(labelled(x)), "middle"),
         {**up, "transform": f"rotate(-90 14 {TOP + tall / 2:g})"},
     ]
 

@@ -6,12 +6,21 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from pupper_analysis.report.html import document as doc
 from pupper_analysis.report.html.maps import end_plot, front_plot, mean_plot, parallel_plot
 from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.sources import page
 from pupper_analysis.report.html.words import text, word
-from pupper_analysis.study.cells import end_map, mean_map
+from pupper_analysis.study.cells import (
+    Panel,
+    end_map,
+    labelled,
+    mean_map,
+    panels,
+    unit_of,
+)
 from pupper_analysis.study.outcome import StudyOutcome
 from pupper_analysis.study.tolerance import Chance
 
@@ -21,6 +30,11 @@ if TYPE_CHECKING:
 _ALONE = (
     "Alone: the variance of the means over the number's values, in parts of the whole, among the "
     "designs of which it was measured."
+)
+
+_PARTIAL = (
+    "Of the designs in a cell that is crossed by lines some do not stand: the mean is of the "
+    "others alone."
 )
 
 MAPS = 3
@@ -65,9 +79,11 @@ def _variables(outcome: StudyOutcome) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = []
     for name, asked in outcome.variables.items():
         ((kind, numbers),) = asked.items()
-        listed = ", ".join(f"{value:g}" for value in numbers)
+        listed = _listed(kind, numbers)
         count = outcome.table[name].nunique() if name in outcome.table else 0
-        rows.append((doc.Name(name), text(kind), doc.Name(listed), doc.number(count, ".0f")))
+        rows.append(
+            (doc.Name(labelled(name)), text(kind), doc.Name(listed), doc.number(count, ".0f"))
+        )
     return doc.Table(
         text("What varies"),
         (
@@ -82,12 +98,21 @@ def _variables(outcome: StudyOutcome) -> doc.Table:
     )
 
 
+def _listed(kind: str, numbers: Sequence[float]) -> str:
+    """Returns a variable's numbers; of evenly spaced ones the ends and how many."""
+    if kind == "linspace":
+        low, high, count = numbers
+        return f"{low:g} … {high:g} ({count:g})"
+    return ", ".join(f"{value:.5g}" for value in numbers)
+
+
 def _measured(outcome: StudyOutcome) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(one.measure),
             *(doc.number(value, ".5g") for value in (one.least, one.median, one.greatest)),
             doc.number(one.designs, ".0f"),
+            doc.Name(one.unit),
             said(one.meaning),
         )
         for one in outcome.measured
@@ -100,7 +125,8 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
             doc.Column(text("median")),
             doc.Column(text("greatest")),
             doc.Column(text("designs"), "1"),
-            doc.Column(text("meaning and unit"), left=True),
+            doc.Column(text("unit"), left=True),
+            doc.Column(text("meaning"), left=True),
         ),
         tuple(rows),
     )
@@ -112,6 +138,7 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
     rows: list[tuple[doc.Cell, ...]] = [
         (
             word(one.kind),
+            doc.Name(one.measure or ""),
             doc.number(one.designs, ".0f"),
             doc.Number(f"{one.share:.1%}", 100 * one.share, share=one.share),
             said(one.reason),
@@ -123,6 +150,7 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
             text("What failed, by kind"),
             (
                 doc.Column(text("failure"), left=True),
+                doc.Column(text("measure"), left=True),
                 doc.Column(text("designs"), "1"),
                 doc.Column(text("share"), "1"),
                 doc.Column(text("reason of the first"), left=True),
@@ -137,16 +165,42 @@ def _drawings(outcome: StudyOutcome) -> list[doc.Block]:
     table, names = outcome.table, [one.measure for one in outcome.measured]
     if outcome.axes:
         x, y = outcome.axes
+        shown, kinds = panels(table, tuple(outcome.variables), x, y), end_map(table, x, y).kinds
         title = text("What becomes of designs over {x} and {y}", x=doc.Name(x), y=doc.Name(y))
-        blocks.append(end_plot(title, end_map(table, x, y), x, y))
+        for panel in shown:
+            found = end_map(panel.table, x, y)
+            blocks.append(end_plot(_of_panel(title, panel), found, x, y, kinds))
         for measure in names[:MAPS]:
-            named = text("{measure}, mean of the other numbers", measure=doc.Name(measure))
-            blocks.append(mean_plot(named, mean_map(table, x, y, measure), x, y, measure))
+            blocks += _means(measure, shown, x, y)
     columns = [name for name in outcome.variables if table[name].nunique() > 1]
     if columns and names:
         title = text("Designs as lines, coloured by {measure}", measure=doc.Name(names[0]))
         blocks.append(parallel_plot(title, table, [*columns, *names[:LINES]], names[0]))
     return blocks
+
+
+def _means(measure: str, shown: Sequence[Panel], x: str, y: str) -> list[doc.Block]:
+    """Returns a measure's maps, in the same colours."""
+    maps = [(panel, mean_map(panel.table, x, y, measure)) for panel in shown]
+    known = np.concatenate([one.means[np.isfinite(one.means)] for _, one in maps])
+    ends = float(known.min()), float(known.max())
+    title = text("{measure} over {x} and {y}", measure=doc.Name(labelled(measure)),
+                 x=doc.Name(x), y=doc.Name(y))  # fmt: skip
+    blocks: list[doc.Block] = [
+        mean_plot(_of_panel(title, panel), found, x, y, measure, ends) for panel, found in maps
+    ]
+    if any(found.partial.any() for _, found in maps):
+        blocks.append(doc.Lines((text(_PARTIAL),), "warn"))
+    return blocks
+
+
+def _of_panel(title: doc.Text, panel: Panel) -> doc.Text:
+    """Returns a map's title with what its designs have in common, and what is averaged."""
+    if panel.fixed:
+        title = text("{title}: {values}", title=title, values=panel.values())
+    if panel.averaged:
+        title = text("{title}: mean over {names}", title=title, names=", ".join(panel.averaged))
+    return title
 
 
 def _front(outcome: StudyOutcome) -> list[doc.Block]:
@@ -266,8 +320,8 @@ def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) 
     rows: list[tuple[doc.Cell, ...]] = []
     for name, given in spreads.items():
         ((kind, numbers),) = given.items()
-        listed = ", ".join(f"{value:.5g}" for value in numbers)
-        rows.append((doc.Name(name), text(kind), doc.Name(listed)))
+        listed = _listed(kind, numbers)
+        rows.append((doc.Name(labelled(name)), text(kind), doc.Name(listed)))
     sure = text(
         "With {scale} of the study's spreads it stands, with all motors under their limits, in "
         "{share} of {count} designs.",
@@ -308,7 +362,10 @@ def _table(title: doc.Words, table: pd.DataFrame, columns: Sequence[str]) -> doc
             kind = row["failure"]
             cells.append(word(kind) if isinstance(kind, str) else doc.Name(""))
         rows.append(tuple(cells))
-    heads = [doc.Column(text("no."), "1"), *(doc.Column(doc.Name(name)) for name in places)]
+    heads = [
+        doc.Column(text("no."), "1"),
+        *(doc.Column(doc.Name(name), unit_of(name)) for name in places),
+    ]
     if failed:
         heads.append(doc.Column(text("failure"), left=True))
     notes: tuple[doc.Words, ...] = ()
