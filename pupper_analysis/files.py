@@ -51,7 +51,7 @@ def whole_file(path: Path) -> Iterator[io.BytesIO]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise OutputError(path, _reason(error)) from error
+        raise OutputError(path, reason(error)) from error
 
 
 def check_writable(path: Path) -> None:
@@ -64,7 +64,7 @@ def check_writable(path: Path) -> None:
         _standard_output()
         return
     try:
-        target, there = _target(path)
+        target, there = target_of(path)
         if there is not None and stat.S_ISDIR(there.st_mode):
             raise OutputError(path, "it is a folder; give the name of a file")
         if there is not None and not os.access(target, os.W_OK):
@@ -72,7 +72,7 @@ def check_writable(path: Path) -> None:
         if there is None or replaceable(there):
             check_folder(target.parent)
     except (OSError, ValueError) as error:
-        raise OutputError(path, _reason(error)) from error
+        raise OutputError(path, reason(error)) from error
 
 
 def check_folder(folder: Path) -> None:
@@ -84,7 +84,7 @@ def check_folder(folder: Path) -> None:
     try:
         existing = _nearest(folder)
     except (OSError, ValueError) as error:
-        raise OutputError(folder, _reason(error)) from error
+        raise OutputError(folder, reason(error)) from error
     if not existing.is_dir():
         raise OutputError(folder, f"{existing} is not a folder")
     if not os.access(existing, os.W_OK | os.X_OK):
@@ -138,7 +138,7 @@ def _nearest(folder: Path) -> Path:
     raise FileNotFoundError("there is no such folder")
 
 
-def _target(path: Path) -> tuple[Path, os.stat_result | None]:
+def target_of(path: Path) -> tuple[Path, os.stat_result | None]:
     """Returns where a path leads to when its links are followed, and what is there."""
     target = Path(os.path.realpath(path))
     try:
@@ -160,7 +160,7 @@ def _write(path: Path, data: bytes) -> None:
     if path == STANDARD_OUTPUT:
         _print(_standard_output(), data)
         return
-    target, there = _target(path)
+    target, there = target_of(path)
     if there is not None and not replaceable(there):
         number = _standard_stream(there)
         for stream in (sys.stdout, sys.stderr):
@@ -177,16 +177,9 @@ def _write(path: Path, data: bytes) -> None:
 
 
 def _replace(target: Path, there: os.stat_result | None, data: bytes) -> None:
-    temporary = target.parent / f".{secrets.token_hex(8)}.tmp"
+    temporary = hidden_beside(target)
     try:
-        # By hand, as tempfile ignores the umask.
-        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        if there is not None:
-            with suppress(OSError):  # another's file; nor can all file systems do it
-                os.chown(temporary, there.st_uid, there.st_gid)
-            temporary.chmod(stat.S_IMODE(there.st_mode))
+        write_new(temporary, data, like=there)
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
@@ -204,6 +197,37 @@ def _standard_output() -> TextIO:
     return stream
 
 
+def hidden_beside(target: Path) -> Path:
+    """Returns a name beside a file that nobody has taken, and that listings do not show."""
+    return target.parent / f".{secrets.token_hex(8)}.tmp"
+
+
+def write_new(path: Path, data: bytes, *, like: os.stat_result | None = None) -> None:
+    """Makes a file that is on the disk, and not on its way to it, when the call returns.
+
+    A rename may reach the disk before what was renamed does: after a power failure the file of
+    that name would be empty.
+
+    Args:
+        path: Where nothing is yet.
+        data: Its content.
+        like: The file whose owner and mode it takes; by default those of any new file.
+
+    Raises:
+        OSError: If it cannot be made, or something is there.
+    """
+    # By hand, as tempfile ignores the umask.
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+    with os.fdopen(handle, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    if like is not None:
+        with suppress(OSError):  # another's file; nor can all file systems do it
+            os.chown(path, like.st_uid, like.st_gid)
+        path.chmod(stat.S_IMODE(like.st_mode))
+
+
 def _print(stream: TextIO, data: bytes) -> None:
     """Writes bytes to a stream of text, past its encoding where it has bytes below."""
     stream.flush()
@@ -215,5 +239,6 @@ def _print(stream: TextIO, data: bytes) -> None:
     stream.flush()
 
 
-def _reason(error: Exception) -> object:
+def reason(error: Exception) -> object:
+    """Returns what an error of the operating system says, without its number and path."""
     return getattr(error, "strerror", None) or error

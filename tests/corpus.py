@@ -125,7 +125,6 @@ MALFORMED: dict[str, tuple[str | bytes, int | None, str]] = {
         "no type",
     ),
     "no limit": (_two(""), 4, "without a <limit>"),
-    "limit without effort": (_two('<limit velocity="1"/>'), 4, "<limit> has no effort"),
     "limit twice": (_two(LIMIT + LIMIT), 4, "more than once"),
     "empty dynamics": (_two(LIMIT + "<dynamics/>"), 4, "neither damping nor friction"),
     "two coordinates": (_two('<origin xyz="0 0"/>', "fixed"), 4, "has 2 values; it takes 3"),

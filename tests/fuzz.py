@@ -566,7 +566,7 @@ _MODELS = {
     "--package": ("x=.", "x", "=", "x=none"),
     "--strict": (),
     "--all": (),
-    "--coarse": (),
+    "--fine": (),
     "--take": ("urdf", "mjcf", "mjcf:*", "urdf:x", "1", "", "0", "urdf:1"),
     "--dry-run": (),
     "--backup": (),
@@ -587,7 +587,7 @@ _COMMON = ("--json", "--tolerance", "--map", "--map-file", "--foot", "--package"
 OF_MODELS = {
     "audit": ("--format", "--json", "--package", "--report"),
     "crosscheck": (*_COMMON, "--format", "--strict", "--all", "--report"),
-    "sync": (*_COMMON, "--take", "--dry-run", "--backup", "--force", "--coarse"),
+    "sync": (*_COMMON, "--take", "--dry-run", "--backup", "--force", "--fine"),
 }
 
 

@@ -82,11 +82,16 @@ def test_what_cannot_be_stated_is_left(tmp_path: Path) -> None:
     assert "DISAGREE: 2 attributes written, 1 left" in result.stdout
 
 
-def test_coarse_leaves_the_sixth_digit(tmp_path: Path) -> None:
-    write_parts(tmp_path, ROBOT, changed(ROBOT, "base", mass=6.00001))
-    assert run(tmp_path).returncode == 1
-    assert run(tmp_path, "--coarse").returncode == 0
-    assert run(tmp_path, "--tolerance", "mass=1e-4", "--tolerance", "dynamics=1e-4")[0] == 0
+def test_the_sixth_digit_is_left_unless_asked_for(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, ROBOT, changed(ROBOT, "base", mass=6.00001))
+    before = files.mjcf.read_bytes()
+    assert run(tmp_path, "--take", "urdf").returncode == 0
+    assert files.mjcf.read_bytes() == before
+    assert run(tmp_path, "--fine").returncode == 1
+    tolerances = ["--tolerance", "mass=1e-4", "--tolerance", "dynamics=1e-4"]
+    assert run(tmp_path, "--fine", *tolerances).returncode == 0
+    assert run(tmp_path, "--fine", "--take", "urdf").returncode == 0
+    assert 'mass="6"' in files.mjcf.read_text()
 
 
 def asked(folder: Path, keys: str, monkeypatch: pytest.MonkeyPatch) -> Answer:

@@ -13,7 +13,7 @@ import pupper_analysis
 PACKAGE = Path(pupper_analysis.__file__).parent
 
 ROOMS = (
-    ("errors", "results", "files", "arguments", "arrays", "drivers"),  # serve all the others
+    ("errors", "results", "files", "together", "arguments", "arrays", "drivers"),  # serve all
     ("models",),
     ("robot",),
     ("statics",),

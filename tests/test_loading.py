@@ -21,6 +21,7 @@ from corpus import LIMIT, joint, link, mjcf, urdf
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+import pupper_analysis as pa
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
@@ -182,6 +183,59 @@ def test_meshes_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         assert mesh.samefile(tmp_path / file)
     for name in ("", "x.stl", "package://robot", "package://x/a.stl", "http://x/a.stl", "a\0b"):
         assert robot.resolve_mesh(name) is None
+
+
+def test_meshes_of_a_package_are_found_through_links(tmp_path: Path) -> None:
+    """A folder of a package under another name: what it is linked as, or what it is, is meant."""
+    (tmp_path / "src/robot_description/meshes").mkdir(parents=True)
+    mesh = tmp_path / "src/robot_description/meshes/a.stl"
+    mesh.touch()
+    (tmp_path / "src/robot_description/r.urdf").write_text(urdf(link("a")))
+    (tmp_path / "models").symlink_to("src/robot_description")
+    (tmp_path / "short").mkdir()
+    (tmp_path / "short/robot").symlink_to("../src/robot_description")
+    (tmp_path / "r.urdf").symlink_to("src/robot_description/r.urdf")
+    for file in ("models/r.urdf", "short/robot/r.urdf", "r.urdf"):
+        found = read_urdf(tmp_path / file).resolve_mesh("package://robot_description/meshes/a.stl")
+        assert found is not None
+        assert found.samefile(mesh)
+    assert read_urdf(tmp_path / "short/robot/r.urdf").resolve_mesh("package://robot/meshes/a.stl")
+
+
+@pytest.mark.parametrize("name", ["r.urdf", "r.xml"])
+def test_a_model_that_git_lfs_has_not_brought_is_said(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(ModelError, match="pointer of Git LFS, not the model: git lfs pull"):
+        read_model(path)
+
+
+def test_nothing_waits_for_a_pipe_in_place_of_a_mesh(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "k.stl")
+    shape = '<visual><geometry><mesh filename="k.stl"/></geometry></visual>'
+    (tmp_path / "r.urdf").write_text(urdf(link("a", shape)))
+    (tmp_path / "r.xml").write_text(
+        mjcf(
+            '<asset><mesh name="k" file="k.stl"/></asset>',
+            f'<worldbody><body>{EXPLICIT}<geom type="mesh" mesh="k"/></body></worldbody>',
+        )
+    )
+    for name in ("r.urdf", "r.xml"):
+        found = pa.audit_model(tmp_path / name).findings
+        assert any("there is no file 'k.stl'" in one.message for one in found)
+
+
+def test_a_limit_without_effort_or_velocity_has_none(tmp_path: Path) -> None:
+    """Exporters leave them out, where Pinocchio's reader refuses the file."""
+    path = tmp_path / "r.urdf"
+    for limit in ('lower="-1" upper="1"', 'lower="-1" upper="1" velocity="3"', 'effort="2"'):
+        path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", f"<limit {limit}/>")))
+        robot = read_urdf(path)
+        assert "states no effort, or no velocity" in robot.notes[0]
+        model = pin.buildModelFromXML(robot.text)
+        assert model.effortLimit[0] == (2 if "effort" in limit else 0)
+    path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", LIMIT)))
+    assert read_urdf(path).notes == ()
 
 
 # ------------------------------------------------------------------------------------- MJCF

@@ -18,6 +18,7 @@ from robots import Files, Parts, changed, mjcf_text, quadruped, urdf_text, write
 
 import pupper_analysis as pa
 from pupper_analysis.sync.digits import Digits
+from pupper_analysis.sync.plan import Cause
 from pupper_analysis.sync.xml_bytes import read_document
 
 ROBOT = quadruped()
@@ -269,15 +270,59 @@ def test_limits_come_and_go(tmp_path: Path) -> None:
     assert agree(files)
     assert files.urdf.read_text().count('type="continuous"') == 0
     files = pair(tmp_path, urdf=endless)
-    result = sync(files, "urdf")
+    result = sync(files, "urdf", take_absent=True)
     assert edits(result) == [("joint hip2", "limited", None, "false")]
     assert agree(files)
     files = pair(tmp_path, endless)
-    assert edits(sync(files, "mjcf")) == [("joint hip2", "type", "revolute", "continuous")]
+    result = sync(files, "mjcf", take_absent=True)
+    assert edits(result) == [("joint hip2", "type", "revolute", "continuous")]
     assert agree(files)
     files = pair(tmp_path, endless)
     assert edits(sync(files, "urdf")) == [("joint hip2", "range", None, "-1.02 0.9")]
     assert agree(files)
+
+
+def test_what_is_not_stated_overwrites_nothing_unless_asked_for(tmp_path: Path) -> None:
+    """Efforts of 0 are none, and a <dynamics> or an attribute that is not there is no 0."""
+    heavy = changed(ROBOT, "base", mass=7.0)
+    stated = re.sub('effort="[^"]*"', 'effort="0"', urdf_text(heavy))
+    files = write(tmp_path, re.sub("<dynamics [^>]*/>", "", stated), mjcf_text(ROBOT))
+    result = sync(files, "urdf")
+    assert [(e, a) for e, a, *_ in edits(result)] == [("body base > inertial", "mass")]
+    assert {left.cause for left in result.left} == {Cause.NOT_STATED}
+    assert len([left for left in result.left if left.difference.endswith("effort")]) == 8
+    assert not result.withheld
+    assert 'mass="7' in files.mjcf.read_text()
+    assert "limited" not in files.mjcf.read_text()
+    bare = re.sub(r' (damping|frictionloss)="[^"]*"', "", mjcf_text(ROBOT))
+    files = write(tmp_path, urdf_text(heavy), bare)
+    before = files.urdf.read_text()
+    result = sync(files, "mjcf")
+    assert edits(result) == [("link base > inertial > mass", "value", "7.0", "6")]
+    assert {left.cause for left in result.left} == {Cause.NOT_STATED}
+    assert files.urdf.read_text().count("damping") == before.count("damping") > 0
+    assert sync(files, "mjcf", take_absent=True).agree
+    assert agree(files)
+
+
+def test_of_what_was_chosen_all_is_written_or_nothing(tmp_path: Path) -> None:
+    """One body that cannot be mended would leave a robot of two versions on the disk."""
+    parts = {**ROBOT, "pad": type(ROBOT["base"])("pad", "shank0", "to_pad", "fixed")}
+    parts = changed(changed(parts, "shank0", mass=1.0), "thigh1", mass=2.0)
+    files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
+    before = files.urdf.read_bytes(), files.mjcf.read_bytes()
+    for dry in (True, False):
+        result = sync(files, "mjcf", dry_run=dry)
+        assert result.withheld
+        assert result.written == ()
+        assert [edit[0] for edit in edits(result)] == ["link thigh1 > inertial > mass"]
+        assert {left.cause for left in result.left} == {Cause.NOT_MENDED}
+        assert (files.urdf.read_bytes(), files.mjcf.read_bytes()) == before
+    for choice, options in (("mjcf", {"partial": True}), ("mjcf:body of hip1", {})):
+        files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
+        result = sync(files, choice, **options)
+        assert not result.withheld
+        assert result.written == (str(files.urdf),)
 
 
 # ------------------------------------------------------------------------------------- bodies
@@ -436,12 +481,12 @@ def test_changes_that_are_not_committed_are_not_written_over(tmp_path: Path) -> 
 LOOP = """
 import sys
 from pathlib import Path
-from pupper_analysis.sync.writing import replace_file
+from pupper_analysis.together import Writing, write_together
 path, one, two = Path(sys.argv[1]), b"1" * 4_000_000, b"2" * 4_000_001
 print("begun", flush=True)
 while True:
-    replace_file(path, one, two, backup=False)
-    replace_file(path, two, one, backup=False)
+    write_together([Writing(path, two, before=one)])
+    write_together([Writing(path, one, before=two)])
 """
 
 

@@ -50,7 +50,7 @@ fine_tolerance_option = click.option(
     "changes",
     multiple=True,
     metavar="KIND=VALUE",
-    help="What is let be, as of crosscheck (1e-9). May be repeated.",
+    help="What is let be, as of crosscheck. May be repeated.",
 )
 
 

@@ -27,6 +27,12 @@ if TYPE_CHECKING:
     "mass). May be repeated; the more particular counts.",
 )
 @click.option("--dry-run", is_flag=True, help="Write nothing; show what would change.")
+@click.option(
+    "--take-absent",
+    is_flag=True,
+    help="Take also that a file states no value: limits are switched off, damping becomes 0.",
+)
+@click.option("--partial", is_flag=True, help="Write what can be, if not all that was chosen can.")
 @click.option("--backup", is_flag=True, help="Keep the old files, as NAME.bak.")
 @click.option("--force", is_flag=True, help="Write to files with changes that are not committed.")
 @models.map_option
@@ -34,7 +40,7 @@ if TYPE_CHECKING:
 @models.package_option
 @models.frame_option
 @click.option(
-    "--coarse", is_flag=True, help="Leave what crosscheck tolerates: 5 to 6 digits are the same."
+    "--fine", is_flag=True, help="Mend rounding, too: all that differs by more than 1e-9."
 )
 @models.fine_tolerance_option
 @shared.json_option
@@ -42,6 +48,8 @@ def sync_command(
     urdf: Path,
     mjcf: Path,
     take: tuple[str, ...],
+    take_absent: bool,
+    partial: bool,
     dry_run: bool,
     backup: bool,
     force: bool,
@@ -49,7 +57,7 @@ def sync_command(
     map_file: Path | None,
     packages: tuple[str, ...],
     feet: tuple[str, ...],
-    coarse: bool,
+    fine: bool,
     changes: tuple[str, ...],
     json_path: Path | None,
 ) -> None:
@@ -75,7 +83,7 @@ def sync_command(
     from pupper_analysis.sync.models import FINE, sync_models
 
     names, folders = models.mapped_names(pairs, map_file), models.package_folders(packages)
-    tolerances = models.with_changes(Tolerances() if coarse else FINE, changes)
+    tolerances = models.with_changes(FINE if fine else Tolerances(), changes)
     shared.check_outputs(json_path)
 
     def run(chosen: tuple[str, ...], dry: bool) -> Sync:
@@ -83,6 +91,8 @@ def sync_command(
             urdf,
             mjcf,
             take=chosen,
+            take_absent=take_absent,
+            partial=partial,
             dry_run=dry,
             backup=backup,
             force=force,

@@ -9,13 +9,11 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
+from pupper_analysis.convert.mesh_files import READABLE, UnreadableError, check_size, obj_of
 from pupper_analysis.convert.xml_text import element, free_name
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
-
-_READABLE = (".stl", ".obj", ".msh")
-"""Endings of the mesh files that MuJoCo reads."""
 
 
 class Meshes:
@@ -62,11 +60,11 @@ class Meshes:
         path = path.resolve()
         if (path, scale) in self._names and (not touches or (path, scale) in self._touching):
             return self._names[path, scale]
-        if path.suffix.lower() not in _READABLE:
-            made = self._made(path)
-            if made is None:
-                self._leave("for neither MuJoCo nor trimesh reads them", file)
-                return None
+        try:
+            self._take(path)
+        except UnreadableError as error:
+            self._leave(str(error), file)
+            return None
         problem = _refused(self.made.get(self._place(path)), path, scale, touches=touches)
         if problem is not None:
             self._leave(f"for MuJoCo refuses them ({problem})", file)
@@ -114,29 +112,22 @@ class Meshes:
 
     def _place(self, path: Path) -> Path:
         """Returns the file that the MJCF names for a file of the URDF."""
-        if path.suffix.lower() in _READABLE:
+        if path.suffix.lower() in READABLE:
             return path
         if path not in self._places:  # two of one name may come from different folders
             folder = self.output.resolve().with_name(f"{self.output.stem}_meshes")
             self._places[path] = folder / f"{free_name(path.stem, self._stems)}.obj"
         return self._places[path]
 
-    def _made(self, path: Path) -> bytes | None:
-        """Writes a mesh in a format that MuJoCo reads, all its parts in one."""
-        import trimesh  # comes with yourdfpy, and is slow to import
+    def _take(self, path: Path) -> None:
+        """Writes a mesh anew if it is in a format that MuJoCo does not read.
 
-        place = self._place(path)
-        if place not in self.made:
-            try:
-                whole = trimesh.load(path, force="mesh")
-                self.made[place] = str(
-                    trimesh.exchange.obj.export_obj(
-                        whole, include_color=False, include_texture=False, include_normals=False
-                    )
-                ).encode()
-            except Exception:
-                return None
-        return self.made[place]
+        Raises:
+            UnreadableError: If it cannot be, or is too large.
+        """
+        check_size(path)
+        if path.suffix.lower() not in READABLE and self._place(path) not in self.made:
+            self.made[self._place(path)] = obj_of(path)
 
     def _leave(self, why: str, file: str) -> None:
         files = self._left.setdefault(why, [])

@@ -13,7 +13,7 @@ from pupper_analysis.convert.from_urdf import check_joints
 from pupper_analysis.convert.to_mjcf import MjcfOptions, mjcf_draft
 from pupper_analysis.convert.to_urdf import urdf_draft
 from pupper_analysis.errors import ConfigurationError, OutputError
-from pupper_analysis.files import check_writable, whole_file
+from pupper_analysis.files import check_writable
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -21,6 +21,7 @@ from pupper_analysis.prepare.load import Feet, load_robot
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sunk import sunk_stand
 from pupper_analysis.sync.models import FINE
+from pupper_analysis.together import Writing, write_together
 
 DURATION = 12.0
 """Of the simulated stand (s): what creeps or shakes shows in that time."""
@@ -139,7 +140,7 @@ def _stood(urdf: Path, mjcf: Path, feet: Feet | None) -> StandVerification:
 
 
 def _write(output: Path, draft: Draft, *, force: bool) -> list[Path]:
-    """Writes the meshes, and the file last: it is there once all that it names is there.
+    """Writes the meshes and the file that names them, together.
 
     Raises:
         OutputError: If a mesh would replace a file without ``force``.
@@ -147,9 +148,6 @@ def _write(output: Path, draft: Draft, *, force: bool) -> list[Path]:
     there = [path for path in draft.meshes if path.exists()]
     if there and not force:
         raise OutputError(there[0], "it exists; add --force (force=True) to replace it")
-    for path, content in draft.meshes.items():
-        with whole_file(path) as buffer:
-            buffer.write(content)
-    with whole_file(output) as buffer:
-        buffer.write(draft.text.encode(errors="backslashreplace"))  # a file's name is bytes
-    return [*draft.meshes, output]
+    contents = {**draft.meshes, output: draft.text.encode(errors="backslashreplace")}
+    write_together([Writing(path, content) for path, content in contents.items()])
+    return list(contents)

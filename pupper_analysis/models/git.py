@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pupper_analysis.errors import ModelError, OutputError
-from pupper_analysis.models.packages import POINTER
 from pupper_analysis.models.places import one_line
+from pupper_analysis.models.xml import LFS_POINTER
 
 _SAFE = ("-c", "core.fsmonitor=false", "-c", f"core.hooksPath={os.devnull}")
 
@@ -90,7 +90,7 @@ def _is_same(path: Path, blob: bytes | None) -> bool:
 
 def _pointed(blob: bytes) -> str | None:
     """Returns the SHA-256 of the file that a pointer of Git LFS stands for; None if it is none."""
-    if not blob.startswith(POINTER) or len(blob) >= _LARGEST_POINTER:
+    if not blob.startswith(LFS_POINTER) or len(blob) >= _LARGEST_POINTER:
         return None
     for line in blob.decode(errors="replace").splitlines():
         if line.startswith("oid sha256:"):

@@ -6,10 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pupper_analysis.errors import ModelError
-from pupper_analysis.models.xml import parse
-
-POINTER = b"version https://git-lfs.github.com/spec/"
-"""How a pointer begins that Git LFS leaves in place of a file."""
+from pupper_analysis.models.xml import LFS_POINTER, parse
 
 
 def existing(path: Path) -> Path | None:
@@ -24,10 +21,15 @@ def existing(path: Path) -> Path | None:
 
 
 def is_pointer(path: Path) -> bool:
-    """Says whether a file is a pointer of Git LFS, whose content was not brought along."""
+    """Says whether a file is a pointer of Git LFS, whose content was not brought along.
+
+    What is no regular file is not opened: a pipe would wait for ever.
+    """
     try:
+        if not path.is_file():
+            return False
         with path.open("rb") as file:
-            return file.read(len(POINTER)) == POINTER
+            return file.read(len(LFS_POINTER)) == LFS_POINTER
     except (OSError, ValueError):
         return False
 

@@ -1,10 +1,35 @@
-"""Hinges of a URDF that state no limits: its format has them locked at zero, nobody means that."""
+"""Joints of a URDF that state no limits: its format has them locked at zero, or refuses them."""
 
 from __future__ import annotations
 
 from lxml import etree
 
 _TOLD = 3  # joints that a note tells
+
+_DEMANDED = ("effort", "velocity")
+"""What the format demands of a <limit>, and some exporters leave out."""
+
+
+def complete_limits(root: etree._Element) -> str | None:
+    """Gives each <limit> the effort and the velocity that it lacks, in place: 0, which is none.
+
+    Pinocchio's reader refuses a joint without them, though nobody's effort is known.
+
+    Returns:
+        Which joints they were, in words; None if there was none.
+    """
+    names = []
+    for joint in root.findall("joint"):
+        for limit in joint.findall("limit"):
+            missing = [word for word in _DEMANDED if limit.get(word) is None]
+            names += [str(joint.get("name"))] if missing else []
+            limit.attrib.update(dict.fromkeys(missing, "0"))
+    if not names:
+        return None
+    return (
+        f"joints whose <limit> states no effort, or no velocity, are taken to have none: "
+        f"{_some(names)}"
+    )
 
 
 def states_no_limits(joint: etree._Element) -> bool:
@@ -36,8 +61,12 @@ def note_on_limits(root: etree._Element) -> str | None:
     names = [str(joint.get("name")) for joint in unlimited(root)]
     if not names:
         return None
-    more = f", and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
     return (
         f"joints whose <limit> states no range, or 0 to 0 with an effort of 0, are taken to have "
-        f"none: {', '.join(names[:_TOLD])}{more}"
+        f"none: {_some(names)}"
     )
+
+
+def _some(names: list[str]) -> str:
+    more = f", and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
+    return f"{', '.join(names[:_TOLD])}{more}"

@@ -46,7 +46,6 @@ _NUMBERS: Final[Mapping[str, Mapping[str, int]]] = {
 _REQUIRED: Final[Mapping[str, tuple[str, ...]]] = {
     "mass": ("value",),
     "inertia": _INERTIA,
-    "limit": ("effort", "velocity"),
     "mimic": ("joint",),
     "safety_controller": ("k_velocity",),
     "box": ("size",),

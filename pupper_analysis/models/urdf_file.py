@@ -16,7 +16,7 @@ from pupper_analysis.errors import ModelError
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.packages import existing, folders_of_package
 from pupper_analysis.models.places import Place, innermost, line_of, refusal_at, source_name
-from pupper_analysis.models.unlimited import note_on_limits
+from pupper_analysis.models.unlimited import complete_limits, note_on_limits
 from pupper_analysis.models.urdf_checks import (
     MAX_LINKS,
     UNTIDY_NUMBER,
@@ -75,8 +75,8 @@ class UrdfFile:
         """Finds the file that a mesh's ``filename`` means.
 
         ``package://NAME/...`` and ``model://NAME/...`` are looked up in ``packages``, then in the
-        folders of ``ROS_PACKAGE_PATH``, then in the folders above the URDF. Other names are
-        relative to the URDF.
+        folders of ``ROS_PACKAGE_PATH``, then in the folders above the URDF, as it is named and as
+        its links lead. Other names are relative to the URDF.
 
         Returns:
             The file, or None where there is none.
@@ -100,8 +100,11 @@ class UrdfFile:
             yield Path(self.packages[package])
         for entry in filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)):
             yield from folders_of_package(Path(entry), package)
-        for folder in self.path.absolute().parents:
-            yield from folders_of_package(folder, package)
+        # A link is looked up from where it is, and from where it leads to: of a workspace that is
+        # linked together, either may be the package's.
+        for path in dict.fromkeys((self.path.absolute(), self.path.resolve())):
+            for folder in path.parents:
+                yield from folders_of_package(folder, package)
 
 
 def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile:
@@ -138,6 +141,9 @@ def urdf_from(
     notes: list[str] = []
     rewritten = leave_out_undeclared(root, notes)
     rewritten |= leave_out_odd_materials(root)
+    completed = complete_limits(root)
+    notes += [] if completed is None else [completed]
+    rewritten |= completed is not None
     materials = distinct(path, root, "material")
     links = distinct(path, root, "link")
     joints = distinct(path, root, "joint")

@@ -21,6 +21,9 @@ MAX_DEPTH: Final = 250
 MAX_ELEMENTS: Final = 30_000
 """Most elements of a file with all it includes."""
 
+LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/"
+"""How a file begins that Git LFS leaves in place of one whose content was not brought along."""
+
 NUMBER: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """A number as a model file writes it; what XML Schema calls a decimal or a double."""
 
@@ -85,6 +88,10 @@ def _text(path: Path) -> str:
     if len(data) > MAX_BYTES:
         raise ModelError(
             source_name(path), f"it has more than {MAX_BYTES // 10**6} MB, the most that is read"
+        )
+    if data.startswith(LFS_POINTER):
+        raise ModelError(
+            source_name(path), "it is a pointer of Git LFS, not the model: git lfs pull brings it"
         )
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise ModelError(source_name(path), "it is encoded in UTF-16; save it as UTF-8")

@@ -8,6 +8,7 @@ from rich.markup import escape
 from pupper_analysis.report.console import print_notes
 from pupper_analysis.sync.choices import label, line_at
 from pupper_analysis.sync.models import Sync
+from pupper_analysis.sync.plan import Cause
 
 
 def question(sync: Sync, place: int) -> str:
@@ -59,7 +60,7 @@ def print_sync(out: Console, sync: Sync, *, dry_run: bool = False) -> None:
     """
     if dry_run:
         out.print(escape(sync.diff), soft_wrap=True, end="")
-    else:
+    elif not sync.withheld:
         for edit in sync.edits:
             old = "(not stated)" if edit.old is None else edit.old
             said = f"{edit.file}:{edit.line}: {edit.element}: {edit.attribute}: {old} -> {edit.new}"
@@ -69,7 +70,15 @@ def print_sync(out: Console, sync: Sync, *, dry_run: bool = False) -> None:
         out.print(escape(f"the old file is kept: {backup}"), style="dim", soft_wrap=True)
     for left in sync.left:
         out.print(f"[red]left:[/] {escape(f'{left.difference}: {left.reason}')}", soft_wrap=True)
-    _print_verdict(out, sync, would=dry_run)
+    if sync.withheld:
+        failed = sum(left.cause == Cause.NOT_MENDED for left in sync.left)
+        out.print(
+            f"[bold]nothing is written[/]: {failed} of the chosen differences cannot be mended, "
+            "and the rest alone would make a robot of two versions; choose what is meant, or add "
+            "--partial",
+            soft_wrap=True,
+        )
+    _print_verdict(out, sync, would=dry_run or sync.withheld)
 
 
 def _print_verdict(out: Console, sync: Sync, *, would: bool = False) -> None:

@@ -33,7 +33,7 @@ def write_effort(side: MjcfSide, key: Key) -> None:
         side.left[key] = "its actuators stand in no elements of their own (replicate, attach)"
         return
     bounds = _Bounds(side, key, element, motors, drives)
-    if not math.isfinite(wanted):
+    if not 0 < wanted < math.inf:  # a URDF's effort of 0 is none
         bounds.lift()
         return
     now = effort_limit(model, joint)

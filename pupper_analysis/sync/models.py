@@ -18,15 +18,12 @@ from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.results import Result
 from pupper_analysis.sync.choices import chosen, label
 from pupper_analysis.sync.frames import Key
-from pupper_analysis.sync.plan import Edit, Files, Plan, made
-from pupper_analysis.sync.writing import (
-    replace_file,
-    staged,
-    unified_diff,
-)
+from pupper_analysis.sync.plan import Cause, Edit, Files, Plan, made
+from pupper_analysis.sync.writing import staged, unified_diff
+from pupper_analysis.together import Writing, write_together
 
 FINE = replace(Tolerances.strict(), gravity=Tolerances().gravity)
-"""What counts as a difference by default: rounding does not, and a URDF states no gravity."""
+"""What counts as a difference, digit for digit: rounding does not; a URDF states no gravity."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +33,12 @@ class Left(Result):
     Attributes:
         difference: Its name: ``body of base: mass``.
         reason: Why.
+        cause: The kind of reason.
     """
 
     difference: str
     reason: str
+    cause: Cause
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +54,8 @@ class Sync(Result):
         diff: The changes of the files, as ``diff -u`` has them.
         written: The files that were replaced.
         backups: Copies of the files as they were.
+        withheld: Whether nothing is written because not all of what was chosen can be: what is
+            left ``not mended`` would make a robot of two versions.
         agree: Whether the files agree, with these edits.
     """
 
@@ -66,6 +67,7 @@ class Sync(Result):
     diff: str
     written: tuple[str, ...]
     backups: tuple[str, ...]
+    withheld: bool
     agree: bool
 
 
@@ -76,6 +78,8 @@ def sync_models(
     mjcf: str | Path,
     *,
     take: str | Sequence[str] = (),
+    take_absent: bool = False,
+    partial: bool = False,
     dry_run: bool = False,
     backup: bool = False,
     force: bool = False,
@@ -88,6 +92,7 @@ def sync_models(
 
     Only attributes whose numbers differ are written; no other byte of a file is. What is to be
     written is tried first, beside the files: what does not mend its difference is not written.
+    All that was chosen is written, in both files, or nothing is.
 
     Args:
         urdf: Path of the URDF.
@@ -95,13 +100,18 @@ def sync_models(
         take: Whose values are taken: ``"urdf"`` (then the MJCF is changed) or ``"mjcf"``, for all,
             or for some (``"mjcf:mass"``, ``"urdf:body of base: mass"``, ``"mjcf:3"``). Of what is
             not named, nothing is changed.
+        take_absent: Take also that a file states no value: a limit is switched off, a damping
+            becomes 0. By default what is not stated overwrites nothing.
+        partial: Write what can be, if not all that was chosen can.
         dry_run: Write nothing, and say what would be written.
         backup: Keep the old files, as ``NAME.bak``.
         force: Write to files of a git repository with changes that are not committed.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: its folder}, for ``package://`` paths.
         feet: Frames, by their names in the MJCF, that are compared; by default all in common.
-        tolerances: What counts as a difference; by default all but rounding.
+        tolerances: What counts as a difference; by default what does for `compare_models`, so that
+            numbers of 5 or 6 digits stay as they are written. ``Tolerances.strict()`` is for all
+            but the rounding of floating-point numbers.
 
     Returns:
         What was, or would be, written, and what is left.
@@ -112,7 +122,7 @@ def sync_models(
         OutputError: If a file cannot be written, or has changes that are not committed.
     """
     files = Files(Path(urdf), Path(mjcf), dict(names or {}), dict(packages or {}), tuple(feet))
-    tolerances = tolerances or FINE
+    tolerances = tolerances or Tolerances()
     comparison = _compared(files, tolerances)
     choices = chosen(comparison.differences, take)
     keys = {
@@ -120,8 +130,10 @@ def sync_models(
         for difference, side in zip(comparison.differences, choices, strict=True)
         if side is not None
     }
-    plan, after = _tried(files, tolerances, comparison, keys)
-    written, backups = ((), ()) if dry_run else _written(plan, backup=backup, force=force)
+    plan, after = _tried(files, tolerances, comparison, keys, absent=take_absent)
+    withheld = not partial and any(plan.cause(key) == Cause.NOT_MENDED for key in plan.left)
+    idle = dry_run or withheld
+    written, backups = ((), ()) if idle else _written(plan, backup=backup, force=force)
     labels = {(d.kind, d.element): label(d) for d in comparison.differences}
     return Sync(
         differences=comparison.differences,
@@ -132,6 +144,7 @@ def sync_models(
         diff="".join(unified_diff(d.path, d.data, d.rendered()) for d in plan.documents()),
         written=written,
         backups=backups,
+        withheld=withheld,
         agree=after.agree,
     )
 
@@ -149,7 +162,12 @@ def _compared(files: Files, tolerances: Tolerances) -> Comparison:
 
 
 def _tried(
-    files: Files, tolerances: Tolerances, comparison: Comparison, keys: Mapping[Key, str]
+    files: Files,
+    tolerances: Tolerances,
+    comparison: Comparison,
+    keys: Mapping[Key, str],
+    *,
+    absent: bool,
 ) -> tuple[Plan, Comparison]:
     """Returns a plan that does what it says, and the comparison of the files after it.
 
@@ -158,7 +176,8 @@ def _tried(
     """
     refused: dict[Key, str] = {}
     while True:
-        plan = made(files, tolerances, {k: s for k, s in keys.items() if k not in refused})
+        waiting = {key: side for key, side in keys.items() if key not in refused}
+        plan = made(files, tolerances, waiting, absent=absent)
         plan.left.update(refused)
         if not plan.edits():
             silent = dict.fromkeys(keys.keys() - plan.left.keys(), _SILENT)
@@ -209,16 +228,14 @@ def _refused(
 
 
 def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Replaces the files; returns them, and the copies of the old ones."""
+    """Replaces all files, or none; returns them, and the copies of the old ones."""
     changed = [d for d in plan.documents() if d.rendered() != d.data]
     if not force:
         for document in changed:
             refuse_uncommitted(document.path)
-    kept = [replace_file(d.path, d.data, d.rendered(), backup=backup) for d in changed]
-    return (
-        tuple(str(document.path) for document in changed),
-        tuple(str(path) for path in kept if path is not None),
-    )
+    writings = [Writing(d.path, d.rendered(), before=d.data) for d in changed]
+    kept = write_together(writings, backup=backup)
+    return tuple(str(d.path) for d in changed), tuple(map(str, kept))
 
 
 def _left(
@@ -232,20 +249,22 @@ def _left(
     still = {(d.kind, d.element): d for d in after.differences}
     for key, name in labels.items():
         if key in plan.left:
-            yield Left(name, plan.left[key])
+            yield Left(name, plan.left[key], plan.cause(key))
         elif key not in keys and key in still:
-            yield Left(name, "nothing was chosen for it")
+            yield Left(name, "nothing was chosen for it", Cause.NOT_CHOSEN)
     for key, difference in still.items():
         if key not in labels:
-            yield Left(label(difference), f"it is there since: {difference.message}")
+            reason = f"it is there since: {difference.message}"
+            yield Left(label(difference), reason, Cause.NEW)
     for part in before.parts:
-        yield Left("part", f"{part}; a part is no number to write")
+        yield Left("part", f"{part}; a part is no number to write", Cause.NO_WORDS)
     for joints, there, other in (
         (before.only_urdf, "URDF", "MJCF"),
         (before.only_mjcf, "MJCF", "URDF"),
     ):
         for joint in joints:
-            yield Left(f"joint {joint}", f"the {there} alone has it, not the {other}")
+            reason = f"the {there} alone has it, not the {other}"
+            yield Left(f"joint {joint}", reason, Cause.NO_WORDS)
     if not after.differences:
         for objection in after.objections:
-            yield Left("agreement", objection)
+            yield Left("agreement", objection, Cause.NO_WORDS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 
 from pupper_analysis.checks.attribution import align
@@ -13,6 +14,7 @@ from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.results import Result
+from pupper_analysis.sync.absent import is_absent
 from pupper_analysis.sync.digits import Digits
 from pupper_analysis.sync.frames import Key, Sides, sides
 from pupper_analysis.sync.mjcf_elements import MjcfElements
@@ -33,6 +35,20 @@ _REASONS = {
     "armature": "a URDF has no armature",
     "mimic": "a joint that follows another is no number: add an equality to the MJCF by hand",
 }
+
+
+class Cause(StrEnum):
+    """Why a difference is left."""
+
+    NOT_CHOSEN = "not chosen"
+    NOT_STATED = "not stated"
+    """The file whose value was chosen states none."""
+    NO_WORDS = "no words"
+    """It is no number of both formats: structure, a convention, or what one of them lacks."""
+    NOT_MENDED = "not mended"
+    """It is a number of both, but cannot be written, or was tried and mends nothing."""
+    NEW = "new"
+    """It is there since other differences were mended."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +92,7 @@ class Plan:
         urdf: {file: its document} of the URDF.
         mjcf: {file: its document} of the MJCF and what it includes, the main file first.
         left: {difference: why it is not written}.
+        causes: {difference that is left: the kind of reason}; the others are not mended.
         notes: {difference: what is to be said}.
     """
 
@@ -83,7 +100,12 @@ class Plan:
     urdf: dict[Path, Document]
     mjcf: dict[Path, Document]
     left: dict[Key, str] = field(default_factory=dict)
+    causes: dict[Key, Cause] = field(default_factory=dict)
     notes: dict[Key, str] = field(default_factory=dict)
+
+    def cause(self, key: Key) -> Cause:
+        """Returns why a difference is not written."""
+        return self.causes.get(key, Cause.NOT_MENDED)
 
     def documents(self) -> Iterator[Document]:
         """Yields all documents."""
@@ -100,13 +122,16 @@ class Plan:
         )
 
 
-def made(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) -> Plan:
+def made(
+    files: Files, tolerances: Tolerances, taken: Mapping[Key, str], *, absent: bool = False
+) -> Plan:
     """Plans what is to be written.
 
     Args:
         files: The files.
         tolerances: With which their differences were found.
         taken: {kind and element of a difference: ``"urdf"`` or ``"mjcf"``, whose value is taken}.
+        absent: Whether what a file does not state is taken, too.
     """
     urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
     matched = match(urdf, mjcf, names=files.names, feet=files.feet, tolerances=tolerances)
@@ -130,7 +155,11 @@ def made(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) -> Plan
     )
     for side, other in ((into_urdf, "mjcf"), (into_mjcf, "urdf")):
         keys = [key for key, whose in taken.items() if whose == other]
-        plan.left |= {key: reason for key in keys if (reason := _reason(key, other, both))}
+        for key in keys:
+            if reason := _reason(key, other, both):
+                plan.left[key], plan.causes[key] = reason, Cause.NO_WORDS
+            elif not absent and is_absent(key, other, both, urdf, mjcf):
+                plan.left[key], plan.causes[key] = _unstated(other), Cause.NOT_STATED
         keys = [key for key in keys if key not in plan.left]
         side.wanted = both.wanted("urdf" if other == "mjcf" else "mjcf", keys)
         side.plan(keys)
@@ -153,6 +182,13 @@ def _reason(key: Key, whose: str, both: Sides) -> str | None:
         if one.parent != two.parent:
             return "its parent is another: change that by hand"
     return None
+
+
+def _unstated(whose: str) -> str:
+    one, two = ("URDF", "MJCF") if whose == "urdf" else ("MJCF", "URDF")
+    return (
+        f"the {one} states none, which overwrites nothing: take the {two}'s, or add --take-absent"
+    )
 
 
 def _edits(element: Element) -> Iterator[Edit]:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import difflib
 import secrets
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from pupper_analysis.errors import OutputError
-from pupper_analysis.files import whole_file
 from pupper_analysis.sync.xml_bytes import Document
 
 
@@ -19,47 +17,6 @@ def unified_diff(path: Path, before: bytes, after: bytes) -> str:
     one, two = (text.decode("utf-8").split("\n") for text in (before, after))
     lines = difflib.unified_diff(one, two, f"a/{path.name}", f"b/{path.name}", lineterm="")
     return "\n".join(lines) + "\n" if before != after else ""
-
-
-def replace_file(path: Path, before: bytes, after: bytes, *, backup: bool) -> Path | None:
-    """Replaces a file's content: at any moment it is the old file or the new one.
-
-    Args:
-        path: The file; a symbolic link stays one.
-        before: What it is known to hold.
-        after: What it shall hold.
-        backup: Keep the old file beside it.
-
-    Returns:
-        The old file's copy, if one was asked for.
-
-    Raises:
-        OutputError: If it cannot be written, or was changed meanwhile.
-    """
-    path = path.resolve()
-    kept = None
-    try:
-        if path.read_bytes() != before:
-            raise OutputError(path, "it was changed meanwhile; run it again")
-        if backup:
-            kept = _free(path)
-            shutil.copy2(path, kept)
-        with whole_file(path) as buffer:  # which keeps the file's mode
-            buffer.write(after)
-    except OSError as error:
-        raise OutputError(path, error.strerror or error) from error
-    return kept
-
-
-def _free(path: Path) -> Path:
-    """Returns a name for a copy that is not taken."""
-    first = path.with_name(f"{path.name}.bak")
-    number = 1
-    found = first
-    while found.exists():
-        number += 1
-        found = path.with_name(f"{path.name}.bak{number}")
-    return found
 
 
 @contextmanager
@@ -86,18 +43,21 @@ def staged(*groups: Mapping[Path, Document]) -> Iterator[list[Path]]:
         for group, main in zip(groups, mains, strict=True):
             for path, document in group.items():
                 if path in places:
-                    _write(places[path], _with_includes(document, main, places))
+                    _write_trial(places[path], _with_includes(document, main, places), path)
         yield [places.get(main, main) for main in mains]
     finally:
         for place in places.values():
             place.unlink(missing_ok=True)
 
 
-def _write(path: Path, data: bytes) -> None:
+def _write_trial(place: Path, data: bytes, path: Path) -> None:
+    """Writes what is tried; an error names the file that is meant, not the hidden one."""
     try:
-        path.write_bytes(data)
+        place.write_bytes(data)
     except OSError as error:
-        raise OutputError(path, error.strerror or error) from error
+        raise OutputError(
+            path, f"nothing can be tried in its folder: {error.strerror or error}"
+        ) from error
 
 
 def _with_includes(document: Document, main: Path, places: Mapping[Path, Path]) -> bytes:

@@ -1,0 +1,104 @@
+"""Mesh files in formats that MuJoCo does not read, written as OBJ, within limits."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from pathlib import Path
+from typing import Final
+
+READABLE: Final = (".stl", ".obj", ".msh")
+"""Endings of the mesh files that MuJoCo reads."""
+
+_CONVERTIBLE: Final = (".dae", ".glb", ".gltf", ".off", ".ply")
+"""Endings of those that are read here: no archives, whose content may be of any size and kind."""
+
+MOST_BYTES: Final = 200_000_000
+"""Largest mesh file that is read: ten times the largest of a published robot that was seen."""
+
+MOST_VERTICES: Final = 5_000_000
+"""Most vertices of a mesh: some 1 GB while it is written."""
+
+_GLB: Final = struct.Struct("<4sIIII")
+"""Magic number, version, length; length and kind of the first chunk, which is JSON."""
+
+
+class UnreadableError(Exception):
+    """A mesh file is not taken; the message says why, of several files."""
+
+
+def obj_of(path: Path) -> bytes:
+    """Returns a mesh as OBJ, all its parts in one.
+
+    Raises:
+        UnreadableError: If it is in no format that is read, or too large, or broken.
+    """
+    check_size(path)
+    ending = path.suffix.lower()
+    if ending not in _CONVERTIBLE:
+        formats = ", ".join((*READABLE, *_CONVERTIBLE))
+        raise UnreadableError(f"in formats that are not read (those are {formats})")
+    import trimesh  # comes with yourdfpy, and is slow to import
+
+    try:
+        if ending in (".glb", ".gltf"):
+            _check_gltf(path.read_bytes())
+        scene = trimesh.load_scene(
+            io.BytesIO(path.read_bytes()), file_type=ending[1:], resolver=_Beside(path)
+        )
+        count = sum(
+            len(scene.geometry[scene.graph[node][1]].vertices)
+            for node in scene.graph.nodes_geometry
+        )
+        _check_count(count)
+        text: str = trimesh.exchange.obj.export_obj(
+            scene.to_mesh(), include_color=False, include_texture=False, include_normals=False
+        )
+        return text.encode()
+    except UnreadableError:
+        raise
+    except Exception as error:  # whatever the many readers raise of broken files
+        raise UnreadableError("for they are broken, or not what their names say") from error
+
+
+def check_size(path: Path) -> None:
+    """Refuses a file that is larger than any mesh of a robot.
+
+    Raises:
+        UnreadableError: If so.
+    """
+    if path.stat().st_size > MOST_BYTES:
+        raise UnreadableError(f"for they are larger than {MOST_BYTES // 10**6} MB")
+
+
+def _check_count(vertices: int) -> None:
+    if vertices > MOST_VERTICES:
+        raise UnreadableError(f"for they have more than {MOST_VERTICES} vertices")
+
+
+def _check_gltf(data: bytes) -> None:
+    """Looks how many numbers a glTF file claims: what no buffer has is zero, and needs no file."""
+    if data[:4] == b"glTF":
+        size = int(_GLB.unpack_from(data)[3])
+        data = data[_GLB.size : _GLB.size + size]
+    counts = [int(accessor.get("count", 0)) for accessor in json.loads(data).get("accessors", ())]
+    _check_count(max(counts, default=0))
+
+
+class _Beside:
+    """Finds the files that a mesh names, for trimesh: regular ones, beside it, not too large."""
+
+    def __init__(self, path: Path) -> None:
+        self.folder = path.parent.resolve()
+
+    def __getitem__(self, name: str) -> bytes:
+        return self.get(name)
+
+    def get(self, name: str) -> bytes:
+        """Returns a file's content."""
+        file = (self.folder / name).resolve()
+        if not file.is_relative_to(self.folder) or not file.is_file():
+            raise FileNotFoundError(name)
+        check_size(file)
+        return file.read_bytes()

@@ -1,0 +1,98 @@
+"""Mesh files that convert takes, and those that it leaves: archives, claims, what is too large."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import struct
+import zipfile
+from pathlib import Path
+
+import pytest
+import trimesh
+from robots import arm, urdf_text
+from test_convert import _shape, compiled
+
+import pupper_analysis as pa
+from pupper_analysis.convert import mesh_files
+from pupper_analysis.convert.mesh_files import UnreadableError, obj_of
+
+BOX = trimesh.creation.box((0.1, 0.2, 0.3))
+
+
+def glb(document: dict[str, object]) -> bytes:
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text
+
+
+def hostile(folder: Path) -> dict[str, str]:
+    """{a mesh file that is made in the folder: why it is left out}."""
+    BOX.export(folder / "box.obj")
+    with zipfile.ZipFile(folder / "box.zip", "w") as archive:
+        archive.write(folder / "box.obj", "box.obj")
+    BOX.export(folder / "box.3mf")
+    with (folder / "large.stl").open("wb") as file:
+        file.truncate(mesh_files.MOST_BYTES + 1)
+    accessor = {"componentType": 5126, "count": 10**9, "type": "VEC3"}  # 12 GB of zeros
+    mesh = {"primitives": [{"attributes": {"POSITION": 0}}]}
+    claims = {"asset": {"version": "2.0"}, "accessors": [accessor], "meshes": [mesh]}
+    (folder / "claims.glb").write_bytes(glb({**claims, "nodes": [{"mesh": 0}]}))
+    (folder / "broken.dae").write_text("<COLLADA/>")
+    (folder / "text.ply").write_text("no mesh")
+    os.mkfifo(folder / "pipe.dae")
+    return {
+        "box.zip": "formats that are not read",
+        "box.3mf": "formats that are not read",
+        "large.stl": "larger than",
+        "claims.glb": "vertices",
+        "broken.dae": "broken",
+        "text.ply": "broken",
+        "pipe.dae": "no such file",
+    }
+
+
+def test_archives_claims_and_what_is_too_large_are_left_out(tmp_path: Path) -> None:
+    """A zip of 780 kB was unpacked to 11.5 GB: any suffix was given to a reader of all formats."""
+    expected = hostile(tmp_path)
+    shapes = "".join(
+        _shape("visual", f'<mesh filename="{name}"/>', "0 0 0") for name in (*expected, "box.obj")
+    )
+    text = urdf_text(arm(), ()).replace("</link>", shapes + "</link>", 1)
+    (tmp_path / "arm.urdf").write_text(text)
+    found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
+    for name, why in expected.items():
+        (said,) = [text for text in found.left if name in text]
+        assert why in said
+    assert compiled(tmp_path / "arm.xml").nmesh == 1  # box.obj
+
+
+def test_instances_of_a_mesh_count_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = trimesh.Scene()
+    for number in range(10):
+        scene.add_geometry(
+            BOX,
+            geom_name="box",
+            transform=trimesh.transformations.translation_matrix([number, 0, 0]),
+        )
+    scene.export(tmp_path / "many.glb")
+    whole = trimesh.load(io.BytesIO(obj_of(tmp_path / "many.glb")), file_type="obj")
+    assert len(whole.faces) == 10 * len(BOX.faces)
+    monkeypatch.setattr(mesh_files, "MOST_VERTICES", 9 * len(BOX.vertices))
+    with pytest.raises(UnreadableError, match="vertices"):
+        obj_of(tmp_path / "many.glb")
+
+
+def test_files_that_a_mesh_names_are_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(BOX))
+    for name, content in files.items():
+        (tmp_path / "in" / name).write_bytes(content)
+    model = tmp_path / "in" / "model.gltf"
+    assert obj_of(model)
+    buffer = next(name for name in files if name.endswith(".bin"))
+    (tmp_path / "in" / buffer).rename(tmp_path / buffer)
+    model.write_text(model.read_text().replace(buffer, f"../{buffer}"))
+    with pytest.raises(UnreadableError, match="broken"):
+        obj_of(model)

@@ -1,0 +1,215 @@
+"""Several files are written together, or none of them; `sync` of two files is such a case."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from robots import changed, quadruped, write_parts
+
+import pupper_analysis as pa
+from pupper_analysis.errors import OutputError
+from pupper_analysis.together import Writing, write_together
+
+OLD = {"a": b"old a", "b": b"old b"}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, content in OLD.items():
+        (tmp_path / name).write_bytes(content)
+    return tmp_path
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def both(folder: Path, **options: bool) -> tuple[Path, ...]:
+    wanted = [Writing(folder / name, b"new " + name.encode(), old) for name, old in OLD.items()]
+    return write_together(wanted, **options)
+
+
+def fails_at(what: str, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    """Lets renames onto a file of that name fail once."""
+    real = Path.replace
+    left = [error]
+
+    def replace(self: Path, target: Path) -> Path:
+        if Path(target).name == what and left:
+            raise left.pop()
+        return real(self, target)
+
+    monkeypatch.setattr(Path, "replace", replace)
+
+
+def test_all_are_written_and_nothing_else_is_left(folder: Path) -> None:
+    (folder / "a.bak").write_bytes(b"mine")
+    kept = both(folder, backup=True)
+    assert kept == (folder / "a.bak2", folder / "b.bak")
+    assert contents(folder) == {
+        "a": b"new a", "b": b"new b", "a.bak": b"mine", "a.bak2": b"old a", "b.bak": b"old b"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()]
+)
+def test_if_the_second_fails_the_first_is_put_back(
+    error: BaseException, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = (folder / "a").stat()
+    fails_at("b", monkeypatch, error)
+    expected = KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else OutputError
+    with pytest.raises(expected) as raised:
+        both(folder, backup=True)
+    assert contents(folder) == OLD
+    assert (folder / "a").stat().st_ino == before.st_ino  # the file itself, not a copy
+    if expected is OutputError:
+        assert str(raised.value) == f"cannot write {folder / 'b'}: No space left on device"
+
+
+def test_without_hard_links_the_first_is_put_back_as_a_copy(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_links(*_: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    (folder / "a").chmod(0o640)
+    monkeypatch.setattr(os, "link", no_links)
+    fails_at("b", monkeypatch, OSError(errno.EIO, "Input/output error"))
+    with pytest.raises(OutputError, match="Input/output error"):
+        both(folder)
+    assert contents(folder) == OLD
+    assert (folder / "a").stat().st_mode & 0o777 == 0o640
+
+
+def test_what_cannot_be_put_back_is_named_and_kept(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, calls = Path.replace, list[Path]()
+
+    def only_once(self: Path, target: Path) -> Path:
+        calls.append(target)
+        if len(calls) > 1:
+            raise OSError(errno.EIO, "Input/output error")
+        return real(self, target)
+
+    monkeypatch.setattr(Path, "replace", only_once)
+    with pytest.raises(OutputError, match="cannot be put back") as raised:
+        both(folder)
+    hidden = [path for path in folder.iterdir() if path.name.startswith(".")]
+    assert [path.read_bytes() for path in hidden] == [b"old a"]
+    assert str(hidden[0]) in str(raised.value)
+
+
+def test_new_files_go_again_if_a_later_one_fails(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fails_at("b", monkeypatch, OSError(errno.EIO, "Input/output error"))
+    with pytest.raises(OutputError):
+        write_together([Writing(folder / "new", b"x"), Writing(folder / "b", b"y")])
+    assert contents(folder) == OLD
+
+
+def deny(path: Path) -> Callable[[Path, int], bool]:
+    real = os.access
+    return lambda other, mode: Path(other) != path and bool(real(other, mode))
+
+
+@pytest.mark.parametrize("problem", ["read-only", "changed", "a folder"])
+def test_what_is_known_before_leaves_all_as_it_was(
+    problem: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = dict(OLD)
+    if problem == "read-only":
+        monkeypatch.setattr(os, "access", deny(folder / "b"))
+    elif problem == "changed":
+        (folder / "b").write_bytes(b"another's")
+        expected["b"] = b"another's"
+    else:
+        (folder / "b").unlink()
+        (folder / "b").mkdir()
+        del expected["b"]
+    with pytest.raises(OutputError) as raised:
+        both(folder, backup=True)
+    assert raised.value.path == folder / "b"
+    if problem == "a folder":
+        (folder / "b").rmdir()
+    assert contents(folder) == expected
+
+
+def test_what_changes_while_it_is_written_is_not_lost(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another program writes to the second file when the first has been replaced."""
+    real = Path.replace
+
+    def replace(self: Path, target: Path) -> Path:
+        if Path(target).name == "a" and (folder / "b").read_bytes() == OLD["b"]:
+            (folder / "other").write_bytes(b"another's")
+            real(folder / "other", folder / "b")
+        return real(self, target)
+
+    monkeypatch.setattr(Path, "replace", replace)
+    with pytest.raises(OutputError, match="changed meanwhile"):
+        both(folder)
+    assert contents(folder) == {"a": b"old a", "b": b"another's"}
+
+
+def test_contents_are_on_the_disk_before_any_file_is_replaced(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    sync, replace = os.fsync, Path.replace
+
+    def synced(handle: int) -> None:
+        sync(handle)
+        done.append("fsync")
+
+    def replaced(self: Path, target: Path) -> Path:
+        done.append("rename")
+        return replace(self, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", replaced)
+    both(folder)
+    assert done[:4] == ["fsync", "fsync", "rename", "rename"]
+
+
+@pytest.mark.parametrize("problem", ["read-only", "full"])
+def test_sync_of_both_sides_is_all_or_nothing(
+    problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The URDF was rewritten already when the MJCF could not be."""
+    robot = quadruped()
+    other = changed(changed(robot, "base", mass=7.0), "thigh1", damping=0.3)
+    files = write_parts(tmp_path, robot, other)
+    before = contents(tmp_path)
+    if problem == "read-only":
+        monkeypatch.setattr(os, "access", deny(files.mjcf.resolve()))
+    else:
+        fails_at(files.mjcf.name, monkeypatch, OSError(errno.ENOSPC, "No space left on device"))
+    take = ["mjcf:body of base: mass", "urdf:damping"]
+    with pytest.raises(pa.OutputError) as raised:
+        pa.sync_models(files.urdf, files.mjcf, take=take)
+    assert str(files.mjcf) in str(raised.value)
+    assert contents(tmp_path) == before
+
+
+def test_what_cannot_be_tried_is_said_of_the_file_that_was_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=7.0))
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(pa.OutputError) as raised:
+        pa.sync_models(files.urdf, files.mjcf, take="urdf", dry_run=True)
+    assert raised.value.path == files.mjcf
+    assert f".{files.mjcf.stem}-" not in str(raised.value)
