@@ -83,7 +83,10 @@ def test_joints_of_one_file_alone_are_the_cause(tmp_path: Path) -> None:
 def test_guessed_pairs_are_named(tmp_path: Path) -> None:
     urdf = changed(quadruped(), "shank3", joint="lh_kfe")
     text = printed(compared(write_parts(tmp_path, urdf, quadruped())))
-    assert "matched by structure or by part of the name (confirm with --map): lh_kfe=knee3" in text
+    assert (
+        "matched by structure, by link or by part of the name (confirm with --map): lh_kfe=knee3"
+        in text
+    )
 
 
 def test_differences_alike_are_one_group(files: Files) -> None:

@@ -390,9 +390,18 @@ def renamed(urdf: Parts, **names: str) -> Parts:
     }
 
 
+def other_links(parts: Parts) -> Parts:
+    """The parts with links of names that the other file does not know."""
+    names = {name: f"body{chr(97 + number)}" for number, name in enumerate(parts)}
+    return {
+        names[name]: replace(part, link=names[name], parent=names.get(part.parent, ""))
+        for name, part in parts.items()
+    }
+
+
 def test_names_that_all_differ_are_matched_by_structure_and_said_so(tmp_path: Path) -> None:
     names = {name: f"joint_{number}" for number, name in enumerate(sorted(JOINTS, reverse=True))}
-    files = write_parts(tmp_path, renamed(quadruped(), **names), quadruped())
+    files = write_parts(tmp_path, renamed(quadruped(), **names), other_links(quadruped()))
     comparison = compared(files)
     assert comparison.guessed == {new: old for old, new in names.items()}
     assert comparison.agree
@@ -410,7 +419,7 @@ def test_ambiguous_structure_is_not_guessed(tmp_path: Path) -> None:
         "left": replace(twins["left"], position=(0.3, 0.0, 0.002)),
         "right": replace(twins["right"], position=(0.3, 0.0, -0.002)),
     }
-    comparison = compared(write_parts(tmp_path, urdf, quadruped() | middle))
+    comparison = compared(write_parts(tmp_path, urdf, other_links(quadruped() | middle)))
     assert comparison.guessed == {}
     assert comparison.only_urdf == ("one", "two")
     assert comparison.only_mjcf == ("to_left", "to_right")
@@ -473,7 +482,7 @@ def test_each_is_to_be_the_nearest_of_the_other(tmp_path: Path) -> None:
 
 def test_joints_with_other_axes_are_not_matched(tmp_path: Path) -> None:
     urdf = changed(quadruped(), "shank3", joint="other", axis=(0.0, 0.0, 1.0))
-    comparison = compared(write_parts(tmp_path, urdf, quadruped()))
+    comparison = compared(write_parts(tmp_path, urdf, other_links(quadruped())))
     assert comparison.guessed == {}
     assert (comparison.only_urdf, comparison.only_mjcf) == (("other",), ("knee3",))
 
@@ -515,7 +524,7 @@ def test_a_choice_is_said_with_lines_to_paste(tmp_path: Path) -> None:
         "right": replace(twins["right"], position=(0.3, 0.0, -0.002)),
     }
     urdf = quadruped() | renamed(twins, to_left="one", to_right="two")
-    comparison = compared(write_parts(tmp_path, urdf, quadruped() | middle))
+    comparison = compared(write_parts(tmp_path, urdf, other_links(quadruped() | middle)))
     said = [note for note in comparison.notes if "may be" in note]
     assert said[0] == (
         "joint one of the URDF may be to_left or to_right of the MJCF; say which: "
@@ -534,8 +543,55 @@ def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
         name: replace(part, axis=(0.0, 0.0, 1.0)) if name != "thigh0" and part.parent else part
         for name, part in quadruped().items()
     }
-    with pytest.raises(ModelError, match=r"only 1 of 8 joints have a partner.*--map xknee0=\.\.\."):
-        compared(write_parts(tmp_path, urdf, mjcf))
+    with pytest.raises(ModelError, match="only 1 of 8 joints have a partner") as raised:
+        compared(write_parts(tmp_path, urdf, other_links(mjcf)))
+    assert "..." not in str(raised.value)  # what is printed can be pasted
+    assert "the URDF's xknee0, xhip1" in str(raised.value)
+
+
+def exporters_names(parts: Parts) -> Parts:
+    """Joints as an exporter makes their names up; links called as they were."""
+    return {
+        name: replace(part, joint=part.joint and f"{part.link}_to_{part.parent}")
+        for name, part in parts.items()
+    }
+
+
+def prefixed(parts: Parts, prefix: str) -> Parts:
+    return {
+        prefix + name: replace(
+            part, link=prefix + part.link, parent=part.parent and prefix + part.parent
+        )
+        for name, part in parts.items()
+    }
+
+
+def test_joints_are_matched_by_the_links_that_they_move(tmp_path: Path) -> None:
+    """All links are the same but for a prefix; all axes are turned, which hides the structure."""
+    urdf = exporters_names(quadruped())
+    mjcf = prefixed({n: replace(p, axis=(0.0, 0.0, 1.0)) for n, p in quadruped().items()}, "right_")
+    comparison = compared(write(tmp_path, urdf_text(urdf), mjcf_text(mjcf, ())))
+    assert comparison.guessed == {
+        part.joint: f"{'hip' if 'thigh' in name else 'knee'}{name[-1]}"
+        for name, part in urdf.items()
+        if part.joint
+    }
+    assert {kind for kind, _ in found(comparison)} <= {"axis"}
+
+
+def test_a_fixed_base_of_several_bodies(tmp_path: Path) -> None:
+    """The tower stands on a foot: both are the base, and its frame is the root link's."""
+    foot = Part("foot", mass=0.9, com=(0.0, 0.02, 0.01))
+    tower = replace(
+        arm()["base"], parent="foot", joint="tower", kind="fixed", position=(0.0, 0.1, 0.05),
+        quaternion=(0.8, 0.0, 0.6, 0.0),
+    )  # fmt: skip
+    parts = {"foot": foot, **arm(), "base": tower}
+    text = mjcf_text(prefixed(parts, "left_"), (), free=False, base_position=(0.3, 0.0, 0.2))
+    comparison = compared(write(tmp_path, urdf_text(parts, ()), text))
+    assert comparison.agree
+    assert comparison.engines == ()
+    assert comparison.check.passed
 
 
 @pytest.mark.parametrize("where", ["URDF", "MJCF"])

@@ -696,7 +696,7 @@ def test_two_models() -> None:
         note: noted
         note: the engines differ on one model: gravity
         note: assumed
-        note: matched by structure or by part of the name (confirm with --map): one=two
+        note: matched by structure, by link or by part of the name (confirm with --map): one=two
         note: only in a.urdf, fixed at zero or taken off to compare the rest: tail
         note: only in b.xml, fixed at zero or taken off to compare the rest: head
     """)

@@ -1,4 +1,4 @@
-"""Which joints of two files are the same: by name, by part of the name, by structure."""
+"""Which joints of two files are the same: by name, by part of it, by link, by structure."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from lxml import etree
 
 from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.checks.matching_structure import guess as guess_by_structure
+from pupper_analysis.checks.matching_urdf import MOVING, end_link
 from pupper_analysis.errors import ModelError
 
 
@@ -30,7 +31,7 @@ def pair_up(
     joints: tuple[Sequence[str], Sequence[str]],
     wanted: Mapping[str, str],
 ) -> Pairs:
-    """Matches the joints: by ``wanted``, by name, by name without affixes, and by structure.
+    """Matches the joints: by ``wanted``, by name, by part of it, by link, and by structure.
 
     Raises:
         ModelError: If fewer than half of the joints have a partner.
@@ -43,6 +44,9 @@ def pair_up(
     pairs |= {name: name for name in mine if name in known and name not in used}
     guessed = without_affixes(mine, theirs, pairs)
     pairs |= guessed
+    by_link = _by_link(root, spec, pairs)
+    guessed |= by_link
+    pairs |= by_link
     guess = guess_by_structure(root, spec, *files, pairs)
     guessed |= guess.pairs
     pairs |= guess.pairs
@@ -59,16 +63,44 @@ def pair_up(
         )
     if (2 * len(pairs) < fewer and len(pairs) > told) or not pairs:
         partners = set(pairs.values())
-        free = [name for name in theirs if name not in partners]
-        hints = [f"--map {name}=..." for name in mine if name not in {*pairs, *choices}]
+        free = ", ".join(name for name in theirs if name not in partners)
+        alone = ", ".join(name for name in mine if name not in {*pairs, *choices})
+        rest = (
+            [f"the URDF's {alone} have no likely partner (the MJCF's are {free})"] if alone else []
+        )
         raise ModelError(
             files[0],
             f"only {len(pairs)} of {fewer} joints have a partner in {files[1]}, too few to call it "
-            f"the same robot; say which are the same: {'; '.join([*lines, *hints])} "
-            f"(the MJCF's are {', '.join(free)})",
+            "the same robot; say which are the same with --map NAME=NAME or --map-file: "
+            f"{'; '.join([*lines, *rest])}",
         )
     notes = [
         f"joint {one} of the URDF may be {' or '.join(choices[one])} of the MJCF; say which: {line}"
         for one, line in zip(choices, lines, strict=True)
     ]
     return Pairs(pairs, guessed, notes)
+
+
+def _by_link(root: etree._Element, spec: mujoco.MjSpec, pairs: Mapping[str, str]) -> dict[str, str]:
+    """Matches joints by what they move: links and bodies of one name, but for affixes.
+
+    Exporters make up the joints' names (``dof_1``, ``A_to_B``) where the links have their own.
+    """
+    mine = {
+        str(joint.get("name")): end_link(joint, "child")
+        for joint in root.findall("joint")
+        if joint.get("type") in MOVING
+    }
+    movers = [body for body in spec.bodies if len(list(body.joints)) == 1]
+    theirs = {body.joints[0].name: body.name for body in movers}
+    known = {mine[one]: theirs[two] for one, two in pairs.items() if one in mine and two in theirs}
+    links, bodies = list(mine.values()), list(theirs.values())
+    taken = set(known.values())
+    known |= {name: name for name in links if name in bodies and name not in {*known, *taken}}
+    known |= without_affixes(links, bodies, known)
+    of_body = {body: joint for joint, body in theirs.items()}
+    return {
+        joint: of_body[known[link]]
+        for joint, link in mine.items()
+        if joint not in pairs and link in known
+    }

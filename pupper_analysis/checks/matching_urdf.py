@@ -17,7 +17,7 @@ from pupper_analysis.models import parameters
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.robot.robot import Robot
 
-_MOVING = ("revolute", "continuous", "prismatic")
+MOVING = ("revolute", "continuous", "prismatic")
 
 
 def without_shapes(urdf: etree._Element) -> etree._Element:
@@ -116,7 +116,7 @@ def moving_joints(root: etree._Element, notes: list[str]) -> tuple[list[str], li
     moving, others = [], []
     for joint in root.findall("joint"):
         kind, name = joint.get("type"), str(joint.get("name"))
-        if kind in _MOVING:
+        if kind in MOVING:
             moving.append(name)
         elif kind != "fixed":
             others.append(name)

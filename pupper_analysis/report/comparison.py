@@ -108,7 +108,7 @@ def matching_notes(comparison: Comparison) -> Iterable[str]:
     yield from comparison.notes
     if comparison.guessed:
         pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
-        yield f"matched by structure or by part of the name (confirm with --map): {pairs}"
+        yield f"matched by structure, by link or by part of the name (confirm with --map): {pairs}"
     for joints, file in (
         (comparison.only_urdf, comparison.urdf),
         (comparison.only_mjcf, comparison.mjcf),
@@ -218,7 +218,7 @@ def remarks(comparison: Comparison) -> list[Annotation]:
     ]
     if comparison.guessed:
         pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
-        message = f"matched by structure, not by name: {pairs}"
+        message = f"matched otherwise than by the whole name: {pairs}"
         found.append(_remark("guess", "guessed joints", message, urdf, level="warning"))
     return found
 
@@ -228,7 +228,7 @@ _ABOUT = {
     "cause": "one slip makes several differences",
     "joint": "one file has a joint that the other lacks",
     "agreement": "the files do not agree, apart from single differences",
-    "guess": "joints were matched by structure, not by name",
+    "guess": "joints were matched otherwise than by their whole names",
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -265,14 +266,21 @@ def _base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]
 
 
 def _same_base(model: mujoco.MjModel, base: str, urdf: str) -> str:
-    """Returns the static body that is named like the URDF's root link, if it carries the base."""
+    """Returns the static body that is named like the URDF's root link, if it carries the base.
+
+    Where one file puts something before or after all of its names (``right_``, ``robot/``), the one
+    whose name begins or ends with the root link's.
+    """
     root = _root_link(pin.buildModelFromXML(urdf))
-    body = model.body(base).id
+    body, carrying = model.body(base).id, list[str]()
     while body != 0:
-        if model.body(body).name == root:
-            return root
+        carrying.append(str(model.body(body).name))
         body = int(model.body_parentid[body])
-    return base
+    if root in carrying:
+        return root
+    name = re.escape(root)
+    longer = re.compile(rf"(.*[^A-Za-z0-9])?{name}([^A-Za-z0-9].*)?")
+    return next((each for each in carrying if longer.fullmatch(each)), base)
 
 
 def _imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:

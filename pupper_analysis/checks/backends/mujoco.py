@@ -123,14 +123,20 @@ def _at_rest(
 def _lumped(
     model: mujoco.MjModel, data: mujoco.MjData, carriers: Sequence[int]
 ) -> list[pin.Inertia]:
-    """Returns the inertia, in the world's axes, of each body with the static ones fixed to it."""
+    """Returns the inertia, in the world's axes, of each body with the static ones fixed to it.
+
+    All that stands in the world is a fixed base's, the first of the carriers, as in Pinocchio.
+    """
     total = {carrier: pin.Inertia.Zero() for carrier in carriers}
+    fixed = model.body_weldid[carriers[0]] == 0
     for body in range(1, model.nbody):
         carrier = body
         while carrier not in total and carrier != 0:
             carrier = int(model.body_parentid[carrier])
         if carrier == 0:
-            continue
+            if not fixed:
+                continue
+            carrier = carriers[0]
         axes = data.ximat[body].reshape(3, 3)
         total[carrier] += pin.Inertia(
             float(model.body_mass[body]),
