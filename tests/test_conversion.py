@@ -10,7 +10,8 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.conversion import effort_limit, mujoco_from_urdf, pinocchio_from_mujoco
+from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
+from pupper_analysis.models.efforts import effort_limit
 
 # Every feature that Pupper has not: joints off the frame's origin, two joints in a body, a slide
 # joint, a reference angle, a static child, a rotated inertia.

@@ -9,7 +9,6 @@ from conftest import changed, load, mujoco_at, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import servos
-from pupper_analysis.stance.payload.servo_limit import strengths
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
 
 GEARS = np.array([2.0, -1.5, 0.4] * 4)
@@ -69,7 +68,7 @@ def test_a_geared_robot_stands_as_it_did_with_the_same_gains_at_the_joints() -> 
 def test_a_force_range_counts_times_the_gear() -> None:
     robot = geared("v3", force=0.9)
     most = np.minimum(0.9 * np.abs(GEARS), load("v3").effort_limits)
-    np.testing.assert_allclose(strengths(robot), most, rtol=1e-12)
+    np.testing.assert_allclose(robot.effort_limits, most, rtol=1e-12)
 
 
 def test_a_servo_saturates_at_its_force_range_times_the_gear() -> None:

@@ -53,11 +53,11 @@ def test_all_else_stays() -> None:
     robot = load("v3")
     model = robot.pin_model.copy()
     efforts = np.array(model.effortLimit)
-    efforts[6:] *= 2
+    efforts[6:] /= 2
     model.effortLimit = efforts
-    strong = replace(robot, pin_model=model)
-    loaded = with_payload(strong, 1.0, POINT)
-    np.testing.assert_array_equal(loaded.effort_limits, 2 * robot.effort_limits)
+    weak = replace(robot, pin_model=model)
+    loaded = with_payload(weak, 1.0, POINT)
+    np.testing.assert_array_equal(loaded.effort_limits, robot.effort_limits / 2)
     assert loaded.joint_names == robot.joint_names
     assert loaded.stand_height == robot.stand_height
     assert loaded.feet == robot.feet

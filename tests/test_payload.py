@@ -155,7 +155,7 @@ def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
 
 
 def test_a_limit_of_zero_carries_nothing_and_divides_nothing() -> None:
-    limits = load("v3").effort_limits
+    limits = load("v3").effort_limits.copy()
     limits[2] = 0.0
     robot, stand = with_efforts(load("v3"), limits), stand_of("v3")
     with np.errstate(all="raise"):

@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from conftest import load, stand_of
+from conftest import load, stand_of, with_efforts
 from matplotlib.image import imread
 
 import pupper_analysis as pa
@@ -125,7 +125,6 @@ def test_directions_turn_with_the_base() -> None:
 
 def rigid(friction: float) -> Callable[[mujoco.MjModel], None]:
     def change(model: mujoco.MjModel) -> None:
-        model.actuator_forcerange[:] = [-500, 500]
         model.geom_friction[:, 0] = friction
         model.geom_condim[:] = 3  # no rolling friction
 
@@ -137,7 +136,7 @@ def rigid(friction: float) -> Callable[[mujoco.MjModel], None]:
 def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
     """The limit goes to the closed form of a rigid body that rolls over two feet."""
     result = push_recovery(
-        changed(name, rigid(friction=3.0)),
+        with_efforts(changed(name, rigid(friction=3.0)), 500),
         stand_of(name),
         kp=1000,
         kd=10,
@@ -153,7 +152,7 @@ def test_compliance_costs_what_stiffness_keeps() -> None:
     soft = pushed("v3-long-leg")
     assert (soft.impulses < 0.95 * soft.tipping_estimate).all()
     stiff = push_recovery(
-        changed("v3-long-leg", rigid(friction=1.0)),
+        with_efforts(changed("v3-long-leg", rigid(friction=1.0)), 500),
         stand_of("v3-long-leg"),
         kp=60,
         kd=1,

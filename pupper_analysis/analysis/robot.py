@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arguments import checked
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks.engines import CrossCheck, cross_check
+from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -46,11 +47,12 @@ class JointSummary(Result):
         axis: (3,) its axis in the base frame at zero angles.
         lower: rad (here and below, of a joint that slides: m for rad, N for N m, kg for kg m^2).
         upper: rad.
-        effort: N m.
+        effort: What its motor can give either way, the least that both files state (N m).
         velocity: rad/s.
         armature: Of the MJCF (kg m^2).
         damping: N m s/rad.
         friction: N m.
+        effort_origin: Which statement of which file ``effort`` is; None without a limit.
     """
 
     name: str
@@ -63,6 +65,7 @@ class JointSummary(Result):
     armature: float
     damping: float
     friction: float
+    effort_origin: EffortStatement | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,6 +234,7 @@ def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
                 armature=float(model.armature[v[index]]),
                 damping=float(model.damping[v[index]]),
                 friction=float(model.friction[v[index]]),
+                effort_origin=robot.efforts[index].origin,
             )
         )
     return tuple(summaries)

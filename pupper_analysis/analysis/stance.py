@@ -14,6 +14,7 @@ from pupper_analysis.errors import (
     NotSettlingError,
     StanceUnreachableError,
 )
+from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
@@ -39,7 +40,8 @@ class Stance(Result):
     Attributes:
         name: The robot's name.
         joint_positions: (nu,) of ``sunk``, or else of ``stand``, in actuator order (rad).
-        limits: (nu,) of the motors' torques (N m).
+        limits: (nu,) of the motors' torques, the least that both files state (N m).
+        limit_origins: (nu,) which statement of which file each is; None without a limit.
         stand: The solved stand.
         statics: Torques and contact forces of ``sunk``, or else of ``stand``: those that last.
         minimum_peak: The same of least peak motor utilisation.
@@ -58,6 +60,7 @@ class Stance(Result):
     name: str
     joint_positions: Array
     limits: Array
+    limit_origins: tuple[EffortStatement | None, ...]
     stand: Stand
     statics: GravityCompensation
     minimum_peak: GravityCompensation
@@ -125,6 +128,7 @@ def study_stance(
         name=robot.name,
         joint_positions=held.joint_positions(robot),
         limits=robot.effort_limits,
+        limit_origins=tuple(limit.origin for limit in robot.efforts),
         stand=stand,
         statics=statics,
         minimum_peak=stand_statics(robot, held, distribution=ForceDistribution.MIN_PEAK),

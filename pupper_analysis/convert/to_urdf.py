@@ -18,8 +18,9 @@ from pupper_analysis.convert.tidy import to_text
 from pupper_analysis.convert.urdf_shapes import Shapes, put_placement
 from pupper_analysis.convert.xml_text import element, free_name, words
 from pupper_analysis.errors import ModelError
-from pupper_analysis.models.conversion import actuator_gear, effort_limit, is_at_one_joint
+from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 
 Array = NDArray[np.float64]
 

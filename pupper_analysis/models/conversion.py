@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import mjcf
+from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.xml import parse_text, to_text
 
 Array = NDArray[np.float64]
@@ -100,35 +102,6 @@ def joint_damping(model: mujoco.MjModel) -> Array:
     return np.array(model.dof_damping) + _of_actuators(model, model.actuator_damping)
 
 
-def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
-    """Says whether an actuator's armature and damping are those of one hinge or slide."""
-    kinds = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
-    if model.actuator_trntype[actuator] not in kinds:
-        return False
-    joint = int(model.actuator_trnid[actuator, 0])
-    moving = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
-    return model.jnt_type[joint] in moving
-
-
-def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
-    """Returns the gear of an actuator's first output: (1,) at one joint, else (6,)."""
-    gear = np.array(model.actuator_gear[int(model.actuator_outadr[actuator])])
-    return gear[:1] if is_at_one_joint(model, actuator) else gear
-
-
-def drives_of(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Returns the actuators at a hinge or slide.
-
-    Of one, ``jointinparent`` is the same as ``joint``. An actuator may have several controls, so
-    that there are fewer of them than ``model.nu``.
-    """
-    return [
-        actuator
-        for actuator in range(model.nactuator)
-        if is_at_one_joint(model, actuator) and model.actuator_trnid[actuator, 0] == joint
-    ]
-
-
 def _of_actuators(model: mujoco.MjModel, values: Array) -> Array:
     total = np.zeros(model.nv)
     for actuator in range(model.nactuator):
@@ -182,37 +155,6 @@ def _add_frame(result: pin.Model, name: str, joint: int, placement: pin.SE3) -> 
 
 def _free_joint(model: mujoco.MjModel) -> int:
     return int(np.argmax(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value))
-
-
-def effort_limit(model: mujoco.MjModel, joint: int) -> float:
-    """Returns the greatest force or torque that a joint's actuators can give; inf if unlimited.
-
-    It is bounded by the joint's actuatorfrcrange, the actuators' forcerange, and the ctrlrange of
-    plain motors, whose force is proportional to ctrl.
-    """
-    limit = np.inf
-    if model.jnt_actfrclimited[joint]:
-        limit = float(np.abs(model.jnt_actfrcrange[joint]).max())
-    drives = drives_of(model, joint)
-    if not drives:
-        return limit
-    return min(limit, sum(_actuator_limit(model, actuator) for actuator in drives))
-
-
-def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
-    """Returns the greatest torque of an actuator at its joint."""
-    force = np.inf
-    if model.actuator_forcelimited[actuator]:
-        force = float(np.abs(model.actuator_forcerange[actuator]).max())
-    plain = (
-        model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE.value
-        and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED.value
-    )
-    control = int(model.actuator_ctrladr[actuator])
-    if plain and model.actuator_ctrllimited[control]:
-        gain = abs(float(model.actuator_gainprm[actuator, 0]))
-        force = min(force, gain * float(np.abs(model.actuator_ctrlrange[control]).max()))
-    return force * abs(float(actuator_gear(model, actuator)[0]))
 
 
 def mujoco_from_urdf(

@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 
 from pupper_analysis.arrays import plain_state
+from pupper_analysis.models.efforts import EffortLimit
 from pupper_analysis.models.joint_drives import MadeServo
 from pupper_analysis.models.spec_state import spec_from, state_of
 
@@ -34,6 +35,8 @@ class Description:
         nominal: {joint: position (rad)} at which the feet are where they stand by default; zero
             where not given.
         made_servos: The servos in ``mjcf`` that the file does not have.
+        efforts: {joint: what its motor can give}, of motors that were replaced by servos: what
+            their own attributes stated is not in ``mjcf`` any more.
     """
 
     name: str
@@ -47,6 +50,7 @@ class Description:
     foot_geoms: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
     made_servos: tuple[MadeServo, ...] = ()
+    efforts: Mapping[str, EffortLimit] = field(default_factory=dict)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**plain_state(self), "mjcf": state_of(self.mjcf)}

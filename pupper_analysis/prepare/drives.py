@@ -109,12 +109,13 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, int]:
     """
     own = own_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
+    stated = {limit.joint: limit for limit in robot.efforts}
 
     def built(kp: Array, kd: Array, parts: int, *, seen: bool = True) -> Robot:
         spec = with_servos(robot.description.mjcf, robot, kp, kd)
         spec.compiler.discardvisual = spec.compiler.discardvisual or not seen
         spec.option.timestep /= parts
-        return rebuilt(robot, mjcf=spec)
+        return rebuilt(robot, mjcf=spec, efforts=stated)
 
     first = _kept(robot, own, *_gains(robot, stand.qpos, torques, _SAGS[0], 1))
     # Each trial copies its model, of which meshes that nothing touches are most.
@@ -263,9 +264,8 @@ def _two_digits(value: float) -> float:
 def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujoco.MjSpec:
     """Returns a spec in which every joint has a position servo, whose limit is the motor's.
 
-    A servo stays as it is, and an actuator's limit; where there is none it is the URDF's effort
-    limit. The integrator is ``implicitfast``, with which a servo's damping does not shake light
-    joints.
+    A servo stays as it is. The integrator is ``implicitfast``, with which a servo's damping does
+    not shake light joints.
     """
     spec, own = spec.copy(), own_servos(robot)
     idle = {robot.joint_names[joint] for joint in following(robot)}
@@ -274,39 +274,24 @@ def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujo
         for actuator in spec.actuators
         if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
     }
-    for name, stiffness, damping, effort in zip(
-        robot.joint_names, kp, kd, robot.effort_limits, strict=True
+    for name, stiffness, damping, limit in zip(
+        robot.joint_names, kp, kd, robot.efforts, strict=True
     ):
         if name in own or name in idle:
             continue
         actuator = by_joint.get(name)
-        limit = float(effort) if 0 < effort < math.inf else math.inf
         if actuator is None:
             actuator = spec.add_actuator(
                 name=f"{name} (servo)", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
             )
-        else:
-            limit = min(limit, _limit_of(actuator))
         gear = float(actuator.gear[0]) or 1.0
         actuator.set_to_position(
             kp=float(stiffness) / gear**2, kv=float(damping) / gear**2, inheritrange=0.0
         )
         actuator.ctrllimited = actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
         actuator.actrange, actuator.delay, actuator.nsample = (0.0, 0.0), 0.0, 0
-        if math.isfinite(limit):
+        if math.isfinite(limit.lower) and math.isfinite(limit.upper):
             actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-            actuator.forcerange = (-limit / abs(gear), limit / abs(gear))
+            actuator.forcerange = sorted((limit.lower / gear, limit.upper / gear))
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     return spec
-
-
-def _limit_of(actuator: mujoco.MjsActuator) -> float:
-    """Returns the torque at the joint that an actuator is limited to (N m)."""
-    gear, limits = abs(float(actuator.gear[0])) or 1.0, []
-    if actuator.forcerange[0] < actuator.forcerange[1]:
-        limits.append(float(np.abs(actuator.forcerange).max()) * gear)
-    motor = actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
-    if motor and actuator.ctrlrange[0] < actuator.ctrlrange[1]:
-        gain = abs(float(actuator.gainprm[0]))
-        limits.append(float(np.abs(actuator.ctrlrange).max()) * gain * gear)
-    return min(limits, default=math.inf)

@@ -7,8 +7,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from pupper_analysis.models.conversion import actuator_gear, is_at_one_joint
 from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 
 
 def one_at_each_joint(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import mujoco
 
 from pupper_analysis.checks.matching import Match
-from pupper_analysis.models.conversion import is_at_one_joint
+from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.prepare.feet import Foot, is_ball
 from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.robot import Robot

@@ -11,8 +11,10 @@ from rich.bar import Bar
 from rich.console import Console
 
 from pupper_analysis.analysis.robot import Analysis
+from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.report.console import escape, titled_table
 from pupper_analysis.report.verdict import print_verdict
+from pupper_analysis.robot.efforts import origins_in_words
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -80,6 +82,8 @@ def _print_structure(out: Console, analysis: Analysis) -> None:
             f"{joint.friction:g}",
         )
     out.print(table)
+    origins = origins_in_words(joint.effort_origin for joint in analysis.joints)
+    out.print(f"effort: {origins}", style="dim")
     for note in analysis.notes:
         out.print(f"note: {escape(note)}", style="yellow")
 
@@ -135,6 +139,7 @@ def _print_statics(out: Console, analysis: Analysis) -> None:
         analysis.minimum_peak,
         analysis.verification,
         [joint.effort for joint in analysis.joints],
+        [joint.effort_origin for joint in analysis.joints],
         {"hanging": analysis.hanging_torques},
         "; hanging: the same pose, base held",
     )
@@ -146,6 +151,7 @@ def print_loads(
     minimum_peak: GravityCompensation,
     verification: StandVerification,
     limits: Sequence[float],
+    origins: Sequence[EffortStatement | None],
     more: Mapping[str, Array],
     explanation: str = "",
 ) -> None:
@@ -157,6 +163,7 @@ def print_loads(
         minimum_peak: Of least peak utilisation.
         verification: The simulation.
         limits: (nu,) of the motors (N m).
+        origins: (nu,) where these are from.
         more: Further columns, {title: (nu,)}.
         explanation: Of them.
     """
@@ -189,7 +196,8 @@ def print_loads(
     out.print(
         "torque: with the least tangential forces at the feet, which last; minimum peak: with the "
         "contact forces of\nleast peak utilisation, "
-        f"{minimum_peak.motor_utilisation.max():.1%}" + explanation,
+        f"{minimum_peak.motor_utilisation.max():.1%}{explanation}\n"
+        f"limit: {origins_in_words(origins)}",
         style="dim",
     )
     flat = len(statics.foot_loads) < len(statics.contact_forces)

@@ -36,7 +36,13 @@ def print_stance(out: Console, stance: Stance) -> None:
     _print_task(out, stance.name, stance.stand)
     more = {"position (rad)": stance.joint_positions}
     print_loads(
-        out, stance.statics, stance.minimum_peak, verification, stance.limits.tolist(), more
+        out,
+        stance.statics,
+        stance.minimum_peak,
+        verification,
+        stance.limits.tolist(),
+        stance.limit_origins,
+        more,
     )
     _print_clearance(out, stance.stand)
     _print_settled(out, stance)

@@ -17,20 +17,20 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
-from pupper_analysis.models.conversion import gravity, is_at_one_joint, joint_armature
+from pupper_analysis.models.conversion import gravity, joint_armature
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.parameters import joint_placements
+from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
+from pupper_analysis.robot.efforts import efforts_in_words, efforts_of
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.floor import NO_GROUND, add_floor, floor_of
 from pupper_analysis.robot.options import options_in_words
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
-
-_TOLD = 3  # joints that a note tells
 
 
 def build_robot(
@@ -147,21 +147,6 @@ def _at_rest(mj_model: mujoco.MjModel) -> list[str]:
     return notes
 
 
-def _unknown_efforts(
-    model: pin.Model, convention: PinocchioConvention, joint_names: Sequence[str]
-) -> list[str]:
-    """Says which joints have no effort limit in the URDF; exporters write 0 where none is known."""
-    efforts = model.effortLimit[convention.v_index]
-    names = [name for name, effort in zip(joint_names, efforts, strict=True) if effort == 0]
-    if not names:
-        return []
-    more = f", and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
-    return [
-        f"joints whose effort is 0 in the URDF have the MJCF's, or no limit: "
-        f"{', '.join(names[:_TOLD])}{more}"
-    ]
-
-
 def _take_armature(
     mj_model: mujoco.MjModel,
     mj_convention: MujocoConvention,
@@ -171,9 +156,10 @@ def _take_armature(
 ) -> list[str]:
     """Gives Pinocchio's model the armature of MuJoCo's, in place; returns notes about it.
 
-    And about efforts that the URDF does not know.
+    And about efforts, in which the files may differ.
     """
-    notes = _unknown_efforts(pin_model, pin_convention, joint_names)
+    limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {})
+    notes = efforts_in_words(limits)
     armature = np.zeros(pin_model.nv)
     dofs = mj_convention.qvel_index[pin_convention.base_nv :]
     armature[pin_convention.v_index] = joint_armature(mj_model)[dofs]

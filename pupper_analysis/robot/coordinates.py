@@ -27,7 +27,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.models.conversion import is_at_one_joint
+from pupper_analysis.models.transmission import is_at_one_joint
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -15,15 +15,20 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import plain_state
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.models.conversion import effort_limit, gravity
+from pupper_analysis.models.conversion import gravity
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.efforts import EffortLimit
 from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.closure import Closure, closure_of
 from pupper_analysis.robot.contact import ContactParameters
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
+from pupper_analysis.robot.efforts import efforts_of
 from pupper_analysis.robot.structure import Structure
 
 Array = NDArray[np.float64]
+
+_MADE = ("structure", "closure", "efforts", "effort_ranges", "effort_limits")
+"""What is worked out again, quicker than it travels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +96,13 @@ class Robot:
 
     def __getstate__(self) -> dict[str, Any]:
         state = plain_state(self)
-        for made in ("structure", "closure"):  # worked out again, quicker than they travel
+        for made in (
+            "structure",
+            "closure",
+            "efforts",
+            "effort_ranges",
+            "effort_limits",
+        ):  # worked out again, quicker than they travel
             state.pop(made, None)
         return state
 
@@ -149,20 +160,33 @@ class Robot:
         """(nu,) upper joint limits of the URDF (rad); inf for a continuous joint."""
         return self._positional(self.pin_model.upperPositionLimit, np.inf)
 
-    @property
-    def effort_limits(self) -> Array:
-        """(nu,) effort limits of the URDF (N m); where it says 0, the MJCF's: inf if it has none.
-
-        Exporters write 0 where nothing is known.
-        """
-        limits: Array = self.pin_model.effortLimit.take(self.pin_convention.v_index)
-        return limits if limits.all() else np.where(limits == 0, self._mjcf_efforts, limits)
+    @cached_property
+    def efforts(self) -> tuple[EffortLimit, ...]:
+        """What each joint's motor can give, in actuator order, by both files, with its origin."""
+        return efforts_of(
+            self.mj_model,
+            self.pin_model,
+            self.pin_convention,
+            self.joint_names,
+            self.description.efforts,
+        )
 
     @cached_property
-    def _mjcf_efforts(self) -> Array:
-        model = self.mj_model
-        limits = [effort_limit(model, model.joint(name).id) for name in self.joint_names]
-        return np.array(limits, dtype=float)
+    def effort_ranges(self) -> Array:
+        """(nu, 2) least and greatest torque of each joint's motor (N m); infinite without limit."""
+        ranges: Array = np.array([(limit.lower, limit.upper) for limit in self.efforts])
+        ranges.flags.writeable = False
+        return ranges
+
+    @cached_property
+    def effort_limits(self) -> Array:
+        """(nu,) torque that each joint's motor can give either way (N m); inf without a limit.
+
+        The least of all that both files state; see ``efforts``.
+        """
+        limits = np.array([limit.least for limit in self.efforts], dtype=float)
+        limits.flags.writeable = False
+        return limits
 
     @property
     def velocity_limits(self) -> Array:

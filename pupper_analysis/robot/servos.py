@@ -110,6 +110,7 @@ def servos(
         model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
         _put_gains(model, actuators, *wanted.of_actuators(driven))
         model.actuator_ctrllimited[model.actuator_ctrladr[actuators[~wanted.servo[driven]]]] = 0
+    _limit(model, actuators, wanted.gear[driven], robot.effort_ranges[driven])
     if integrator is not None:
         if integrator not in INTEGRATORS:
             raise ConfigurationError(
@@ -169,6 +170,24 @@ def _put_gains(
     model.actuator_biasprm[actuators, 0] = 0.0
     model.actuator_biasprm[actuators, 1] = -gain
     model.actuator_biasprm[actuators, 2] = -damping
+
+
+def _limit(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array, ranges: Array) -> None:
+    """Writes what motors can give (n, 2), at their joints, into a model as their force ranges.
+
+    A URDF's effort, and the command of a motor that is driven as a servo, bound no force there. A
+    range that MuJoCo has bounded already is written only where it is wider.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wanted = np.sort(ranges / gear[:, None], axis=1)
+    free = ~model.actuator_forcelimited[actuators].astype(bool)
+    now = np.where(free[:, None], (-np.inf, np.inf), model.actuator_forcerange[actuators])
+    # To rounding: what is stated there already stays to the last digit.
+    slack = 1 + 1e-12
+    narrower = (wanted[:, 0] > now[:, 0] / slack) | (wanted[:, 1] < now[:, 1] / slack)
+    chosen = narrower & (gear != 0) & np.isfinite(wanted).all(axis=1)
+    model.actuator_forcelimited[actuators[chosen]] = 1
+    model.actuator_forcerange[actuators[chosen]] = wanted[chosen]
 
 
 STIFFEST = 1e9

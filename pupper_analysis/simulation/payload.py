@@ -26,7 +26,6 @@ from pupper_analysis.stance.payload.servo_limit import (
     LoadedPose,
     first_failing,
     loaded_pose,
-    strengths,
 )
 from pupper_analysis.stance.stand import Stand
 
@@ -207,7 +206,7 @@ def _first_event(
         return 0.0, Failure.BUCKLING, ()
     watcher = monitor.Watcher(robot, model)
     data = watcher.data
-    strong, names = strengths(robot), np.array(robot.joint_names)
+    strong, names = robot.effort_limits, np.array(robot.joint_names)
     lower, upper = robot.lower_limits, robot.upper_limits
     places: dict[str, Array] = {}
     carrying = set(robot.feet_with(stand.stance_feet))

@@ -201,6 +201,8 @@ def _scale_mjcf(spec: mujoco.MjSpec, robot: Robot, kind: str, joint: str, factor
         for actuator in spec.actuators:
             if actuator.target == joint:
                 actuator.forcerange = np.array(actuator.forcerange) * factor
+                if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:  # a motor's command is force
+                    actuator.ctrlrange = np.array(actuator.ctrlrange) * factor
     elif kind == "armature":
         element.armature = element.armature * factor
     else:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from pupper_analysis.models.conversion import actuator_gear, drives_of, effort_limit
+from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.models.transmission import actuator_gear, drives_of
 from pupper_analysis.sync.digits import SAME
 from pupper_analysis.sync.frames import Key
 from pupper_analysis.sync.xml_bytes import Element

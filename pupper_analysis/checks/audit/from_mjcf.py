@@ -30,7 +30,7 @@ from pupper_analysis.checks.audit.view import (
     MjcfView,
     Shape,
 )
-from pupper_analysis.models.conversion import effort_limit
+from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 

@@ -16,7 +16,8 @@ from pupper_analysis.checks.backends.quantities import (
 )
 from pupper_analysis.checks.behaviour import offsets_in_world
 from pupper_analysis.checks.states import States
-from pupper_analysis.models.conversion import effort_limit, joint_armature, joint_damping
+from pupper_analysis.models.conversion import joint_armature, joint_damping
+from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.feet import foot_site
 from pupper_analysis.robot.robot import Robot

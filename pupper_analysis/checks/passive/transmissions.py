@@ -9,7 +9,7 @@ import numpy as np
 
 from pupper_analysis.checks.passive.extra import Extra, Slot, acts_without_command
 from pupper_analysis.checks.passive.scene import DISABLE, Scene, number_in_words, numbers_in_words
-from pupper_analysis.models.conversion import actuator_gear, is_at_one_joint
+from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 
 
 def tendons(scene: Scene) -> Iterator[Extra]:

@@ -22,10 +22,10 @@ from pupper_analysis.checks.passive.find import extras
 from pupper_analysis.checks.passive.mimics import urdf_mimics
 from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.passive.scene import Scene
-from pupper_analysis.models.conversion import actuator_gear
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.transmission import actuator_gear
 from pupper_analysis.models.urdf_file import UrdfFile
 
 

@@ -169,7 +169,7 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
         tuple(rows),
         (*notes, *map(said, analysis.notes)),
         (
-            text("Limits from the URDF; armature, damping and friction from the MJCF."),
+            text("Limits from the URDF, efforts from both; armature and the rest from the MJCF."),
             page("conventions.md", "Coordinates"),
         ),
     )

@@ -52,7 +52,7 @@ def load_blocks(
         more: Further columns, {column: (nu,)}.
     """
     source = (
-        text("From the URDF's masses, inertias and effort limits, by Pinocchio."),
+        text("By Pinocchio from the URDF; torque limits are the least of both files."),
         page("physics.md", "Standing is not hanging"),
         proof(verification),
     )

@@ -177,7 +177,7 @@ def _guess(robot: Robot, stand: Stand, point: ArrayLike, kp: Array) -> float:
         first = FirstOrder.of(robot, loaded, stand, kp)
     except StaticsInfeasibleError:
         return mass
-    guess = mass if first is None else first.limit(strengths(robot))
+    guess = mass if first is None else first.limit(robot.effort_limits)
     return guess if 0 < guess < math.inf else mass
 
 
@@ -257,7 +257,7 @@ def loaded_pose(
     except NoEquilibriumError:
         # With feed-forward for the load the only thing that can be missing is torque.
         if command is Command.LOADED:
-            over = np.abs(balance.joint_torques) >= strengths(loaded)
+            over = np.abs(balance.joint_torques) >= loaded.effort_limits
             names = tuple(loaded.joint_names[index] for index in np.flatnonzero(over))
             if names:
                 return LoadedPose(loaded, sunk, target, sunk.qpos, None, Failure.MOTOR, names)
@@ -281,16 +281,6 @@ def _settled_at(
     return start, pose_at(way, math.nan)
 
 
-def strengths(robot: Robot) -> Array:
-    """Returns the torque (nu,) that each motor can give by both files (N m)."""
-    model, actuators = robot.mj_model, robot.mj_convention.actuator_index
-    limited = model.actuator_forcelimited[actuators].astype(bool) & (actuators >= 0)
-    force = np.abs(model.actuator_forcerange[actuators]).min(axis=1)
-    force = force * np.abs(model.actuator_gear[actuators, 0])
-    strengths: Array = np.minimum(robot.effort_limits, np.where(limited, force, np.inf))
-    return strengths
-
-
 def _judge(
     robot: Robot, stand: Stand, pose: SteadyState, target: Array
 ) -> tuple[Failure | None, tuple[str, ...]]:
@@ -300,9 +290,8 @@ def _judge(
         return tuple(robot.joint_names[index] for index in np.flatnonzero(chosen))
 
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
-    saturated = np.abs(pose.joint_torques) > strengths(robot) * (1 + 1e-9)
-    if pose.saturated or saturated.any():
-        return Failure.MOTOR, pose.saturated or joints(saturated)
+    if pose.saturated:
+        return Failure.MOTOR, pose.saturated
     ctrl = target * model.actuator_gear[actuators, 0]
     controls = model.actuator_ctrladr[actuators]
     low, high = model.actuator_ctrlrange[controls].T

@@ -68,11 +68,7 @@ class Equilibrium:
         lift: float = 0.0,
     ) -> None:
         used = gains(robot, kp, None if kp is None else 0.0)
-        actuators = robot.mj_convention.actuator_index
-        limited = robot.mj_model.actuator_forcelimited[actuators].astype(bool) & (actuators >= 0)
-        limits = robot.mj_model.actuator_forcerange[actuators] * used.gear[:, None]
-        self.lower = np.where(limited, limits.min(axis=1), -np.inf)
-        self.upper = np.where(limited, limits.max(axis=1), np.inf)
+        self.lower, self.upper = robot.effort_ranges.T
         self.robot, self.stand, self.feet, self.kp = robot, stand, feet, used.kp
         self.ground, self.normal = stand.task.ground, stand.task.ground.normal()
         self.frame = pin.Quaternion.FromTwoVectors(self.normal, UP).matrix()

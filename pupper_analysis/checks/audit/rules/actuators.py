@@ -18,7 +18,7 @@ from pupper_analysis.checks.audit.from_mjcf import joint_name
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import MjcfView
-from pupper_analysis.models.conversion import actuator_gear, is_at_one_joint
+from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,107 @@
+"""What each motor of a robot can give, by both of its files, and what is said about it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import mujoco
+import pinocchio as pin
+
+from pupper_analysis.models.efforts import EffortLimit, EffortStatement, effort_of
+from pupper_analysis.robot.coordinates import PinocchioConvention
+
+_TOLD = 3  # joints that a note tells
+
+_SAME = 1e-6
+"""Relative: limits that differ by less are one, rounded otherwise."""
+
+
+def efforts_of(
+    mj_model: mujoco.MjModel,
+    pin_model: pin.Model,
+    convention: PinocchioConvention,
+    joint_names: Sequence[str],
+    before: Mapping[str, EffortLimit],
+) -> tuple[EffortLimit, ...]:
+    """Returns what each joint's motor can give, in the order of the names.
+
+    Args:
+        mj_model: MuJoCo's model of the MJCF.
+        pin_model: Pinocchio's of the URDF.
+        convention: Where the joints are in it.
+        joint_names: Their names, in both.
+        before: {joint: the same}, of motors that a preparation replaced by servos. Where the servo
+            has that limit, it is told with the statements of the file itself.
+    """
+    urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
+    for name, effort in zip(joint_names, urdf, strict=True):
+        limit, first = effort_of(mj_model, mj_model.joint(name).id, effort), before.get(name)
+        same = first is not None and _alike(first.lower, limit.lower)
+        same = same and first is not None and _alike(first.upper, limit.upper)
+        limits.append(first if same and first is not None else limit)
+    return tuple(limits)
+
+
+def efforts_in_words(limits: Sequence[EffortLimit]) -> list[str]:
+    """Returns notes on efforts: which file's count where they differ, and what was made of them."""
+    notes, unstated, geared, uneven = [], [], [], []
+    differing: dict[tuple[str, str, str], list[str]] = {}
+    for limit in limits:
+        urdf = [one for one in limit.stated if one.file == "URDF"]
+        others = [one for one in limit.stated if one.file != "URDF"]
+        if not urdf:
+            unstated.append(limit.joint)
+        if limit.gear != 1.0:
+            geared.append(f"{limit.joint} {urdf[0].stated[1]:g} x {limit.gear:g} N m")
+        if not _alike(-limit.lower, limit.upper):
+            uneven.append(limit.joint)
+        if urdf and others and limit.origin is not None:
+            other = min(others, key=lambda one: one.least)
+            if not _alike(urdf[0].least, other.least):
+                pair = sorted((urdf[0], other), key=lambda one: one.least)
+                key = pair[0].file, pair[0].attribute, pair[1].attribute
+                differing.setdefault(key, []).append(
+                    f"{limit.joint} {pair[0].least:g} N m of {pair[1].least:g}"
+                )
+    if unstated:
+        notes.append(
+            "joints whose effort is 0 in the URDF have the MJCF's, or no limit: " + _few(unstated)
+        )
+    if geared:
+        notes.append(
+            "efforts in the URDF that are the motors' before the gear, by the MJCF, were "
+            f"multiplied by it: {_few(geared)}"
+        )
+    for (file, attribute, unused), joints in differing.items():
+        notes.append(
+            f"the two files limit torques differently; the least counts, {attribute} in the {file} "
+            f"instead of {unused}: {_few(joints)}"
+        )
+    if uneven:
+        notes.append(
+            "motors that give more one way than the other count with the lesser in statics, and "
+            f"as they are in servos: {_few(uneven)}"
+        )
+    return notes
+
+
+def origins_in_words(origins: Iterable[EffortStatement | None]) -> str:
+    """Says where limits are from, those of most joints first."""
+    counts: dict[str, int] = {}
+    for origin in origins:
+        words = "no limit" if origin is None else f"{origin.attribute} in the {origin.file}"
+        counts[words] = counts.get(words, 0) + 1
+    if len(counts) == 1:
+        return next(iter(counts))
+    listed = sorted(counts.items(), key=lambda one: -one[1])
+    return ", ".join(f"{words} ({count} joints)" for words, count in listed)
+
+
+def _alike(one: float, other: float) -> bool:
+    return one == other or math.isclose(one, other, rel_tol=_SAME)
+
+
+def _few(names: Sequence[str]) -> str:
+    more = f", and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
+    return ", ".join(names[:_TOLD]) + more
