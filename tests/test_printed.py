@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.pupper import comparison
 from pupper_analysis.report import analysis as analysis_report
 from pupper_analysis.report import comparison as models_report
@@ -101,6 +102,12 @@ def run(shift: float, *, passed: bool) -> Stub:
 SERVOS = ServosUsed(ServoSource.FILE, (5.0, 6.0), (0.1, 0.1))
 
 
+ORIGINS = (
+    EffortStatement.of("URDF", "joint", "one", "effort", (-3.3, 3.3)),
+    EffortStatement.of("MJCF", "actuator", "two", "forcerange", (-4.4, 4.4)),
+)
+
+
 def joint(name: str, shift: float) -> Stub:
     return Stub(
         name=name,
@@ -113,6 +120,7 @@ def joint(name: str, shift: float) -> Stub:
         armature=0.0051 + shift,
         damping=0.062 + shift,
         friction=0.073 + shift,
+        effort_origin=ORIGINS[shift > 0],
     )
 
 
@@ -204,6 +212,7 @@ def test_an_analysis() -> None:
         joint motion axis (rad) (N m) (rad/s) (kg m²) (N m s/rad) (N m)
         hip oblique +0.11 +0.22 -0.33 -1.51 … +2.52 3.3 14.4 0.0051 0.062 0.073
         knee oblique +0.61 +0.72 +0.17 -1.01 … +3.02 3.8 14.9 0.5051 0.562 0.573
+        effort: effort in the URDF (1), forcerange in the MJCF (1)
         note: a note
         Stand (PlaCo, 7 iterations): height 0.1 m
         errors: feet 1.1e-16 m (by MuJoCo 3.1e-10 m), orientation 2.2e-15 rad, height 3.3e-14 m, com
@@ -218,6 +227,7 @@ def test_an_analysis() -> None:
         torque: with the least tangential forces at the feet, which last; minimum peak: with the
             contact forces of
         least peak utilisation, 90.2%; hanging: the same pose, base held
+        limit: effort in the URDF (1), forcerange in the MJCF (1)
         Contact forces on the feet (N, world axes)
         foot force friction used simulated minimum peak
         FR +1.011 -2.022 +3.033 7.1% +0.101 +0.202 +7.303 +0.961 -2.072 +2.983
@@ -438,6 +448,7 @@ def stance(**changes: Any) -> Stub:
         "statics": loads(0.0),
         "minimum_peak": loads(-0.05),
         "limits": np.array([3.1, 4.2]),
+        "limit_origins": ORIGINS,
         "verdict": judge(run(0.0, passed=True), None, SERVOS, overloaded=("knee",)),
         "settled": Stub(
             base_height=0.11223,
@@ -464,6 +475,7 @@ def test_a_stance() -> None:
         torque: with the least tangential forces at the feet, which last; minimum peak: with the
             contact forces of
         least peak utilisation, 90.2%
+        limit: effort in the URDF (1), forcerange in the MJCF (1)
         Contact forces on the feet (N, world axes)
         foot force friction used simulated minimum peak
         FR +1.011 -2.022 +3.033 7.1% +0.101 +0.202 +7.303 +0.961 -2.072 +2.983

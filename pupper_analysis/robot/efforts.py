@@ -95,7 +95,7 @@ def origins_in_words(origins: Iterable[EffortStatement | None]) -> str:
     if len(counts) == 1:
         return next(iter(counts))
     listed = sorted(counts.items(), key=lambda one: -one[1])
-    return ", ".join(f"{words} ({count} joints)" for words, count in listed)
+    return ", ".join(f"{words} ({count})" for words, count in listed)
 
 
 def _alike(one: float, other: float) -> bool:
