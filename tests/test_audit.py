@@ -253,6 +253,41 @@ CASES = [
     urdf(
         "effort-or-velocity-zero", "joint 'FL_HFE'", FL_HFE, "<limit", 'effort="18"', 'effort="0"'
     ),
+    # ---- values
+    urdf("value-impossible", "link 'FL_calf'", FL_CALF, "<cylinder", "0.011", "-0.011"),
+    urdf(
+        "value-impossible",
+        "link 'base_link'",
+        '<link name="base_link">',
+        "<box",
+        "0.2 0.11 0.05",
+        "0.2 -0.11 0.05",
+    ),
+    urdf("value-impossible", "joint 'FL_HFE'", FL_HFE, "<limit", 'effort="18"', 'effort="-18"'),
+    mjcf("value-impossible", "joint 'FL_HAA'", FL_HAA, "/>", ' damping="-5"/>'),
+    mjcf("value-impossible", "joint 'FL_HAA'", FL_HAA, "/>", ' frictionloss="-1"/>'),
+    mjcf("value-impossible", "geom 'FL_foot'", '<geom name="FL_foot"', "/>", ' friction="-1"/>'),
+    urdf(
+        "geometry-empty",
+        "link 'FL_calf'",
+        FL_CALF,
+        "<geometry",
+        r'<cylinder radius="0.011" length="0.11"/>',
+        "",
+    ),
+    *(
+        mjcf("option-out-of-range", "option", "<option", pattern, new)
+        for pattern, new in (
+            ("0.004", "10"),
+            ("0.004", "0"),
+            ("0.004", "-0.002"),
+            ("0.004", "1e-9"),
+            ('impratio="50"', 'impratio="-1"'),
+            ("/>", ' iterations="0"/>'),
+            ("/>", ' tolerance="1e9"/>'),
+            ("/>", ' density="-1"/>'),
+        )
+    ),
     # ---- numbers
     urdf("rpy-in-degrees", "joint 'FL_HFE'", FL_HFE, "<origin", '"0 0 0"', '"0 0 0" rpy="0 90 0"'),
     mjcf("rpy-in-degrees", "site 'RR_foot'", '<site name="RR_foot"', "/>", ' euler="0 90 0"/>'),
@@ -292,6 +327,19 @@ CASES = [
         (Edit("", 'joint name="FL_HAA"', 'joint name="FL_hip"'),),
     ),
     # ---- actuators
+    servo("servo-drives-away", 'gainprm="-60" biasprm="0 60 -1"'),
+    servo("servo-drives-away", 'gainprm="-1" biasprm="0 0 1"'),
+    Case(
+        "servos-compete",
+        "mjcf",
+        "actuator 'two'",
+        ('name="two"', ""),
+        (Edit("", "</actuator>", '<position name="two" joint="FL_HAA" kp="60"/></actuator>'),),
+    ),
+    servo("actuator-slow", 'dyntype="filter" dynprm="1e5"'),
+    servo("forcerange-without-zero", 'forcerange="5 25"'),
+    servo("range-empty", 'forcelimited="auto" forcerange="18 -18"'),
+    servo("range-empty", 'ctrlrange="0.8 -0.8"'),
     servo("actuator-without-effect", 'gear="0"'),
     servo("servo-gains-contradict", 'biasprm="0 -30 -1"'),
     servo("actuator-unlimited", 'forcelimited="false"'),
@@ -306,6 +354,7 @@ CASES = [
     servo("ctrlrange-differs", 'ctrlrange="-1.6 0.8"'),
     # ---- start
     mjcf("start-outside-limits", "key 'home'", KEY, "0.9014 -1.5083", "1.5 -1.5083"),
+    mjcf("keyframe-ctrl", "key 'home'", KEY, 'ctrl="0 0.9014', 'ctrl="0 1.5'),
     mjcf("start-in-floor", "key 'home'", KEY, "0 0 0.158", "0 0 0.14"),
     Case(
         "start-self-collision",
@@ -323,6 +372,7 @@ CASES = [
     ),
     # ---- simulation
     mjcf("gravity-unusual", "option", "<option", "-9.81", "-1.62"),
+    mjcf("gravity-unusual", "option", "<option", "-9.81", "9.81"),
     Case(
         "armature-zero",
         "mjcf",
@@ -398,6 +448,66 @@ def test_a_slip_is_found_where_it_is(case: Case, tmp_path: Path, sound: dict[str
     assert case.format in rule.formats
 
 
+BROKEN = {
+    "cut.stl": (bytes(80) + (4).to_bytes(4, "little") + bytes(50 * 2), "no triangle"),
+    "text.stl": (b"root:x:0:0:root:/root:/bin/bash\n", "no triangle"),
+    "name.obj": (b"v zero 0 0\nf 1 1 1\n", "cannot be read as a mesh"),
+    "nan.obj": (b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "a vertex that is no number"),
+    "empty.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no triangle"),
+    "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", ""),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_mesh_that_is_none_is_found(name: str, tmp_path: Path) -> None:
+    content, message = BROKEN[name]
+    (tmp_path / name).write_bytes(content)
+    edit = Edit(FL_CALF, r'<cylinder radius="0.011" length="0.11"/>', f'<mesh filename="{name}"/>')
+    path = written(tmp_path, "urdf", (edit,))
+    (finding,) = found(audit_model(path), "mesh-unreadable", "link 'FL_calf'")
+    assert message in finding.message
+    assert isinstance(said(finding.message), Text), finding.message
+    assert finding.line == line_of(path.read_text(), FL_CALF, "<mesh")
+    whole = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n"
+    (tmp_path / name).rename(tmp_path / "broken")
+    other = tmp_path / "whole.obj"
+    other.write_bytes(whole)
+    path.write_text(path.read_text().replace(name, other.name))
+    assert not found(audit_model(path), "mesh-unreadable")
+
+
+@pytest.mark.parametrize(("scale", "severity"), [("1 -1 1", "info"), ("-1 -1 -1", "warning")])
+def test_mirrored_meshes(scale: str, severity: str, tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
+    edit = Edit(
+        FL_CALF,
+        r'<cylinder radius="0.011" length="0.11"/>',
+        f'<mesh filename="a.obj" scale="{scale}"/>',
+    )
+    path = written(tmp_path, "urdf", (edit,))
+    (finding,) = found(audit_model(path), "mesh-mirrored", "link 'FL_calf'")
+    assert str(finding.severity) == severity
+    assert isinstance(said(finding.message), Text)
+    path.write_text(path.read_text().replace(scale, "-1 -1 1"))  # half a turn about z
+    assert not found(audit_model(path), "mesh-mirrored")
+    path.write_text(path.read_text().replace("-1 -1 1", "1 0 1"))
+    assert found(audit_model(path), "value-impossible", "link 'FL_calf'")
+
+
+def test_gravity_that_points_up_is_more_than_an_information(tmp_path: Path) -> None:
+    path = written(tmp_path, "mjcf", (Edit("<option", "-9.81", "9.81"),))
+    (finding,) = found(audit_model(path), "gravity-unusual")
+    assert finding.severity is Severity.WARNING
+
+
+def test_a_keyframe_without_commands_is_only_told(tmp_path: Path) -> None:
+    """It commands zeros, which is how many are published; where zeros are its pose, all is well."""
+    path = written(tmp_path, "mjcf", (Edit(KEY, r' ctrl="[^"]*"', ""),))
+    (finding,) = found(audit_model(path), "keyframe-ctrl")
+    assert finding.severity is Severity.INFO
+    assert "8 of 12 commands" in finding.message
+
+
 def test_a_continuous_joint_that_states_limits_is_told_so(tmp_path: Path) -> None:
     edit = Edit(FL_HAA, 'type="revolute"', 'type="continuous"')
     (finding,) = found(audit_model(written(tmp_path, "urdf", (edit,))), "limit-missing")
@@ -425,7 +535,8 @@ def test_every_rule_of_the_catalogue_has_its_function() -> None:
 
 
 def test_every_rule_has_a_test() -> None:
-    assert {case.rule for case in CASES} == set(RULES)
+    apart = {"mesh-unreadable", "mesh-mirrored"}  # which need a mesh beside the file
+    assert {case.rule for case in CASES} | apart == set(RULES)
 
 
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.name)

@@ -8,6 +8,7 @@ from pupper_analysis.checks.audit.rules import (  # noqa: F401, I001  (the order
     mirror,
     joints,
     limits,
+    values,
     numbers,
     files,
     actuators,

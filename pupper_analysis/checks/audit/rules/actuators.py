@@ -93,6 +93,60 @@ def actuator_without_effect(view: MjcfView) -> Iterator[Found]:
 
 
 @rule
+def servo_drives_away(view: MjcfView) -> Iterator[Found]:
+    """Finds forces that grow with the joint's own motion: -dF/dq < 0, or -dF/dqdot < 0."""
+    for _, drive in _drives(view):
+        for value, what, unit, cause in (
+            (drive.stiffness, "stiffness", "N m/rad (or N/m)", "further"),
+            (drive.kd, "damping", "N m s/rad (or N s/m)", "faster"),
+        ):
+            if value < 0:
+                text = f"its {what} is {value:g} {unit}: the {cause} it moves, the more it drives"
+                yield Found("actuator", drive.name, text)
+
+
+@rule
+def servos_compete(view: MjcfView) -> Iterator[Found]:
+    """Finds joints with two position servos or more."""
+    holding: dict[str, list[Drive]] = {}
+    for _, drive in _drives(view):
+        if drive.stiffness > 0:
+            holding.setdefault(drive.joint_name, []).append(drive)
+    for joint, several in holding.items():
+        if len(several) > 1:
+            gains = " and ".join(f"{drive.stiffness:g}" for drive in several)
+            text = f"joint {joint!r} has {len(several)} position servos, of {gains} N m/rad"
+            yield Found("actuator", several[1].name, text)
+
+
+SLOWEST = 1.0
+"""s: a robot that leans has fallen before a servo answers that is slower."""
+
+
+@rule
+def actuator_slow(view: MjcfView) -> Iterator[Found]:
+    """Finds filters with a time constant of more than 1 s."""
+    for model, drive in _drives(view):
+        filtered = model.actuator_dyntype[drive.id] in (
+            mujoco.mjtDyn.mjDYN_FILTER.value,
+            mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
+        )
+        constant = float(model.actuator_dynprm[drive.id, 0])
+        if filtered and constant > SLOWEST:
+            yield Found("actuator", drive.name, f"its time constant is {constant:g} s")
+
+
+@rule
+def forcerange_without_zero(view: MjcfView) -> Iterator[Found]:
+    """Finds forceranges that do not hold 0."""
+    for model, drive in _drives(view):
+        low, high = model.actuator_forcerange[drive.id]
+        if model.actuator_forcelimited[drive.id] and not low <= 0 <= high:
+            text = f"its forcerange is [{low:g}, {high:g}]: it can never let go"
+            yield Found("actuator", drive.name, text)
+
+
+@rule
 def servo_gains_contradict(view: MjcfView) -> Iterator[Found]:
     """Finds kp != k, which k < 0 is too; MuJoCo takes kd < 0 for a damping ratio."""
     for _, drive in _drives(view):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from lxml import etree
 
+from pupper_analysis.checks.audit.geometry import mesh_problem
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.view import FIXED, MjcfView, UrdfView, View
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -37,6 +38,23 @@ def mesh_missing(view: UrdfView | MjcfView) -> Iterator[Found]:
                 text = _what_is_missing(name, [view.file.path.parent / name])
                 yield Found("link", str(link.get("name")), text, place=place)
             seen.add(name)
+
+
+@rule
+def mesh_unreadable(view: UrdfView) -> Iterator[Found]:
+    """Opens each STL and OBJ once; see ``mesh_problem``."""
+    seen: set[Path] = set()
+    for link in view.file.root.findall("link"):
+        for mesh in link.iter("mesh"):
+            name = mesh.get("filename", "")
+            path = view.file.resolve_mesh(name)
+            if path is None or path in seen:
+                continue
+            seen.add(path)
+            problem = mesh_problem(path)
+            if problem is not None:
+                place = Place(view.file.path, mesh.sourceline)
+                yield Found("link", str(link.get("name")), f"{name!r}: {problem}", place=place)
 
 
 def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:

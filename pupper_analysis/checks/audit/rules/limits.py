@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import mujoco
 import numpy as np
 
+from pupper_analysis.checks.audit.from_mjcf import line_of
 from pupper_analysis.checks.audit.from_urdf import number
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.view import HINGE, MjcfView, UrdfView, View
@@ -14,11 +16,39 @@ from pupper_analysis.checks.audit.view import HINGE, MjcfView, UrdfView, View
 
 @rule
 def range_empty(view: View) -> Iterator[Found]:
-    """Finds lower >= upper, also where both are left out of a URDF, where they count as 0."""
+    """Finds lower >= upper, also where both are left out of a URDF, where they count as 0.
+
+    Of an MJCF's ranges that nothing says to be off, also those of actuators: MuJoCo takes an
+    inverted one for none, without a word.
+    """
     for joint in view.joints.values():
         if joint.moves and joint.lower >= joint.upper:
             limits = f"its lower limit is {joint.lower:g}, its upper {joint.upper:g} {joint.unit}"
             yield Found("joint", joint.name, limits, "limit")
+    if isinstance(view, MjcfView) and view.refusal is None:
+        yield from _inverted(view)
+
+
+def _inverted(view: MjcfView) -> Iterator[Found]:
+    spec, auto = view.file.spec, mujoco.mjtLimited.mjLIMITED_AUTO
+    kinds = (
+        ("joint", spec.joints, (("range", "limited"), ("actfrcrange", "actfrclimited"))),
+        (
+            "actuator",
+            spec.actuators,
+            (("ctrlrange", "ctrllimited"), ("forcerange", "forcelimited")),
+        ),
+        ("tendon", spec.tendons, (("range", "limited"),)),
+    )
+    for tag, elements, pairs in kinds:
+        for element in elements:
+            for name, switch in pairs:
+                low, high = np.array(getattr(element, name)).reshape(-1)[:2]
+                if getattr(element, switch) == auto and low > high:
+                    around = element.parent.name if tag == "joint" else view.base
+                    place = None if element.name else line_of(view.file, element, around)
+                    text = f"its {name} is [{low:g}, {high:g}]: MuJoCo takes it for no limit"
+                    yield Found(tag, element.name, text, place=place)
 
 
 @rule

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.rules.actuators import drives
 from pupper_analysis.checks.audit.rules.files import first_place
 from pupper_analysis.checks.audit.view import MjcfView
@@ -20,12 +21,14 @@ STANDARD_GRAVITY = 9.80665
 
 @rule
 def gravity_unusual(view: MjcfView) -> Iterator[Found]:
-    """Finds a gravity off by more than 0.02 m/s^2 in any direction."""
+    """Finds a gravity off by more than 0.02 m/s^2 in any direction; INFO unless it points up."""
     gravity = np.array(view.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -STANDARD_GRAVITY)) > 0.02:
         x, y, z = gravity
         place = first_place(view.file, "option", "gravity")
-        yield Found("option", "", f"gravity is ({x:g}, {y:g}, {z:g}) m/s^2", place=place)
+        text = f"gravity is ({x:g}, {y:g}, {z:g}) m/s^2"
+        severity = None if z > 0 else Severity.INFO
+        yield Found("option", "", text, place=place, severity=severity)
 
 
 @rule

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -12,13 +13,18 @@ from pupper_analysis.checks.audit.from_mjcf import joint_name
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.rules.actuators import drives
 from pupper_analysis.checks.audit.view import MjcfView, View
+from pupper_analysis.models.conversion import effort_limit
 
 FLOOR_DEPTH = 5e-3
 """How deep a start may be in the floor (m): a standing robot sinks a few mm into soft contacts."""
 
 MOST_KEYFRAMES = 100
 """How many keyframes are looked at."""
+
+LARGEST_SAG = 0.5
+"""How far a servo without a torque limit may be commanded ahead of its joint (rad, m)."""
 
 OVERLAP = 1e-3
 """How deep bodies may be in each other (m)."""
@@ -90,6 +96,39 @@ def _outside(
             f"({len(outside)} of {len(excess)} joints are outside)"
         )
         yield Found(*where, text, severity=severity)
+
+
+@rule
+def keyframe_ctrl(view: MjcfView) -> Iterator[Found]:
+    """Finds commands of position servos that a keyframe's own pose does not answer to.
+
+    A command may be ahead of its joint by the torque that holds it: at most by what the servo's
+    limit gives, or by 0.5 rad (0.5 m), a sag that no standing robot has, where it has none.
+    """
+    model = view.model
+    if model is None:
+        return
+    for key in range(min(model.nkey, MOST_KEYFRAMES)):
+        ahead: dict[str, float] = {}
+        for drive in drives(model):
+            angle = float(model.key_qpos[key, model.jnt_qposadr[drive.joint]])
+            if drive.stiffness <= 0 or drive.gear == 0:
+                continue
+            command = float(model.key_ctrl[key, drive.control]) * drive.kp / drive.stiffness
+            limit = effort_limit(model, drive.joint) / (drive.stiffness * drive.gear**2)
+            off = command / drive.gear - angle
+            if abs(off) > 1e-3 + (limit if math.isfinite(limit) else LARGEST_SAG):
+                ahead[drive.joint_name] = off
+        if ahead:
+            worst = max(ahead, key=lambda name: abs(ahead[name]))
+            name = model.key(key).name
+            text = (
+                f"it commands joint {worst!r} to where it is not, {ahead[worst]:+.3g} "
+                f"{view.joints[worst].unit} away, more than its servo can be ahead "
+                f"({len(ahead)} of {model.nu} commands are)"
+            )
+            said = len(view.file.spec.keys[key].ctrl) > 0
+            yield Found("key", name, text, severity=None if said else Severity.INFO)
 
 
 @rule

@@ -1,0 +1,145 @@
+"""Rules about numbers that nothing can have, whatever the robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from lxml import etree
+
+from pupper_analysis.checks.audit.from_mjcf import line_of
+from pupper_analysis.checks.audit.from_urdf import number, vector
+from pupper_analysis.checks.audit.registry import Found, rule
+from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.checks.audit.rules.files import first_place
+from pupper_analysis.checks.audit.view import MjcfView, UrdfView
+from pupper_analysis.models.places import Place
+
+_SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
+
+_JOINT_NUMBERS = {"dynamics": ("damping", "friction"), "limit": ("effort", "velocity")}
+
+_PASSIVE = ("damping", "frictionloss", "armature", "stiffness")
+"""Of an MJCF's joints: what resists a motion, and not drives it."""
+
+
+@rule
+def value_impossible(view: UrdfView | MjcfView) -> Iterator[Found]:
+    """Finds sizes of 0 and less, and negative damping, dry friction, armature, stiffness, limits.
+
+    A cylinder of length 0 is a disc, and a capsule of length 0 a ball. Of MuJoCo's polynomials the
+    first coefficient is looked at, which is what counts at small speeds.
+    """
+    if isinstance(view, UrdfView):
+        yield from _impossible_sizes(view)
+        for joint in view.file.root.findall("joint"):
+            for tag, attributes in _JOINT_NUMBERS.items():
+                element = joint.find(tag)
+                for attribute in attributes:
+                    value = number(element, attribute, 0.0)
+                    if value < 0:
+                        text = f"its {tag} {attribute} is {value:g}"
+                        yield Found("joint", str(joint.get("name")), text, tag)
+        return
+    for joint in view.file.spec.joints:
+        around = line_of(view.file, joint, joint.parent.name)
+        for attribute in _PASSIVE:
+            value = float(np.atleast_1d(getattr(joint, attribute))[0])
+            if value < 0:
+                place = None if joint.name else around
+                yield Found("joint", joint.name, f"its {attribute} is {value:g}", place=place)
+    for geom in view.file.spec.geoms:
+        if min(geom.friction) < 0:
+            place = None if geom.name else line_of(view.file, geom, geom.parent.name)
+            text = f"its friction is ({', '.join(f'{value:g}' for value in geom.friction)})"
+            yield Found("geom", geom.name, text, place=place)
+
+
+def _impossible_sizes(view: UrdfView) -> Iterator[Found]:
+    for link, _, shape in _shapes(view):
+        tag = str(shape.tag)
+        if tag == "box":
+            sizes = {"size": vector(shape, "size", (1.0, 1.0, 1.0))}
+        elif tag == "mesh":
+            # A negative factor mirrors: that is another rule's.
+            sizes = {"scale": np.abs(vector(shape, "scale", (1.0, 1.0, 1.0)))}
+        else:
+            sizes = {name: np.array([number(shape, name, 1.0)]) for name in _SIZES.get(tag, ())}
+        for name, values in sizes.items():
+            bad = values < 0 if name == "length" else values <= 0
+            if bad.any():
+                text = f"the {name} of its {tag} is {shape.get(name)}"
+                yield Found("link", link, text, place=Place(view.file.path, shape.sourceline))
+
+
+def _shapes(view: UrdfView) -> Iterator[tuple[str, etree._Element, etree._Element]]:
+    """Yields each shape's link, its <geometry>, and its element."""
+    for link in view.file.root.findall("link"):
+        for tag in ("visual", "collision"):
+            for geometry in link.iterfind(f"{tag}/geometry"):
+                for shape in geometry.iterchildren(tag=etree.Element):
+                    yield str(link.get("name")), geometry, shape
+
+
+@rule
+def geometry_empty(view: UrdfView) -> Iterator[Found]:
+    """Finds <geometry> without an element in it."""
+    for link in view.file.root.findall("link"):
+        for tag in ("visual", "collision"):
+            for geometry in link.iterfind(f"{tag}/geometry"):
+                if next(geometry.iterchildren(tag=etree.Element), None) is None:
+                    place = Place(view.file.path, geometry.sourceline)
+                    text = f"the <geometry> of its <{tag}> has no shape"
+                    yield Found("link", str(link.get("name")), text, place=place)
+
+
+@rule
+def mesh_mirrored(view: UrdfView) -> Iterator[Found]:
+    """Finds an odd number of negative factors in a mesh's scale, once a file.
+
+    One is often on purpose, to draw a left part from the right one's file; three never are.
+    """
+    mirrored: dict[int, list[tuple[str, etree._Element]]] = {1: [], 3: []}
+    for link, _, shape in _shapes(view):
+        if shape.tag == "mesh":
+            negative = int((vector(shape, "scale", (1.0, 1.0, 1.0)) < 0).sum())
+            mirrored.get(negative, []).append((link, shape))
+    for count, found in mirrored.items():
+        if found:
+            link, shape = found[0]
+            text = f"the scale of its mesh {shape.get('filename')!r} is {shape.get('scale')}"
+            text += f", and {len(found) - 1} others alike" if len(found) > 1 else ""
+            severity = Severity.INFO if count == 1 else None
+            place = Place(view.file.path, shape.sourceline)
+            yield Found("link", link, text, place=place, severity=severity)
+
+
+_OPTIONS: dict[str, tuple[float, float, Severity, str]] = {
+    # A robot's contacts ring within some 10 ms; at a tenth of a second nothing is simulated.
+    "timestep": (1e-6, 0.1, Severity.ERROR, "s"),
+    "impratio": (1e-3, 1e6, Severity.ERROR, ""),
+    "iterations": (1, math.inf, Severity.ERROR, ""),
+    "ls_iterations": (1, math.inf, Severity.ERROR, ""),
+    # The solver ends when it gains less: beyond, it ends before contact forces mean anything.
+    "tolerance": (0, 1e-2, Severity.ERROR, ""),
+    "ls_tolerance": (0, 1.0, Severity.WARNING, ""),
+    "noslip_tolerance": (0, 1e-2, Severity.WARNING, ""),
+    "ccd_tolerance": (0, 1e-2, Severity.ERROR, "m"),
+    "density": (0, 2e4, Severity.ERROR, "kg/m^3"),
+    "viscosity": (0, 1e3, Severity.ERROR, "Pa s"),
+}
+"""Of an MJCF: least and greatest, how bad another is, and its unit."""
+
+
+@rule
+def option_out_of_range(view: MjcfView) -> Iterator[Found]:
+    """Finds time steps, solver settings and fluids with which MuJoCo simulates no robot."""
+    option = view.file.spec.option
+    for name, (least, greatest, severity, unit) in _OPTIONS.items():
+        value = float(getattr(option, name))
+        if not least <= value <= greatest:
+            text = f"{name} is {value:g} {unit}".rstrip()
+            text += f"; it is to be from {least:g}" if value < least else f", above {greatest:g}"
+            place = first_place(view.file, "option", name)
+            yield Found("option", "", text, place=place, severity=severity)
