@@ -247,6 +247,53 @@ def test_what_is_overlooked_is_not_explained(
     assert explanation.left["gravity"] == explanation.deviations["gravity"]
 
 
+def whip(**values: Any) -> Parts:
+    """An arm with a hand at its end, which may weigh next to nothing."""
+    hand = Part(
+        "hand", "column", "roll", "continuous", (0.3, 0.0, 0.4), axis=(0.0, 0.6, 0.8),
+        mass=0.5, inertia=(2e-3, 2e-3, 2e-3, 0.0, 0.0, 0.0), armature=0.0,
+    )  # fmt: skip
+    parts = arm() | {"hand": hand}
+    return parts | {"hand": replace(hand, **values)}
+
+
+TINY: dict[str, Any] = {"mass": 1e-6, "inertia": (1e-9, 1e-9, 1e-9, 0.0, 0.0, 0.0)}
+
+
+def test_rounding_of_a_light_link_is_nothing_that_is_left(tmp_path: Path) -> None:
+    """A hand of 1e-6 kg: its accelerations are 1e6 times the URDF's, and so is their rounding."""
+    explanation = explained(tmp_path, whip(), whip(**TINY), free=False)
+    assert {element for _, element in found(explanation)} == {"roll"}
+    assert explanation.complete
+    assert max(explanation.left.values()) < 1e-12
+
+
+def test_what_is_overlooked_shows_beside_a_light_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A damper of 1e-7 N m s/rad that is missed is no rounding, however light its link."""
+    monkeypatch.setattr(explain_module, "_joint_numbers", lambda *_: iter(()))
+    light = whip(**TINY, damping=0.0)
+    explanation = explained(tmp_path, light, changed(light, "hand", damping=1e-7), free=False)
+    assert explanation.differences == ()
+    assert not explanation.complete
+
+
+def test_limits_are_ordered_by_the_range_that_is_lost(tmp_path: Path) -> None:
+    """As those of a T1: half of an elbow's range goes before a tenth of the head's."""
+    mjcf = changed(quadruped(), "thigh0", upper=0.8)
+    mjcf = changed(mjcf, "shank2", lower=-1.0)
+    mjcf = changed(mjcf, "thigh1", lower=-0.6, effort=2.1)
+    mjcf = changed(mjcf, "shank0", effort=34.0)
+    assert found(explained(tmp_path, quadruped(), mjcf)) == [
+        ("lower limit", "knee2"),  # 1.5 rad
+        ("lower limit", "hip1"),  # 0.41 rad
+        ("upper limit", "hip0"),  # 0.1 rad
+        ("effort", "hip1"),  # a tenth is left
+        ("effort", "knee0"),
+    ]
+
+
 def test_what_a_user_must_mend_comes_first(tmp_path: Path) -> None:
     mjcf = changed(quadruped(), "base", mass=6.1, com=(0.01, 0.002, -0.0051))
     mjcf = changed(mjcf, "thigh0", damping=0.2, effort=25.0, lower=-0.7)

@@ -13,6 +13,9 @@ _MANY = 4  # bodies that are told in one line
 _OTHER = 0.1
 """How far a mass is off, at least, that is taken for another body's: not a screw more or less."""
 
+_PLACEHOLDER = 1e-3
+"""Share of the other's mass below which a body is there for the sake of the joint alone."""
+
 
 def other_inertials(case: Case) -> Found:
     """Finds bodies of which nothing is the other file's."""
@@ -46,6 +49,8 @@ def other_inertials(case: Case) -> Found:
             None,
         )
         whose = f"it is that of {twin} in the URDF" if twin else "another body's, or version's?"
+        if min(one.mass, two.mass) < _PLACEHOLDER * max(one.mass, two.mass):
+            whose = "one weighs next to nothing: a placeholder?"
         yield Finding(
             "inertial",
             f"body of {name}: nothing of its inertial is the same: mass {one.mass:.6g} kg in the "
