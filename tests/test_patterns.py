@@ -234,3 +234,43 @@ def test_a_body_that_is_elsewhere_takes_its_axis_along(tmp_path: Path) -> None:
     comparison = compared(pair(tmp_path, changed(quadruped(), "thigh1", position=place)))
     assert found(comparison) == [("position", "hip1")]
     assert comparison.causes == ()
+
+
+def geared(text: str, gears: tuple[float, ...]) -> str:
+    """An MJCF whose motors have gears, and what the URDF says for a range before them."""
+    names = [f"{kind}{leg}" for leg in range(4) for kind in ("hip", "knee")]
+    for name, gear in zip(names, gears, strict=True):
+        text = text.replace(f'joint="{name}" ctrlrange', f'joint="{name}" gear="{gear}" ctrlrange')
+    return text
+
+
+def test_efforts_before_the_gear_are_told_first(tmp_path: Path) -> None:
+    """As Cassie's: 4.5 N m in the URDF and at ctrl, 112.5 N m at the joint."""
+    mjcf = changed(quadruped(), "base", mass=7.0)  # a kilogram goes before efforts, but not first
+    text = geared(mjcf_text(mjcf), (25, 16) * 4)
+    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert "the URDF's efforts of 8 joints are the motors', before their gears" in line
+    assert "20 times 25 is 500 on hip0" in line
+    assert [cause.kind for cause in comparison.causes] == ["gears"]
+    assert {comparison.differences[n].kind for n in comparison.causes[0].differences} == {"effort"}
+
+
+def test_efforts_that_no_gear_explains(tmp_path: Path) -> None:
+    """The MJCF's forces are the joints' already: the URDF's are wrong, or another motor's."""
+    mjcf = {
+        name: replace(part, effort=1.7 * part.effort) if part.joint else part
+        for name, part in quadruped().items()
+    }
+    comparison = compared(pair(tmp_path, mjcf))
+    assert comparison.causes == ()
+    other = geared(mjcf_text(mjcf), (25,) * 8)
+    assert compared(write(tmp_path, urdf_text(quadruped()), other)).causes == ()
+
+
+def test_an_effort_of_zero_is_no_difference_between_engines(tmp_path: Path) -> None:
+    """Pinocchio reads 0 N m, MuJoCo none: the file states none."""
+    urdf = urdf_text(changed(quadruped(), "shank2", effort=0.0))
+    comparison = compared(write(tmp_path, urdf, mjcf_text(quadruped())))
+    assert comparison.engines == ()
+    assert found(comparison) == [("effort", "knee2")]

@@ -90,6 +90,8 @@ def first_to_mend(
     comparison: Comparison, causes: Sequence[Cause], groups: Sequence[Sequence[Difference]]
 ) -> str:
     """Returns what is to be mended first, in a line."""
+    if causes and causes[0].leads:
+        return causes[0].message
     if comparison.parts:
         return comparison.parts[0]
     if causes and (causes[0].differences[0] == 0 or not groups):

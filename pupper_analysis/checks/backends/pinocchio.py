@@ -47,7 +47,8 @@ def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array
         axes=[rest.joint_axis(name) for name in robot.joint_names],
         lower=robot.lower_limits,
         upper=robot.upper_limits,
-        effort=model.effortLimit[v],
+        # Of 0, a habit of exporters, it is none: MuJoCo's reader of URDFs says so, and `effort_of`.
+        effort=np.where(model.effortLimit[v] == 0, np.inf, model.effortLimit[v]),
         armature=model.armature[v],
         damping=model.damping[v],
         friction=model.friction[v],

@@ -14,6 +14,7 @@ from pupper_analysis.checks.patterns.angles import other_angles
 from pupper_analysis.checks.patterns.case import Case
 from pupper_analysis.checks.patterns.dropped import dropped
 from pupper_analysis.checks.patterns.exchanged import exchanged
+from pupper_analysis.checks.patterns.gears import before_gears
 from pupper_analysis.checks.patterns.inertials import other_inertials
 from pupper_analysis.checks.patterns.lines import other_lines
 from pupper_analysis.checks.patterns.links import other_links
@@ -30,7 +31,7 @@ class Cause(Result):
     """One slip that explains several differences.
 
     Attributes:
-        kind: ``units``, ``angles``, ``exchanged``, ``products``, ``coms``, ``links``,
+        kind: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``, ``coms``, ``links``,
             ``scaled links``, ``inertial`` or ``line``.
         message: What it is, in plain words.
         differences: Which of the differences it explains, by number, from 0.
@@ -39,6 +40,15 @@ class Cause(Result):
     kind: str
     message: str
     differences: tuple[int, ...]
+
+    @property
+    def leads(self) -> bool:
+        """Whether it is told before all else.
+
+        So are efforts of another place on the drive: the dynamics do not feel them, but whatever is
+        said of what the motors hold is false by the gear.
+        """
+        return self.kind == "gears"
 
 
 def causes(
@@ -66,15 +76,7 @@ def causes(
     case = Case(robot, first, raw, second, keys, tolerances, urdf, mjcf)
     found: list[Cause] = []
     taken: set[int] = set()
-    for look in (
-        other_angles,
-        exchanged,
-        other_units,
-        dropped,
-        other_links,
-        other_inertials,
-        other_lines,
-    ):
+    for look in _LOOKS:
         for each in look(replace(case, taken={keys[n] for n in taken})):
             numbers = tuple(
                 n for n, key in enumerate(keys) if key in each.explained and n not in taken
@@ -83,13 +85,14 @@ def causes(
                 taken |= set(numbers)
                 found.append(Cause(each.kind, each.message, numbers))
                 case = each.undone or case
-    return tuple(sorted(found, key=lambda cause: cause.differences))
+    return tuple(sorted(found, key=lambda cause: (not cause.leads, cause.differences)))
 
 
 _LOOKS = (
     other_angles,
     exchanged,
     other_units,
+    before_gears,
     dropped,
     other_links,
     other_inertials,
