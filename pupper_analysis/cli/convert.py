@@ -45,6 +45,11 @@ from pupper_analysis.errors import ConfigurationError, OutputError
 )
 @click.option("--sag", type=shared.ANGLE, help="The joint that holds most gives way so far (rad).")
 @click.option("--damping-ratio", type=float, help="Of the base's bounce on its servos.")
+@click.option(
+    "--repair-inertia",
+    is_flag=True,
+    help="Give moving links the nearest inertia that a body can have; 1 g to those without mass.",
+)
 @package_option
 @shared.json_option
 def convert_command(
@@ -57,6 +62,7 @@ def convert_command(
     armature: tuple[str, ...],
     sag: float | None,
     damping_ratio: float | None,
+    repair_inertia: bool,
     packages: tuple[str, ...],
     json_path: Path | None,
 ) -> None:
@@ -102,6 +108,7 @@ def convert_command(
             armature=rotors or None,
             sag=sag,
             damping_ratio=damping_ratio,
+            repair_inertia=repair_inertia,
             packages=folders,
             force=force,
         )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.convert.repair import Repair
 from pupper_analysis.results import Result
 from pupper_analysis.simulation.verify import StandVerification
 
@@ -19,6 +20,7 @@ class Draft:
         meshes: {file to be written beside it: its content}.
         notes: What was added, or assumed.
         left: What the new format cannot say, or what was left out.
+        repairs: Inertials that were repaired.
         stands: Whether it is a robot that shall stand.
         failure: Why it does not, if that is known already.
     """
@@ -27,7 +29,8 @@ class Draft:
     meshes: dict[Path, bytes]
     notes: tuple[str, ...]
     left: tuple[str, ...]
-    stands: bool
+    repairs: tuple[Repair, ...] = ()
+    stands: bool = False
     failure: str | None = None
 
 
@@ -41,11 +44,12 @@ class Conversion(Result):
         written: All files that were written.
         notes: What was added that the source does not say, or assumed.
         left: What the new format cannot say, or what was left out.
+        repairs: Inertials that no body can have, and what was written in their places.
         comparison: The new file against the source.
         verification: The simulated stand, 12 s long; None where there is none to be simulated.
         failures: Why the new file is not what it shall be: it disagrees with the source beyond what
             is ``left``, or its robot does not stand.
-        agree: Whether both files agree.
+        agree: Whether both files agree, but for what was repaired.
         passed: Whether they agree, and the robot stands if it is one that shall.
     """
 
@@ -54,6 +58,7 @@ class Conversion(Result):
     written: tuple[str, ...]
     notes: tuple[str, ...]
     left: tuple[str, ...]
+    repairs: tuple[Repair, ...]
     comparison: Comparison
     verification: StandVerification | None
     failures: tuple[str, ...]

@@ -139,12 +139,10 @@ class UrdfBodies:
             child = self._links[end_link(joint, "child")]
             xyz, rpy = _origin(joint)
             inner = element(body, "body", name=str(child.get("name")), pos=xyz, euler=rpy)
-            self._add_joint(inner, joint, child)
+            self._add_joint(inner, joint)
             self._fill(inner, child)
 
-    def _add_joint(
-        self, body: etree._Element, joint: etree._Element, child: etree._Element
-    ) -> None:
+    def _add_joint(self, body: etree._Element, joint: etree._Element) -> None:
         kind, name = str(joint.get("type")), str(joint.get("name"))
         if kind == "fixed":
             return
@@ -155,7 +153,6 @@ class UrdfBodies:
                 f"joint {name!r} is {kind}; only the base may be free: convert with a root link "
                 "that moves, and without this joint",
             )
-        self._check_weight(joint, child)
         self._check_axis(joint)
         axis, limit, dynamics = (joint.find(tag) for tag in ("axis", "limit", "dynamics"))
         bounds = None
@@ -210,24 +207,6 @@ class UrdfBodies:
             )
             return False
         return True
-
-    def _check_weight(self, joint: etree._Element, link: etree._Element) -> None:
-        """Refuses a joint that moves nothing: MuJoCo has no massless bodies."""
-        waiting, weighs = [link], False
-        while waiting and not weighs:
-            this = waiting.pop()
-            mass = this.find("inertial/mass")
-            weighs = mass is not None and float(mass.get("value")) > 0
-            for below in self._joints.get(str(this.get("name")), ()):
-                if below.get("type") == "fixed":
-                    waiting.append(self._links[end_link(below, "child")])
-        if not weighs:
-            raise refusal_at(
-                self.urdf.path,
-                link,
-                f"link {link.get('name')!r}, which joint {joint.get('name')!r} moves, has no mass, "
-                "and MuJoCo refuses such bodies; give it an <inertial>",
-            )
 
     def _check_axis(self, joint: etree._Element) -> None:
         axis = joint.find("axis")

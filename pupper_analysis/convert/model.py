@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 
 from pupper_analysis.arguments import checked
-from pupper_analysis.checks.compare import compare_models
+from pupper_analysis.checks.compare import Comparison, compare_models
+from pupper_analysis.checks.differences import OF_INERTIALS
 from pupper_analysis.convert.conversion import Conversion, Draft
 from pupper_analysis.convert.from_urdf import check_joints
+from pupper_analysis.convert.repair import Repair
 from pupper_analysis.convert.to_mjcf import MjcfOptions, mjcf_draft
 from pupper_analysis.convert.to_urdf import urdf_draft
 from pupper_analysis.errors import ConfigurationError, OutputError
@@ -39,6 +41,7 @@ def convert_model(
     armature: Mapping[str, float] | None = None,
     sag: float | None = None,
     damping_ratio: float | None = None,
+    repair_inertia: bool = False,
     packages: Mapping[str, Path] | None = None,
     force: bool = False,
 ) -> Conversion:
@@ -66,6 +69,8 @@ def convert_model(
             the servos' stiffness follows; by default it is found by trial.
         damping_ratio: Of the base's bounce on its servos, from which their damping follows; by
             default it is found by trial.
+        repair_inertia: Give links that move, and whose inertia no body can have, the nearest that
+            one can, and a gram to those without mass; by default they are refused.
         packages: {ROS package: its folder}, for ``package://`` paths.
         force: Replace the output if it exists.
 
@@ -93,7 +98,9 @@ def convert_model(
     if output.suffix.lower() != wanted:
         kind = {".xml": "an MJCF", ".urdf": "a URDF"}[wanted]
         raise OutputError(output, f"{source} becomes {kind}: end its name in {wanted}")
-    options = MjcfOptions(feet, fixed_base, merge_fixed, armature, sag, damping_ratio)
+    options = MjcfOptions(
+        feet, fixed_base, merge_fixed, armature, sag, damping_ratio, repair_inertia
+    )
     if isinstance(file, UrdfFile):
         check_joints(file, dict(armature or {}))
         draft = mjcf_draft(file, output, options)
@@ -104,8 +111,8 @@ def convert_model(
         urdf, mjcf = output, source
     written = _write(output, draft, force=force)
     comparison = compare_models(urdf, mjcf, packages=packages, tolerances=FINE)
-    verification, failures = None, [difference.message for difference in comparison.differences]
-    failures += comparison.objections
+    verification, failures = None, list(_disagreements(comparison, draft.repairs))
+    agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
     if draft.failure is not None:
         failures.append(f"it does not stand: {draft.failure}")
     elif draft.stands:
@@ -117,10 +124,11 @@ def convert_model(
         written=tuple(map(str, written)),
         notes=draft.notes,
         left=draft.left,
+        repairs=draft.repairs,
         comparison=comparison,
         verification=verification,
         failures=tuple(failures),
-        agree=comparison.agree,
+        agree=agree,
         passed=not failures,
     )
 
@@ -132,6 +140,18 @@ def _refuse_given(options: MjcfOptions, source: Path) -> None:
             raise ConfigurationError(
                 field.name, f"{source} is an MJCF, and the URDF made of it has none; leave it out"
             )
+
+
+def _disagreements(comparison: Comparison, repairs: Sequence[Repair]) -> Iterator[str]:
+    """Yields what makes the files disagree, but for the inertials that were repaired.
+
+    Of these the comparison proves that they explain all that is left.
+    """
+    repaired = {repair.body for repair in repairs}
+    for difference in comparison.differences:
+        if not (difference.kind in OF_INERTIALS and difference.element in repaired):
+            yield difference.message
+    yield from comparison.objections
 
 
 def _stood(urdf: Path, mjcf: Path, feet: Feet | None) -> StandVerification:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from pupper_analysis.convert import equip
 from pupper_analysis.convert.conversion import Draft
 from pupper_analysis.convert.from_urdf import WORLD, UrdfBodies
-from pupper_analysis.convert.inertials import mend_inertials
 from pupper_analysis.convert.merge import carry_shapes, merge_fixed
 from pupper_analysis.convert.meshes import Meshes
+from pupper_analysis.convert.repair import mend_inertials
 from pupper_analysis.convert.servo_gains import held_gains, stand_gains
 from pupper_analysis.convert.tidy import put_defaults, to_text
 from pupper_analysis.convert.xml_text import element, words
@@ -52,6 +52,7 @@ class MjcfOptions:
         armature: {joint: rotor inertia (kg m^2)}.
         sag: What the joint that holds most gives way (rad); None: it is found by trial.
         damping_ratio: Of the base's bounce on its servos; None: it is found by trial.
+        repair_inertia: Whether inertials of moving links that no body can have are repaired.
     """
 
     feet: Feet | None = None
@@ -60,6 +61,7 @@ class MjcfOptions:
     armature: Mapping[str, float] | None = None
     sag: float | None = None
     damping_ratio: float | None = None
+    repair_inertia: bool = False
 
 
 def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
@@ -79,7 +81,8 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     root = _skeleton(str(urdf.root.get("name")))
     worldbody = root.find("worldbody")
     bodies.add(worldbody, free=free)
-    notes = [*urdf.notes, *mend_inertials(urdf, worldbody)]
+    moved, repairs = mend_inertials(urdf, worldbody, repair=options.repair_inertia)
+    notes = [*urdf.notes, *moved, *map(str, repairs)]
     left = [*bodies.notes, *meshes.notes, *_unsaid(urdf)]
     if options.merge_fixed:
         merged = merge_fixed(worldbody)
@@ -110,7 +113,15 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     _leave_out_empty(root)
     put_defaults(root)
     header = f"Converted from {urdf.path.name} by pupper-analysis."
-    return Draft(to_text(root, header), meshes.made, tuple(notes), tuple(left), free, failure)
+    return Draft(
+        text=to_text(root, header),
+        meshes=meshes.made,
+        notes=tuple(notes),
+        left=tuple(left),
+        repairs=tuple(repairs),
+        stands=free,
+        failure=failure,
+    )
 
 
 def _skeleton(name: str) -> etree._Element:

@@ -241,7 +241,7 @@ def urdf_draft(file: MjcfFile, output: Path) -> Draft:
     if floating:
         notes.append("the base is free, which a URDF leaves to whoever loads it")
     header = f"Converted from {file.path.name} by pupper-analysis."
-    return Draft(to_text(root, header), {}, tuple(notes), tuple(left), False)
+    return Draft(to_text(root, header), {}, tuple(notes), tuple(left))
 
 
 def _robot_name(file: MjcfFile) -> str:

@@ -25,8 +25,10 @@ def print_conversion(out: Console, conversion: Conversion) -> None:
     verdict = "[bold green]AGREE[/]" if conversion.agree else "[bold red]DISAGREE[/]"
     count = len(compared.differences)
     differences = "1 difference" if count == 1 else f"{count} differences"
+    repairs = len(conversion.repairs)
+    but = f" but for {repairs} repaired inertials" if repairs else ""
     out.print(
-        f"{verdict}: {differences} from {escape(conversion.source)}; the "
+        f"{verdict}{but}: {differences} from {escape(conversion.source)}; the "
         f"dynamics deviate by {worst:.1e}",
         soft_wrap=True,
     )
