@@ -84,6 +84,20 @@ def test_instances_of_a_mesh_count_each(tmp_path: Path, monkeypatch: pytest.Monk
         obj_of(tmp_path / "many.glb")
 
 
+def test_a_flat_mesh_to_look_at_is_a_shell(tmp_path: Path) -> None:
+    plate = trimesh.Trimesh(
+        [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0]], [[0, 1, 2], [1, 3, 2]]
+    )
+    plate.export(tmp_path / "plate.stl")
+    shape = _shape("visual", '<mesh filename="plate.stl"/>', "0 0 0")
+    text = urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1)
+    (tmp_path / "arm.urdf").write_text(text)
+    found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
+    assert found.passed
+    assert not [text for text in found.left if "mesh" in text]
+    assert compiled(tmp_path / "arm.xml").nmesh == 1
+
+
 def test_files_that_a_mesh_names_are_beside_it(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(BOX))

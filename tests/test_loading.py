@@ -375,6 +375,29 @@ def test_meshes_are_looked_for_as_mujoco_does(
     assert (model.compile().ngeom, model.notes) == (1, ())
 
 
+PLATE = 'vertex="0 0 0 1 0 0 0 1 0 1 1 0" face="0 1 2 1 3 2"'
+
+
+def test_flat_meshes_are_shells_where_they_weigh_nothing(tmp_path: Path) -> None:
+    """MuJoCo 4 refuses a file over one of them, though each body has an <inertial>."""
+    seen = '<geom type="mesh" mesh="{}" contype="0" conaffinity="0"/>'
+    assets = "".join(f'<mesh name="{name}" {PLATE}/>' for name in ("a plate", "other"))
+    bodies = f"<body>{EXPLICIT}{seen.format('a plate')}{seen.format('other')}</body>"
+    path = write(tmp_path, m=mjcf(f"<asset>{assets}</asset>", f"<worldbody>{bodies}</worldbody>"))
+    with pytest.raises(ValueError, match="mesh volume is too small"):
+        mujoco.MjSpec.from_file(str(path)).compile()
+    file = read_mjcf(path)
+    assert file.compile().ngeom == 2
+    assert file.spec.copy().compile().ngeom == 2
+    assert file.refusal is None
+    assert file.as_it_is is not None
+    # The file as it is stays one that MuJoCo refuses.
+    assert "mujoco-refuses" in {found.rule for found in pa.audit_model(path).findings}
+    path.write_text(path.read_text().replace(EXPLICIT, ""))
+    with pytest.raises(ModelError, match="mesh volume is too small"):
+        read_mjcf(path)
+
+
 @pytest.mark.parametrize(
     ("compiler", "inertial", "geom", "needed"),
     [

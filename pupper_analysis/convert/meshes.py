@@ -11,6 +11,7 @@ from lxml import etree
 
 from pupper_analysis.convert.mesh_files import READABLE, UnreadableError, check_size, obj_of
 from pupper_analysis.convert.xml_text import element, free_name
+from pupper_analysis.models.flat import flat_mesh
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -34,6 +35,7 @@ class Meshes:
         self._places: dict[Path, Path] = {}
         self._stems: set[str] = set()
         self._touching: set[tuple[Path, str]] = set()
+        self._shells: set[Path] = set()
 
     @property
     def notes(self) -> list[str]:
@@ -65,10 +67,15 @@ class Meshes:
         except UnreadableError as error:
             self._leave(str(error), file)
             return None
-        problem = _refused(self.made.get(self._place(path)), path, scale, touches=touches)
-        if problem is not None:
-            self._leave(f"for MuJoCo refuses them ({problem})", file)
-            return None
+        content = self.made.get(self._place(path))
+        try:
+            _compile(content, path, scale, touches=touches, shell=path in self._shells)
+        except ValueError as error:
+            if flat_mesh(error) is None:
+                self._leave(f"for MuJoCo refuses them ({_said(error)})", file)
+                return None
+            self._shells.add(path)
+            return self.name(mesh, touches=touches)
         if touches:
             self._touching.add((path, scale))
         if (path, scale) not in self._names:
@@ -108,6 +115,7 @@ class Meshes:
                 name=None if own else name,
                 file=Path(file).as_posix(),
                 scale=scale if scaled else None,
+                inertia="shell" if path in self._shells else None,
             )
 
     def _place(self, path: Path) -> Path:
@@ -135,24 +143,33 @@ class Meshes:
             files.append(file)
 
 
-def _refused(content: bytes | None, path: Path, scale: str, *, touches: bool) -> str | None:
-    """Returns why MuJoCo does not take a mesh; None if it does."""
+def _compile(content: bytes | None, path: Path, scale: str, *, touches: bool, shell: bool) -> None:
+    """Lets MuJoCo compile a mesh.
+
+    Raises:
+        ValueError: If it does not take it.
+    """
     spec = mujoco.MjSpec()
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     name = path.name
     if content is not None:
         name = f"{path.stem}.obj"
         spec.assets = {name: content}
-    spec.add_mesh(
+    mesh = spec.add_mesh(
         name="mesh",
         file=name if content is not None else str(path),
         scale=[float(word) for word in scale.split()],
     )
+    if shell:
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     geom = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
     geom.contype = geom.conaffinity = int(touches)
     try:
         with quiet():
             spec.compile()
-    except (ValueError, RuntimeError) as error:
-        return one_line(error).removeprefix("Error: ").split(" Element name")[0].rstrip(". ,")
-    return None
+    except RuntimeError as error:
+        raise ValueError(str(error)) from error
+
+
+def _said(error: ValueError) -> str:
+    return one_line(error).removeprefix("Error: ").split(" Element name")[0].rstrip(". ,")

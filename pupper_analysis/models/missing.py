@@ -36,7 +36,7 @@ def leave_out_missing(
         return []
     geoms = [g for g in spec.geoms if g.meshname in meshes or g.hfieldname in hfields]
     for geom in geoms:
-        if geom.meshname in meshes and _gives_mass(spec, geom):
+        if geom.meshname in meshes and gives_mass(spec, geom):
             body = geom.parent.name
             place = index[("body", body)].place if ("body", body) in index else Place(tree.path)
             raise ModelError(
@@ -112,7 +112,7 @@ def _folders(spec: mujoco.MjSpec) -> set[str]:
     return {element.compiler.meshdir for element in (*spec.meshes, *spec.hfields, *spec.skins)}
 
 
-def _gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
+def gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
     """Says whether MuJoCo would take (part of) a body's inertia from a geom."""
     body = geom.parent
     if body.name == spec.worldbody.name:

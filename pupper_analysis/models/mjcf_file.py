@@ -14,6 +14,7 @@ from lxml import etree
 
 from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models import flat
 from pupper_analysis.models.lenient import put_ground
 from pupper_analysis.models.missing import leave_out_missing
 from pupper_analysis.models.mjcf import no_number, quiet, spec_of
@@ -34,6 +35,7 @@ class MjcfFile:
         refusal: Why MuJoCo does not compile the file as it is, and where; None if it does.
             ``MjSpec.copy()`` drops elements that refer to nothing, so that a copy of the spec may
             compile where the file does not.
+        as_it_is: The same of what was made up for, as `notes` tell: flat meshes.
     """
 
     path: Path
@@ -41,6 +43,7 @@ class MjcfFile:
     files: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
     refusal: tuple[str, Place] | None = None
+    as_it_is: tuple[str, Place] | None = None
     _model: mujoco.MjModel | None = field(default=None, repr=False)
     _index: Mapping[tuple[str, str], Node] = field(default_factory=dict, repr=False)
     _roots: tuple[Node, ...] = field(default=(), repr=False)
@@ -161,11 +164,14 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
     tree = Tree(path, root)
     index = index_of(tree.root)
     spec, notes = _spec(tree, index)
-    model, refusal = None, None
+    model, refusal, as_it_is = None, None, None
     try:
-        with quiet():
-            # Another spec, for compiling changes it; and no copy, which lacks what is dangling.
-            model = _spec(tree, index)[0].compile()
+        # Another spec, for compiling changes it; and no copy, which lacks what is dangling.
+        model, shells, said = flat.compiled(lambda: _spec(tree, index)[0])
+        if shells:
+            flat.put_shells(spec, shells)
+            notes.append(flat.note(shells))
+            as_it_is = _mujoco_refusal(tree, index, "MuJoCo cannot compile it", ValueError(said))
     except _MUJOCO_ERRORS as error:
         refusal = _mujoco_refusal(tree, index, "MuJoCo cannot compile it", error)
     problem = model and no_number(model)
@@ -177,6 +183,7 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
         tuple(tree.files),
         tuple(notes),
         refusal,
+        as_it_is,
         model,
         index,
         (tree.root, *tree.attached),

@@ -96,8 +96,9 @@ def mjcf_view(file: MjcfFile) -> MjcfView:
             ),
             frames=tuple(frames.get(body, ())),
         )
+    said = refusal or file.as_it_is
     return MjcfView(
-        "mjcf", "body", names[base], bodies, tuple(notes), file, model, refusal, tuple(names)
+        "mjcf", "body", names[base], bodies, tuple(notes), file, model, said, tuple(names)
     )
 
 

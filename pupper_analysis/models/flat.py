@@ -1,0 +1,70 @@
+"""Flat meshes of an MJCF, which MuJoCo refuses as solids and takes as shells."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection
+from typing import Final
+
+import mujoco
+
+from pupper_analysis.models.missing import gives_mass
+from pupper_analysis.models.mjcf import quiet
+
+_FLAT: Final = re.compile(r"mesh volume is too small: (.*?) \. Try setting inertia to shell")
+
+_TOLD: Final = 3
+
+
+def flat_mesh(error: BaseException) -> str | None:
+    """Returns the mesh whose volume is too small for MuJoCo; None if the error is another."""
+    found = _FLAT.search(str(error))
+    return found[1] if found else None
+
+
+def compiled(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjModel, list[str], str]:
+    """Compiles a spec with its flat meshes as shells.
+
+    A mesh gives its geom a centre and axes, a mass only where a body has no <inertial>: then a
+    shell would weigh something else, and it stays refused.
+
+    Args:
+        make: Makes the spec, anew each time, for compiling changes it.
+
+    Returns:
+        The model, the meshes that were taken as shells, and what MuJoCo says of the first.
+    """
+    shells: list[str] = []
+    said = ""
+    while True:
+        spec = make()
+        put_shells(spec, shells)
+        try:
+            with quiet():
+                return spec.compile(), shells, said
+        except ValueError as error:
+            name = flat_mesh(error)
+            if name is None or name in shells or _weighs(spec, name):
+                raise
+            shells.append(name)
+            said = said or str(error)
+
+
+def put_shells(spec: mujoco.MjSpec, names: Collection[str]) -> None:
+    """Makes shells of some meshes, in place."""
+    for mesh in spec.meshes:
+        if mesh.name in names:
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+
+
+def note(names: list[str]) -> str:
+    """Says which meshes are taken as shells."""
+    more = f", and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
+    return (
+        f"flat meshes, which MuJoCo {mujoco.__version__} refuses, are taken as shells: "
+        f"{', '.join(names[:_TOLD])}{more}"
+    )
+
+
+def _weighs(spec: mujoco.MjSpec, name: str) -> bool:
+    return any(geom.meshname == name and gives_mass(spec, geom) for geom in spec.geoms)
