@@ -14,6 +14,7 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.models.efforts import EffortStatement
+from pupper_analysis.prepare.self_check import as_published_in
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -185,8 +186,15 @@ def analyze_variant(
         if not quantity.passed
     ]
     thigh, calf = leg_lengths(robot)
-    statics = stand_statics(robot, stand)
-    verdict = judge(verification, sagging, servos_used(robot), overloaded=beyond_limits(statics))
+    statics, used = stand_statics(robot, stand), servos_used(robot)
+    verdict = judge(
+        verification,
+        sagging,
+        used,
+        overloaded=beyond_limits(statics),
+        own=robot.own_run,
+        published=as_published_in(robot, stand, used),
+    )
     return Analysis(
         name=robot.name,
         nq=robot.nq,

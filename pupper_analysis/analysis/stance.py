@@ -15,7 +15,9 @@ from pupper_analysis.errors import (
     StanceUnreachableError,
 )
 from pupper_analysis.models.efforts import EffortStatement
+from pupper_analysis.prepare.self_check import as_published_in
 from pupper_analysis.results import Result
+from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge
@@ -121,7 +123,7 @@ def study_stance(
     with contextlib.suppress(StanceUnreachableError, *soft):
         sunk = sunk_stand(robot, stand, explain=False)
     held = sunk or stand
-    statics = stand_statics(robot, held)
+    statics, used = stand_statics(robot, held), servos_used(robot, kp, kd)
     fed = verify_stand(robot, held, kp=kp, kd=kd)
     alone = verify_stand(robot, stand, kp=kp, kd=kd, feedforward=False)
     return Stance(
@@ -135,7 +137,14 @@ def study_stance(
         sunk=sunk,
         verification=fed,
         sagging=alone,
-        verdict=judge(fed, alone, servos_used(robot, kp, kd), overloaded=beyond_limits(statics)),
+        verdict=judge(
+            fed,
+            alone,
+            used,
+            overloaded=beyond_limits(statics),
+            own=robot.own_run if used.source is not ServoSource.GIVEN else None,
+            published=as_published_in(robot, stand, used),
+        ),
         settled=settled,
         unsettled=unsettled,
         loops_open=None if robot.closure is None else robot.closure.open(held.qpos),

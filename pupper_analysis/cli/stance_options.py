@@ -48,6 +48,14 @@ OWN = (
     ),
     click.option("--keyframe", metavar="NAME", help="The MJCF's keyframe to start from."),
 )
+AS_PUBLISHED = (
+    click.option("--as-is", is_flag=True, help="Add no servos to the MJCF, and alter no shapes."),
+    click.option(
+        "--self-check/--no-self-check",
+        default=True,
+        help="Simulate the MJCF as it was published, too (default).",
+    ),
+)
 LOAD = (
     click.option(
         "--payload", type=float, default=0.0, metavar="KG", help="A mass welded to the base (kg)."
@@ -123,6 +131,8 @@ class RobotAndTask:
     feet: tuple[str, ...]
     pairs: tuple[str, ...]
     keyframe: str | None
+    as_is: bool
+    self_check: bool
     base: str | None
     leg_scale: float | None
     torso_mass_scale: float | None
@@ -184,7 +194,7 @@ class RobotAndTask:
 
         given = files_given(self.urdf, self.mjcf, self.feet, self.pairs, self.keyframe)
         with shared.working("preparing the robot: feet, start pose, servos"):
-            robot = load_robot(**given)
+            robot = load_robot(**given, as_is=self.as_is, self_check=self.self_check)
         print_notes(robot)
         return [robot]
 
@@ -253,11 +263,12 @@ def files_given(
 
 
 def print_notes(robot: Robot) -> None:
-    """Prints what was assumed of a robot of two files."""
+    """Prints what was assumed of a robot of two files, and what its MJCF does by itself."""
     from pupper_analysis.report.console import console, escape
+    from pupper_analysis.report.verdict import of_the_file
 
     out = console()
-    for note in robot.notes:
+    for note in (*robot.notes, *map(str, of_the_file(robot))):
         out.print(f"note: {escape(note)}", soft_wrap=True)
 
 
@@ -270,7 +281,7 @@ def robot_and_task(command: Command) -> Command:
         asked = RobotAndTask(**{name: values.pop(name) for name in names})
         command(asked, **values)
 
-    return options(OWN, VARIANT, LOAD, BASE, TASK, SERVOS)(gathered)
+    return options(OWN, AS_PUBLISHED, VARIANT, LOAD, BASE, TASK, SERVOS)(gathered)
 
 
 def derived_variant(

@@ -16,6 +16,7 @@ from pupper_analysis.checks.matching_mjcf import name_all
 from pupper_analysis.checks.passive.mimics import urdf_mimics
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.joint_drives import Drive, MadeServo, drive_of
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
@@ -33,6 +34,7 @@ from pupper_analysis.prepare.limits import bounded, within_both
 from pupper_analysis.prepare.mimics import coupled
 from pupper_analysis.prepare.motors import one_at_each_joint, several
 from pupper_analysis.prepare.parts import with_parts
+from pupper_analysis.prepare.self_check import self_checked
 from pupper_analysis.prepare.solver import inexact, solvable
 from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.configuration import Configuration
@@ -60,6 +62,8 @@ def load_robot(
     name: str | None = None,
     joints: Mapping[str, str] | None = None,
     keyframe: str | None = None,
+    self_check: bool = True,
+    as_is: bool = False,
 ) -> Robot:
     """Loads a robot from a URDF and an MJCF, as they were published.
 
@@ -79,6 +83,10 @@ def load_robot(
         joints: {joint in the URDF: joint in the MJCF}, of those that are not matched by name.
         keyframe: The MJCF's keyframe to start from; by default ``home``, or another in which the
             robot stands.
+        self_check: Simulate the MJCF as it was published, too: from its own keyframe on its own
+            actuators (``own_run``), and from the nominal stand, against the prediction
+            (``published``). It takes less than the rest.
+        as_is: Add no servos, and alter no shapes: what the file has is to hold the robot.
 
     Returns:
         The robot.
@@ -93,11 +101,19 @@ def load_robot(
     frames = None if feet is None else _frames(feet)
     if frames is not None and not joints and keyframe is None:
         robot = _as_it_is(*files, frames, fixed_base=fixed_base, name=name)
-        if robot is not None:
-            return robot
-    return _prepared(
-        *files, frames, fixed_base=fixed_base, name=name, joints=joints, keyframe=keyframe
-    )
+    else:
+        robot = None
+    if robot is None:
+        robot = _prepared(
+            *files,
+            frames,
+            fixed_base=fixed_base,
+            name=name,
+            joints=joints,
+            keyframe=keyframe,
+            as_is=as_is,
+        )
+    return self_checked(robot, files[1], keyframe) if self_check else robot
 
 
 def _frames(feet: Feet) -> dict[str, tuple[str, str]]:
@@ -188,6 +204,7 @@ def _prepared(
     name: str | None,
     joints: Mapping[str, str] | None,
     keyframe: str | None,
+    as_is: bool,
 ) -> Robot:
     """Builds the robot from files that may not be ready."""
     notes: list[str] = []
@@ -237,19 +254,40 @@ def _prepared(
             "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
         )
     notes += words.balls(bare, feet)
-    robot = drives.with_motors(build_robot(with_feet(bare, feet)))
+    robot = build_robot(with_feet(bare, feet))
+    robot = _completed(robot, mjcf, known, notes, as_is=as_is)
+    return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
+
+
+def _completed(
+    robot: Robot,
+    mjcf: MjcfFile,
+    known: Mapping[str, Mapping[str, float]],
+    notes: list[str],
+    *,
+    as_is: bool,
+) -> Robot:
+    """Gives a robot with feet what else it needs to stand: a start pose, and servos.
+
+    As it is, it is given a start pose alone.
+    """
+    if not as_is:
+        robot = drives.with_motors(robot)
     notes += words.planar(robot)
     robot = _started(robot, known, notes)
-    robot = touching.apart(touching.on_feet_alone(robot, notes), notes)
-    robot = solvable(robot, notes)
+    if not as_is:
+        robot = touching.apart(touching.on_feet_alone(robot, notes), notes)
+        robot = solvable(robot, notes)
     notes += (*words.bound(robot), *words.uncommanded(robot))
+    if as_is:
+        return robot
     idle = {robot.joint_names[joint] for joint in drives.following(robot)}
     if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
-        robot = _driven(robot, notes)
+        robot = _driven(robot, mjcf, notes)
     else:
         stand = start.first_stand(robot)
         notes += filter(None, [drives.advice(robot, stand) if stand is not None else None])
-    return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
+    return robot
 
 
 def _feet(
@@ -312,7 +350,7 @@ def _kept(robot: Robot) -> Robot:
     return rebuilt(robot, mjcf=spec, nominal=nominal)
 
 
-def _driven(robot: Robot, notes: list[str]) -> Robot:
+def _driven(robot: Robot, mjcf: MjcfFile, notes: list[str]) -> Robot:
     """Gives a robot position servos with suggested gains, if it stands."""
     stand = start.first_stand(robot)
     if stand is None:
@@ -320,17 +358,14 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
     own = own_servos(robot)
     built, kp, kd, rests = drives.driven(robot, stand)
     idle = drives.following(robot)
-    new = [
-        index
-        for index, name in enumerate(robot.joint_names)
-        if name not in own and index not in idle
-    ]
-    which = "no position servos" if not own else f"no position servos at {len(new)} joints"
-    notes.append(
-        f"the MJCF has {which}: they were added, with kp {drives.span(kp[new])} N m/rad and kd "
-        f"{drives.span(kd[new])} N m s/rad, integrator implicitfast, "
-        f"{1e3 * built.mj_model.opt.timestep:g} ms"
-    )
+    model = mjcf.compile()
+    made = []
+    for index, name in enumerate(robot.joint_names):
+        if name not in own and index not in idle:
+            joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+            what = Drive.NONE if joint < 0 else drive_of(model, joint)
+            made.append(MadeServo(name, float(kp[index]), float(kd[index]), what))
+    notes += words.made(made, len(own), built.mj_model.opt.timestep)
     if not rests:
         notes.append(
             "with none of the servos that were tried does it come to rest in the start pose, with "
@@ -341,4 +376,4 @@ def _driven(robot: Robot, notes: list[str]) -> Robot:
             "on these servos it comes to rest in the start pose with feed-forward alone: without, "
             "it slides or sinks"
         )
-    return built
+    return replace(built, description=replace(built.description, made_servos=tuple(made)))

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import mujoco
 
 from pupper_analysis.checks.matching import Match
+from pupper_analysis.models.joint_drives import MadeServo
 from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.prepare.feet import Foot, is_ball
 from pupper_analysis.prepare.soles import BALL
@@ -83,6 +84,39 @@ def bound(robot: Robot) -> Iterator[str]:
     """Says which joints follow others."""
     if robot.closure is not None:
         yield robot.closure.in_words()
+
+
+def made(servos: Sequence[MadeServo], own: int, timestep: float) -> Iterator[str]:
+    """Says which servos were made up, and instead of what.
+
+    Args:
+        servos: Those that were made up.
+        own: How many joints have one of the MJCF's.
+        timestep: Of the model that has them (s).
+    """
+    bad: dict[str, list[str]] = {}
+    for servo in servos:
+        if servo.instead_of.bad:
+            bad.setdefault(str(servo.instead_of.value), []).append(servo.joint)
+    for what, joints in bad.items():
+        more = f" and {len(joints) - _TOLD} more" if len(joints) > _TOLD else ""
+        yield (
+            f"the MJCF has {what}, which cannot hold it, at {', '.join(joints[:_TOLD])}{more}: "
+            "others were put in their place"
+        )
+    which = "no position servos" if not own else f"no position servos at {len(servos)} joints"
+    if bad:
+        which = f"no position servos that hold {len(servos)} joints"
+    kp, kd = ([getattr(servo, gain) for servo in servos] for gain in ("kp", "kd"))
+    yield (
+        f"the MJCF has {which}: they were added, with kp {_span(kp)} N m/rad and kd "
+        f"{_span(kd)} N m s/rad, integrator implicitfast, {1e3 * timestep:g} ms"
+    )
+
+
+def _span(values: Sequence[float]) -> str:
+    low, high = min(values), max(values)
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 _TOLD = 4  # motors

@@ -8,8 +8,10 @@ from typing import NamedTuple
 
 from rich.console import Console
 
+from pupper_analysis.models.joint_drives import MadeServo
 from pupper_analysis.report.console import escape
-from pupper_analysis.robot.as_published import Cause, ServosUsed
+from pupper_analysis.robot.as_published import OwnRun, Published, ServosUsed
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Ending, Verdict
 
 _TOLD = 3  # names that a clause lists
@@ -28,8 +30,19 @@ class Clause(NamedTuple):
 
 def clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Returns what a verdict says: what decides it first, then what else it rests on."""
-    said = (*_file_itself(verdict), *_computed(verdict), *_published(verdict), *_beyond(verdict))
+    said = (
+        *_file_itself(verdict.own, verdict.servos.replaced),
+        *_computed(verdict),
+        *_published(verdict.published),
+        *_beyond(verdict),
+    )
     return tuple(sorted(said, key=lambda clause: clause.good != verdict.passed))
+
+
+def of_the_file(robot: Robot) -> tuple[Clause, ...]:
+    """Returns what is to be said of a robot's MJCF as it was published, if anything is."""
+    bad = tuple(servo for servo in robot.description.made_servos if servo.instead_of.bad)
+    return (*_file_itself(robot.own_run, bad), *_published(robot.published))
 
 
 def in_words(verdict: Verdict) -> str:
@@ -57,24 +70,24 @@ def print_verdict(out: Console, verdict: Verdict, name: str = "") -> None:
     out.print((f"{escape(name)}: " if name else "") + "; ".join(parts), soft_wrap=True)
 
 
-def _file_itself(verdict: Verdict) -> Iterator[Clause]:
+_OWN = {
+    (True, False): "COLLAPSES as published from its own keyframe {keyframe}, with its own ctrl: "
+    "{height} m high, after {seconds} s {end} m",
+    (False, False): "COLLAPSES as published from its own keyframe {keyframe}, on its own servos: "
+    "{height} m high, after {seconds} s {end} m",
+    (True, True): "DIVERGES as published from its own keyframe {keyframe}, with its own ctrl",
+    (False, True): "DIVERGES as published from its own keyframe {keyframe}, on its own servos",
+}
+
+
+def _file_itself(own: OwnRun | None, replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
     """Says what the file's own servos and keyframe do, if they do not hold it."""
-    own, replaced = verdict.own, verdict.servos.replaced
     if own is not None and own.collapses:
-        yield Clause(
-            False,
-            "COLLAPSES as published from its own keyframe {keyframe}, with its own ctrl: "
-            "{height} m high, after {seconds} s {end} m"
-            if own.own_ctrl
-            else "COLLAPSES as published from its own keyframe {keyframe}, on its own servos: "
-            "{height} m high, after {seconds} s {end} m",
-            {
-                "keyframe": own.keyframe,
-                "height": f"{own.height:.3f}",
-                "seconds": f"{own.duration:g}",
-                "end": f"{own.end_height:.3f}",
-            },
-        )
+        numbers = {"keyframe": own.keyframe, "height": f"{own.height:.3f}"}
+        numbers |= {"seconds": f"{own.duration:g}", "end": f"{own.end_height:.3f}"}
+        if own.diverged:
+            numbers = {"keyframe": own.keyframe}
+        yield Clause(False, _OWN[own.own_ctrl, own.diverged], numbers)
     if replaced:
         yield Clause(
             False,
@@ -123,22 +136,48 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
         yield Clause(False, _ALONE[alone], {"failures": "; ".join(verdict.failures_alone)})
 
 
-def _published(verdict: Verdict) -> Iterator[Clause]:
+def _published(published: Published | None) -> Iterator[Clause]:
     """Says how far the robot as published is from the computed one."""
-    published = verdict.published
-    run = published.worst if published is not None else None
-    if published is None or run is None or not published.differs:
+    if published is None or not published.differs:
         return
-    yield Clause(
-        False,
-        "COLLAPSES as published, from the computed stand: torques are off by {torque} %, the "
-        "height by {height} mm"
-        if run.collapses
-        else "as published, torques are off by {torque} %, the height by {height} mm",
-        {"torque": f"{100 * run.torque_error:.2g}", "height": f"{1e3 * run.height_error:+.2f}"},
-    )
+    run = published.worst
+    if run is not None and run.collapses:
+        yield Clause(False, "COLLAPSES as published, from the computed stand", {})
+    elif run is not None:
+        height = f"{1e3 * run.height_error:+.2g}"
+        yield Clause(
+            False,
+            "as published, torques are off by {torque} %, the height by {height} mm",
+            {"torque": f"{100 * run.torque_error:.2g}", "height": height},
+        )
     for cause in published.causes:
-        yield Clause(False, "the cause is {cause}", {"cause": cause_in_words(cause)})
+        where = "" if cause.line is None else f" (line {cause.line})"
+        yield Clause(False, CAUSES[cause.code], {"names": _listed(cause.elements) + where})
+
+
+CAUSES = {
+    "exclude": "an <exclude> keeps from touching: {names}",
+    "override": "its contacts are overridden by {names}",
+    "actuatorgroupdisable": "actuators are switched off by {names}",
+    "solver": "MuJoCo's sparse solver leaves forces out: {names}",
+    "weld": "a <weld> holds it: {names}",
+    "connect": "a <connect> holds it: {names}",
+    "ctrlrange": "the ctrlrange cuts commands off: {names}",
+    "forcerange": "the forcerange cuts torques off: {names}",
+    "actuatorfrcrange": "the actuatorfrcrange cuts torques off: {names}",
+    "motors-elsewhere": "motors that are not commanded push: {names}",
+    "pair-friction": "the friction of a <pair> is not alike along its axes: {names}",
+    "timeconst": "the timeconst of servos is longer than any stand lasts: {names}",
+    "loose-joints": "joints that only the MJCF has move: {names}",
+    "flex": "flexible bodies touch: {names}",
+    "shapes-beside-feet": "shapes were kept from touching the ground: {names}",
+    "obstacles": "what stands in the world touches: {names}",
+    "balls": "balls took the place of the meshes of {names}",
+    "other-drive": "servos took the place of actuators that are none: {names}",
+    "base-held": "as published, its base is held in the world, or part of it: {names}",
+    "ground": "as published, its ground is not level{names}",
+}
+"""What makes a file differ from what is computed, by ``Cause.code``."""
 
 
 def _beyond(verdict: Verdict) -> Iterator[Clause]:
@@ -162,12 +201,6 @@ def on_servos(servos: ServosUsed, *, good: bool) -> Clause:
         "on servos that were made up at {count} joints (kp {kp} N m/rad, kd {kd} N m s/rad)",
         {"count": str(len(servos.made)), "kp": _span(servos.kp), "kd": _span(servos.kd)},
     )
-
-
-def cause_in_words(cause: Cause) -> str:
-    """Says what makes a file do other than predicted, and where it stands."""
-    where = "" if cause.line is None else f", line {cause.line}"
-    return f"{cause.code}: {_listed(cause.elements)}{where}"
 
 
 def _listed(names: tuple[str, ...]) -> str:

@@ -54,9 +54,9 @@ class OwnRun:
         height: Of the base above the ground in the keyframe (m).
         end_height: At the end (m).
         lean: Of the base against the keyframe at the end (rad).
-        touching: Bodies that touch the ground at the end and carry no foot.
-        collapses: Whether it has fallen, or sunk by ``simulation.monitor.SUNKEN`` of its height,
-            or diverged.
+        diverged: Whether MuJoCo began anew, as numbers were no longer any.
+        collapses: Whether it has, or has fallen, or sunk by ``simulation.monitor.SUNKEN`` of its
+            height.
     """
 
     keyframe: str
@@ -65,7 +65,7 @@ class OwnRun:
     height: float
     end_height: float
     lean: float
-    touching: tuple[str, ...]
+    diverged: bool
     collapses: bool
 
 
@@ -116,7 +116,7 @@ class Published:
     Attributes:
         runs: What was simulated of it.
         causes: What makes it differ; empty if it does not, or nothing is found that does.
-        differs: Whether one of the runs is off by more than ``SAME``.
+        differs: Whether it is not as predicted, or cannot be simulated as it is.
     """
 
     runs: tuple[PublishedRun, ...]
@@ -125,5 +125,5 @@ class Published:
 
     @property
     def worst(self) -> PublishedRun | None:
-        """The run that is furthest off: one that collapses, else by its torques."""
-        return max(self.runs, key=lambda run: (run.collapses, run.torque_error), default=None)
+        """The run that is furthest off: one that collapses, else with feed-forward first."""
+        return max(self.runs, key=lambda run: (run.collapses, run.feedforward), default=None)

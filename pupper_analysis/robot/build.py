@@ -113,6 +113,8 @@ def build_robot(
 def rebuilt(robot: Robot, **changes: Any) -> Robot:
     """Builds a robot anew with changes of its description; its nominal stand and notes stay.
 
+    So does what is known of its files as they were published.
+
     Args:
         robot: The robot.
         changes: Fields of ``Description``, such as ``mjcf``.
@@ -121,7 +123,13 @@ def rebuilt(robot: Robot, **changes: Any) -> Robot:
         ModelError: If a model cannot be built.
     """
     built = build_robot(replace(robot.description, **changes))
-    return replace(built, stand_height=robot.stand_height, notes=robot.notes)
+    return replace(
+        built,
+        stand_height=robot.stand_height,
+        notes=robot.notes,
+        own_run=robot.own_run,
+        published=robot.published,
+    )
 
 
 def _at_rest(mj_model: mujoco.MjModel) -> list[str]:

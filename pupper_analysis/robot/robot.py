@@ -18,6 +18,7 @@ from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.conversion import gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import EffortLimit
+from pupper_analysis.robot.as_published import OwnRun, Published
 from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.closure import Closure, closure_of
 from pupper_analysis.robot.contact import ContactParameters
@@ -61,6 +62,10 @@ class Robot:
         fingerprint: The name, and a hash of all that a stand depends on: joints, limits, masses and
             feet. Robots with the same hash have the same stands.
         notes: What was assumed or added on loading, in plain words.
+        own_run: What the MJCF does from its own keyframe; None where it was not looked at.
+        published: How the MJCF as it was published differs in the nominal stand; likewise.
+        published_model: MuJoCo's model of the MJCF as it was published; None of robots that were
+            changed since, or are as their files have them by construction.
     """
 
     name: str
@@ -86,6 +91,9 @@ class Robot:
     mj_convention: MujocoConvention
     fingerprint: str
     notes: tuple[str, ...] = field(default=())
+    own_run: OwnRun | None = None
+    published: Published | None = None
+    published_model: mujoco.MjModel | None = None
 
     def __repr__(self) -> str:
         base = "a free base" if self.floating else "a fixed base"

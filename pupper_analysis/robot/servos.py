@@ -335,4 +335,14 @@ def with_integrator(robot: Robot, integrator: str | None) -> Robot:
     kind = INTEGRATORS[integrator]
     spec, model = robot.description.mjcf.copy(), copy.copy(robot.mj_model)
     spec.option.integrator = model.opt.integrator = kind.value
-    return replace(robot, description=replace(robot.description, mjcf=spec), mj_model=model)
+    published = copy.copy(robot.published_model)
+    if published is not None:
+        published.opt.integrator = kind.value
+    return replace(
+        robot,
+        description=replace(robot.description, mjcf=spec),
+        mj_model=model,
+        own_run=None,
+        published=None,
+        published_model=published,
+    )

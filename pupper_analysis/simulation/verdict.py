@@ -27,7 +27,7 @@ class VerdictCode(StrEnum):
 
     HOLDS = "holds"
     HOLDS_ON_MADE_UP_SERVOS = "holds on servos that were made up"
-    HOLDS_ALTERED = "holds as computed, and nearly so as published"
+    HOLDS_ALTERED = "holds as computed, and is not quite so as published"
     HOLDS_WITH_FEEDFORWARD = "holds with feed-forward alone"
     OVERLOADED = "beyond the motors' limits"
     DIFFERS_AS_PUBLISHED = "holds as computed, and not as published"
@@ -159,13 +159,14 @@ def _code(
         return VerdictCode.FAILS
     if (own is not None and own.collapses) or servos.replaced:
         return VerdictCode.OWN_DRIVES_FAIL
-    off = None if published is None or not published.differs else published.worst
+    differs = published is not None and published.differs
+    off = published.worst if published is not None and differs else None
     if off is not None and (off.collapses or not off.torque_error <= CLOSE):
         return VerdictCode.DIFFERS_AS_PUBLISHED
     if overloaded:
         return VerdictCode.OVERLOADED
     if alone is not None and not alone.passed:
         return VerdictCode.HOLDS_WITH_FEEDFORWARD
-    if off is not None:
+    if differs:
         return VerdictCode.HOLDS_ALTERED
     return VerdictCode.HOLDS_ON_MADE_UP_SERVOS if servos.made else VerdictCode.HOLDS

@@ -1,0 +1,312 @@
+"""The MJCF as it was published, put where the prepared robot stands, and held by its own drives.
+
+Nothing in it is edited; it is given a floor if it has none, and where it has torque motors (or
+nothing) at a joint, the law of the servos that were made up there, through its own motors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.checks.matching_mjcf import name_all
+from pupper_analysis.models.joint_drives import Drive, drive_of
+from pupper_analysis.models.mjcf import compile_spec, quiet
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.transmission import actuator_gear, drives_of, is_at_one_joint
+from pupper_analysis.robot.floor import add_floor
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+_PLACED = 1e-10  # m, rad: to which the base is placed; its joints are few, and Newton's steps exact
+
+_STEPS = 20  # of Newton's, of which a free joint takes two
+
+_COMMAND = 1e-6  # to a motor, within any limit of it
+
+_LEAST = 1e-9  # N m (or N) that a motor makes of a command of 1: less is none
+
+FILTERS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
+"""Of a servo with ``timeconst``."""
+
+SETTLES = 0.5
+"""A servo's filter that is slower is where the file has it at first (s): no command of a stand
+brings it there, as ``timeconst="1e5"``; a faster one is where its command has brought it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bare:
+    """The MJCF as it was published.
+
+    Attributes:
+        model: What MuJoCo compiles it to.
+        ground: The height of its level ground (m); None if it has another.
+        base: Its body that is the robot's base.
+        drives: (nu,) what moves each of the robot's joints in it.
+    """
+
+    model: mujoco.MjModel
+    ground: float | None
+    base: int
+    drives: tuple[Drive, ...]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, robot: Robot) -> Bare:
+        """Finds a robot's base and joints in a model that has them."""
+        drives = tuple(drive_of(model, model.joint(name).id) for name in robot.joint_names)
+        return cls(model, _ground(model), int(model.body(robot.mj_base).id), drives)
+
+    @property
+    def floating(self) -> bool:
+        """Whether joints leave its base free to move."""
+        return int(self.model.body_dofnum[self.base]) >= 6
+
+
+def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
+    """Returns the model of an MJCF as it was published; None if it lacks the robot's base.
+
+    It has a floor and names if it has none: nothing else is put into it.
+    """
+    model = mjcf.compile()
+    if not _has(model, robot) or (_ground(model) is None and not len(_fixed_geoms(model))):
+        spec = mjcf.spec.copy()
+        name_all(spec, set(), [])
+        if _ground(model) is None and not len(_fixed_geoms(model)):
+            add_floor(spec)
+        model = compile_spec(spec, mjcf.path)
+    return model if _has(model, robot) else None
+
+
+def _has(model: mujoco.MjModel, robot: Robot) -> bool:
+    names = {model.joint(joint).name for joint in range(model.njnt)}
+    base = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, robot.mj_base)
+    return base >= 0 and set(robot.joint_names) <= names
+
+
+def _fixed_geoms(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Returns the geoms that stand in the world and may be touched."""
+    touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    still = model.body_weldid[model.geom_bodyid] == 0
+    return np.flatnonzero(touch & still & (model.body_mocapid[model.geom_bodyid] < 0))
+
+
+def _ground(model: mujoco.MjModel) -> float | None:
+    """Returns the height of the level plane in the world (m)."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    plane = mujoco.mjtGeom.mjGEOM_PLANE.value
+    for geom in np.flatnonzero(model.geom_type == plane):
+        fixed = model.body_weldid[model.geom_bodyid[geom]] == 0
+        if fixed and data.geom_xmat[geom][8] > 1 - 1e-9:
+            return float(data.geom_xpos[geom][2])
+    return None
+
+
+def placed(bare: Bare, robot: Robot, qpos: Array) -> mujoco.MjData | None:
+    """Returns the published model's data in a configuration of the robot; None if it cannot be.
+
+    Args:
+        bare: The published model.
+        robot: The robot.
+        qpos: (nq,) its configuration, above ground at z = 0.
+    """
+    there = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(there, qpos)
+    mujoco.mj_kinematics(robot.mj_model, there)
+    model = bare.model
+    data = mujoco.MjData(model)
+    for joint in range(model.njnt):
+        if int(model.jnt_bodyid[joint]) == bare.base or model.jnt_type[joint] < 2:
+            continue
+        name, place = model.joint(joint).name, int(model.jnt_qposadr[joint])
+        same = mujoco.mj_name2id(robot.mj_model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        known = same >= 0 and robot.mj_model.jnt_type[same] == model.jnt_type[joint]
+        data.qpos[place] = there.qpos[robot.mj_model.jnt_qposadr[same]] if known else 0.0
+    return data if _base_placed(bare, robot, there, data) else None
+
+
+def _base_placed(bare: Bare, robot: Robot, there: mujoco.MjData, data: mujoco.MjData) -> bool:
+    """Puts the base where the first joint's body is as it is in the robot's model, in place.
+
+    The base's own frame may be elsewhere on it. By Newton's method on the base's joints, as they
+    may be three slides and three hinges as well as a free joint.
+    """
+    model, name = bare.model, robot.joint_names[0]
+    anchor = int(model.jnt_bodyid[model.joint(name).id])
+    goal = int(robot.mj_model.jnt_bodyid[robot.mj_model.joint(name).id])
+    first, count = int(model.body_dofadr[bare.base]), int(model.body_dofnum[bare.base])
+    moved, turned, step = np.zeros((3, model.nv)), np.zeros((3, model.nv)), np.zeros(model.nv)
+    turn, back, whole = np.zeros(4), np.zeros(4), np.zeros(3)
+    target = there.xpos[goal] + (0.0, 0.0, bare.ground or 0.0)
+    for _ in range(_STEPS):
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mju_negQuat(back, data.xquat[anchor])
+        mujoco.mju_mulQuat(turn, there.xquat[goal], back)
+        mujoco.mju_quat2Vel(whole, turn, 1.0)
+        error = np.concatenate([target - data.xpos[anchor], whole])
+        if np.abs(error).max() < _PLACED:
+            return True
+        if not count:
+            return False
+        mujoco.mj_jacBody(model, data, moved, turned, anchor)
+        ways = np.vstack([moved, turned])[:, first : first + count]
+        step[first : first + count] = np.linalg.lstsq(ways, error, rcond=None)[0]
+        mujoco.mj_integratePos(model, data.qpos, step, 1.0)
+    return False
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """What the drives of a published model are told, so that they hold a configuration.
+
+    Attributes:
+        ctrl: (model.nu,) of its own servos; zero for the others.
+        act: (model.na,) the state of their filters.
+        outside: (dofs, kp, kd, targets, torques) of the joints that a law from outside holds.
+        motors: {dof: (control, lever, offset)} of those of them with an actuator whose force at the
+            joint is lever x ctrl + offset at rest (N m).
+    """
+
+    ctrl: Array
+    act: Array
+    outside: tuple[NDArray[np.intp], Array, Array, Array, Array]
+    motors: dict[int, tuple[int, float, float]]
+
+
+def hold_of(
+    bare: Bare, robot: Robot, data: mujoco.MjData, torques: Array | None, targets: Array
+) -> Hold:
+    """Works out what holds joints at targets (nu,) with torques (nu,) ahead, or none.
+
+    Args:
+        bare: The published model.
+        robot: The robot, with the servos that were made up.
+        data: The model's data, which are not changed.
+        torques: (nu,) N m; None: positions alone are commanded.
+        targets: (nu,) rad.
+    """
+    model, ctrl = bare.model, np.zeros(bare.model.nu)
+    made = {servo.joint: servo for servo in robot.description.made_servos}
+    rows: list[tuple[float, ...]] = []
+    motors: dict[int, tuple[int, float, float]] = {}
+    for index, name in enumerate(robot.joint_names):
+        joint, drive = model.joint(name).id, bare.drives[index]
+        torque = 0.0 if torques is None else float(torques[index])
+        goal = float(targets[index])
+        if drive in (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS):
+            _command(model, drives_of(model, joint), ctrl, goal, torque)
+        elif name in made:
+            dof = int(model.jnt_dofadr[joint])
+            rows.append((dof, made[name].kp, made[name].kd, goal, torque))
+            lever = _lever(model, data, dof, drives_of(model, joint))
+            if lever is not None:
+                motors[dof] = lever
+    dofs, kp, kd, goals, ahead = np.array(rows, dtype=float).reshape(-1, 5).T
+    outside = (dofs.astype(np.intp), kp, kd, goals, ahead)
+    return Hold(ctrl, _filters(model, ctrl), outside, motors)
+
+
+def _command(
+    model: mujoco.MjModel, motors: list[int], ctrl: Array, goal: float, torque: float
+) -> None:
+    """Tells the servos at a joint to hold it, each its part of the torque by its stiffness."""
+    gears = {motor: float(actuator_gear(model, motor)[0]) for motor in motors}
+    stiffness = {m: -float(model.actuator_biasprm[m, 1]) * gear**2 for m, gear in gears.items()}
+    whole = sum(stiffness.values())
+    for motor, gear in gears.items():
+        gain = float(model.actuator_gainprm[motor, 0])
+        if gain == 0 or stiffness[motor] == 0:
+            continue
+        share = torque * stiffness[motor] / whole if whole else 0.0
+        force = share / gear if gear else 0.0
+        bias = float(model.actuator_biasprm[motor, 0])
+        bias += float(model.actuator_biasprm[motor, 1]) * gear * goal
+        ctrl[int(model.actuator_ctrladr[motor])] = (force - bias) / gain
+
+
+def _filters(model: mujoco.MjModel, ctrl: Array) -> Array:
+    """Returns where the servos' filters are at first: where commands bring the fast ones."""
+    act = np.zeros(model.na)
+    for motor in range(model.nactuator) if model.na else ():
+        filtered = int(model.actuator_dyntype[motor]) in FILTERS
+        if filtered and model.actuator_dynprm[motor, 0] <= SETTLES:
+            control = int(model.actuator_ctrladr[motor])
+            last = int(model.actuator_actadr[motor] + model.actuator_actnum[motor] - 1)
+            low, high = model.actuator_ctrlrange[control]
+            limited = model.actuator_ctrllimited[control]
+            act[last] = np.clip(ctrl[control], low, high) if limited else ctrl[control]
+    return act
+
+
+def roll(bare: Bare, data: mujoco.MjData, hold: Hold, seconds: float) -> Array:
+    """Simulates the published model from its data on, in place.
+
+    Returns:
+        (model.nv,) what its drives gave at the end, meanwhile (N m): the mean of the last fifth.
+    """
+    model = bare.model
+    dofs, kp, kd, goals, ahead = hold.outside
+    steps = max(1, round(seconds / float(model.opt.timestep)))
+    counted = max(1, steps // 5)
+    given, outside = np.zeros(model.nv), np.zeros(model.nv)
+    places = model.jnt_qposadr[model.dof_jntid[dofs]] if len(dofs) else dofs
+    # What motors give against gravity beside their commands is not what they are asked for.
+    relief = model.jnt_actgravcomp[model.dof_jntid] != 0
+    damping = model.dof_damping[dofs].copy()
+    model.dof_damping[dofs] += kd  # taken implicitly, as the servos' own is
+    data.ctrl[:], data.act[:] = hold.ctrl, hold.act
+    with quiet():
+        for step in range(steps):
+            if len(dofs):
+                torque = ahead + kp * (goals - data.qpos[places])
+                outside[:] = 0.0
+                for dof, wanted in zip(dofs.tolist(), torque.tolist(), strict=True):
+                    if dof in hold.motors:
+                        control, lever, offset = hold.motors[dof]
+                        data.ctrl[control] = (wanted - offset) / lever
+                    else:
+                        outside[dof] = wanted
+                data.qfrc_applied[:] = outside
+            mujoco.mj_step(model, data)
+            if step >= steps - counted:
+                given += data.qfrc_actuator + outside - relief * data.qfrc_gravcomp
+    model.dof_damping[dofs] = damping
+    return np.asarray(given / counted)
+
+
+def _lever(
+    model: mujoco.MjModel, data: mujoco.MjData, dof: int, drives: list[int]
+) -> tuple[int, float, float] | None:
+    """Returns what an actuator at a joint makes of its command; None if it makes nothing of it."""
+    if not drives:
+        return None
+    control, trial, forces = int(model.actuator_ctrladr[drives[0]]), mujoco.MjData(model), []
+    for command in (0.0, _COMMAND):
+        trial.qpos[:], trial.ctrl[control] = data.qpos, command
+        mujoco.mj_forward(model, trial)
+        forces.append(float(trial.qfrc_actuator[dof]))
+    lever = (forces[1] - forces[0]) / _COMMAND
+    return (control, lever, forces[0]) if abs(lever) > _LEAST else None
+
+
+def loose_joints(bare: Bare, robot: Robot) -> list[int]:
+    """Returns the published model's joints that the robot holds at zero."""
+    model = bare.model
+    return [
+        joint
+        for joint in range(model.njnt)
+        if int(model.jnt_bodyid[joint]) != bare.base
+        and model.jnt_type[joint] >= mujoco.mjtJoint.mjJNT_SLIDE.value
+        and mujoco.mj_name2id(robot.mj_model, mujoco.mjtObj.mjOBJ_JOINT, model.joint(joint).name)
+        < 0
+    ]
+
+
+def other_motors(model: mujoco.MjModel) -> list[int]:
+    """Returns the actuators that drive no hinge or slide of their own."""
+    return [motor for motor in range(model.nactuator) if not is_at_one_joint(model, motor)]

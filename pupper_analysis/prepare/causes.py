@@ -1,0 +1,330 @@
+"""What in an MJCF may make it do other than predicted, each to be switched off in a copy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.models.joint_drives import Drive
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.transmission import drives_of
+from pupper_analysis.prepare.bare import FILTERS, SETTLES, Bare, loose_joints, other_motors
+from pupper_analysis.robot.as_published import Cause
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+_OBJ = mujoco.mjtObj
+
+_LOCKED = 1e6
+"""Damping of a joint that is held (N m s/rad, N s/m): under a newton it goes a micrometre."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Something in an MJCF that may make it differ.
+
+    Attributes:
+        code: What it is.
+        elements: Its name, or the names of all that are alike.
+        switch_off: Takes it away from a copy of the model, in place.
+    """
+
+    code: str
+    elements: tuple[str, ...]
+    switch_off: Callable[[mujoco.MjModel], None]
+
+    def cause(self, remaining: float) -> Cause:
+        """Returns it as what makes the file differ, with what is left without it."""
+        return Cause(self.code, self.elements, None, remaining)
+
+
+_SECTIONS = {
+    "weld": "equality",
+    "connect": "equality",
+    "ctrlrange": "actuator",
+    "forcerange": "actuator",
+    "timeconst": "actuator",
+    "motors-elsewhere": "actuator",
+    "actuatorfrcrange": "joint",
+    "loose-joints": "joint",
+}
+
+
+def with_line(cause: Cause, mjcf: MjcfFile) -> Cause:
+    """Returns a cause with the line where its first element stands, where that is known."""
+    name = cause.elements[0] if cause.elements else ""
+    line = None
+    if cause.code in _SECTIONS:
+        line = mjcf.place(_SECTIONS[cause.code], name).line
+    elif cause.code in ("exclude", "pair-friction"):
+        tag = "exclude" if cause.code == "exclude" else "pair"
+        ends = set(name.split(" and "))
+        line = next(
+            (place.line for words, place in mjcf.elements(tag) if ends <= set(words.values())), None
+        )
+    elif cause.code in ("override", "actuatorgroupdisable", "solver"):
+        tag, word = ("flag", "override") if cause.code == "override" else ("option", cause.code)
+        line = next((place.line for words, place in mjcf.elements(tag) if word in words), None)
+    return replace(cause, line=line)
+
+
+def candidates(bare: Bare, robot: Robot) -> list[Candidate]:
+    """Returns what in an MJCF may make it differ from what is computed of its robot."""
+    model = bare.model
+    return [
+        *_excludes(model),
+        *_options(model),
+        *_equalities(model),
+        *_limits(bare, robot),
+        *_motors(bare),
+        *_pairs(model),
+        *_passive(bare, robot),
+        *_shapes(bare, robot),
+    ]
+
+
+def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> str:
+    return mujoco.mj_id2name(model, kind, number) or f"#{number}"
+
+
+def _motor_name(model: mujoco.MjModel, motor: int) -> str:
+    """Returns an actuator's name, or else its joint's."""
+    named = mujoco.mj_id2name(model, _OBJ.mjOBJ_ACTUATOR, motor)
+    return named or str(model.joint(int(model.actuator_trnid[motor, 0])).name)
+
+
+def _excludes(model: mujoco.MjModel) -> Iterator[Candidate]:
+    """A pair of bodies that do not touch, one of which is the world."""
+    for number in range(model.nexclude):
+        pair = divmod(int(model.exclude_signature[number]), 1 << 16)
+        if 0 not in pair and not set(pair) & _still(model):
+            continue
+        names = " and ".join(_name(model, _OBJ.mjOBJ_BODY, body) for body in pair)
+
+        def off(other: mujoco.MjModel, number: int = number) -> None:
+            other.exclude_signature[number] = 0  # the world and itself
+
+        yield Candidate("exclude", (names,), off)
+
+
+def _still(model: mujoco.MjModel) -> set[int]:
+    return set(np.flatnonzero(model.body_weldid == 0).tolist())
+
+
+def _options(model: mujoco.MjModel) -> Iterator[Candidate]:
+    override = mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
+    if model.opt.enableflags & override:
+
+        def plain(other: mujoco.MjModel) -> None:
+            other.opt.enableflags &= ~override
+
+        yield Candidate("override", ("flag override",), plain)
+    if model.opt.disableactuator:
+
+        def enabled(other: mujoco.MjModel) -> None:
+            other.opt.disableactuator = 0
+
+        yield Candidate("actuatorgroupdisable", ("option actuatorgroupdisable",), enabled)
+    if model.opt.jacobian != mujoco.mjtJacobian.mjJAC_DENSE.value and mujoco.mj_isSparse(model):
+
+        def dense(other: mujoco.MjModel) -> None:
+            other.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE.value
+
+        yield Candidate("solver", ("option jacobian",), dense)
+
+
+def _equalities(model: mujoco.MjModel) -> Iterator[Candidate]:
+    """Welds and connections of the robot to what stands in the world, or is moved by hand."""
+    kinds = (mujoco.mjtEq.mjEQ_WELD.value, mujoco.mjtEq.mjEQ_CONNECT.value)
+    for number in np.flatnonzero(np.isin(model.eq_type, kinds)).tolist():
+        if not model.eq_active0[number]:
+            continue
+        ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+        if model.eq_objtype[number] == _OBJ.mjOBJ_SITE.value:
+            ends = [int(model.site_bodyid[end]) for end in ends]
+        if not any(model.body_weldid[end] == 0 or model.body_mocapid[end] >= 0 for end in ends):
+            continue
+        kind = "weld" if model.eq_type[number] == kinds[0] else "connect"
+        name = mujoco.mj_id2name(model, _OBJ.mjOBJ_EQUALITY, number)
+        both = " and ".join(_name(model, _OBJ.mjOBJ_BODY, end) for end in ends)
+
+        def off(other: mujoco.MjModel, number: int = number) -> None:
+            other.eq_active0[number] = 0
+
+        yield Candidate(kind, (name or both,), off)
+
+
+def _limits(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+    """Limits of commands and forces, one kind for all joints that have it."""
+    model = bare.model
+    joints = [model.joint(name).id for name in robot.joint_names]
+    motors = [motor for joint in joints for motor in drives_of(model, joint)]
+    names = {motor: _motor_name(model, motor) for motor in motors}
+    ranged = [m for m in motors if model.actuator_ctrllimited[model.actuator_ctrladr[m]]]
+    if ranged:
+
+        def any_command(other: mujoco.MjModel) -> None:
+            other.actuator_ctrllimited[model.actuator_ctrladr[ranged]] = 0
+
+        yield Candidate("ctrlrange", tuple(names[motor] for motor in ranged), any_command)
+    forced = [motor for motor in motors if model.actuator_forcelimited[motor]]
+    if forced:
+
+        def any_force(other: mujoco.MjModel) -> None:
+            other.actuator_forcelimited[forced] = 0
+
+        yield Candidate("forcerange", tuple(names[motor] for motor in forced), any_force)
+    clamped = [joint for joint in joints if model.jnt_actfrclimited[joint]]
+    if clamped:
+
+        def any_torque(other: mujoco.MjModel) -> None:
+            other.jnt_actfrclimited[clamped] = 0
+
+        listed = tuple(str(model.joint(joint).name) for joint in clamped)
+        yield Candidate("actuatorfrcrange", listed, any_torque)
+
+
+def _motors(bare: Bare) -> Iterator[Candidate]:
+    """Motors at tendons, sites and bodies: thrusters, servos of tendons, adhesion; slow filters."""
+    model = bare.model
+    others = other_motors(model)
+    if others:
+
+        def silent(other: mujoco.MjModel) -> None:
+            other.actuator_gainprm[others] = other.actuator_biasprm[others] = 0.0
+
+        listed = tuple(_name(model, _OBJ.mjOBJ_ACTUATOR, motor) for motor in others)
+        yield Candidate("motors-elsewhere", listed, silent)
+
+    slow = [
+        motor
+        for motor in range(model.nactuator if model.na else 0)
+        if int(model.actuator_dyntype[motor]) in FILTERS
+        and model.actuator_dynprm[motor, 0] > SETTLES
+    ]
+    if slow:
+
+        def quick(other: mujoco.MjModel) -> None:
+            other.actuator_dynprm[slow, 0] = SETTLES
+
+        listed = tuple(_motor_name(model, motor) for motor in slow)
+        yield Candidate("timeconst", listed, quick)
+
+
+def _pairs(model: mujoco.MjModel) -> Iterator[Candidate]:
+    """Friction of a pair of geoms that is not the same along both of its axes."""
+    uneven = np.flatnonzero(model.pair_friction[:, 0] != model.pair_friction[:, 1])
+    if len(uneven):
+
+        def even(other: mujoco.MjModel) -> None:
+            most = model.pair_friction[uneven][:, :2].max(axis=1)
+            other.pair_friction[uneven, :2] = most[:, None]
+
+        listed = tuple(
+            " and ".join(
+                _name(model, _OBJ.mjOBJ_GEOM, int(geoms[number]))
+                for geoms in (model.pair_geom1, model.pair_geom2)
+            )
+            for number in uneven.tolist()
+        )
+        yield Candidate("pair-friction", listed, even)
+
+
+def _passive(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+    """Joints that are held at zero in what is computed, and move in the file; soft bodies."""
+    model = bare.model
+    loose = loose_joints(bare, robot)
+    if loose:
+        dofs = model.jnt_dofadr[loose]
+
+        def locked(other: mujoco.MjModel) -> None:
+            other.dof_damping[dofs] = _LOCKED
+
+        listed = tuple(str(model.joint(joint).name) for joint in loose)
+        yield Candidate("loose-joints", listed, locked)
+    if model.nflex:
+
+        def untouched(other: mujoco.MjModel) -> None:
+            other.flex_contype[:] = other.flex_conaffinity[:] = 0
+
+        listed = tuple(_name(model, _OBJ.mjOBJ_FLEX, number) for number in range(model.nflex))
+        yield Candidate("flex", listed, untouched)
+
+
+def _shapes(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+    """Shapes of the robot that were kept from touching, and what else stands in the world."""
+    model = bare.model
+    touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    kept = [geom for geom in _untouched(bare, robot) if not _replaced(bare, robot, geom)]
+    still = (model.body_weldid[model.geom_bodyid] == 0) & touch
+    plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value
+    for code, geoms in (
+        ("shapes-beside-feet", kept),
+        ("obstacles", np.flatnonzero(still & ~plane).tolist()),
+    ):
+        if not geoms:
+            continue
+
+        def off(other: mujoco.MjModel, geoms: list[int] = geoms) -> None:
+            other.geom_contype[geoms] = other.geom_conaffinity[geoms] = 0
+
+        bodies = dict.fromkeys(
+            mujoco.mj_id2name(model, _OBJ.mjOBJ_GEOM, geom)
+            or _name(model, _OBJ.mjOBJ_BODY, int(model.geom_bodyid[geom]))
+            for geom in geoms
+        )
+        yield Candidate(code, tuple(bodies), off)
+
+
+def _untouched(bare: Bare, robot: Robot) -> list[int]:
+    """Returns the published geoms that touch, and whose counterparts in the robot do not."""
+    model, other = bare.model, robot.mj_model
+    found = []
+    for body in range(1, model.nbody):
+        same = mujoco.mj_name2id(
+            other, _OBJ.mjOBJ_BODY, mujoco.mj_id2name(model, _OBJ.mjOBJ_BODY, body) or ""
+        )
+        if same < 0:
+            continue
+        first, there = int(model.body_geomadr[body]), int(other.body_geomadr[same])
+        count = min(int(model.body_geomnum[body]), int(other.body_geomnum[same]))
+        for index in range(count):
+            one, two = first + index, there + index
+            touches = model.geom_contype[one] or model.geom_conaffinity[one]
+            if touches and not (other.geom_contype[two] or other.geom_conaffinity[two]):
+                found.append(one)
+    return found
+
+
+def _replaced(bare: Bare, robot: Robot, geom: int) -> bool:
+    """Tells whether balls took the place of a geom: its body has more of them in the robot."""
+    model, other = bare.model, robot.mj_model
+    body = int(model.geom_bodyid[geom])
+    name = mujoco.mj_id2name(model, _OBJ.mjOBJ_BODY, body) or ""
+    same = mujoco.mj_name2id(other, _OBJ.mjOBJ_BODY, name)
+    return bool(other.body_geomnum[same] > model.body_geomnum[body])
+
+
+def altered(bare: Bare, robot: Robot) -> tuple[Cause, ...]:
+    """Returns what was changed on loading, and cannot be switched off in the file.
+
+    Bodies whose own shapes were replaced by balls, and joints whose actuator, neither a servo nor a
+    torque motor, was replaced by a servo.
+    """
+    model = bare.model
+    bodies = dict.fromkeys(
+        _name(model, _OBJ.mjOBJ_BODY, int(model.geom_bodyid[geom]))
+        for geom in _untouched(bare, robot)
+        if _replaced(bare, robot, geom)
+    )
+    named = zip(robot.joint_names, bare.drives, strict=True)
+    joints = tuple(name for name, drive in named if drive is Drive.OTHER)
+    return (
+        *((Cause("balls", tuple(bodies)),) if bodies else ()),
+        *((Cause("other-drive", joints),) if joints else ()),
+    )

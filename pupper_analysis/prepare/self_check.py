@@ -1,0 +1,330 @@
+"""What the MJCF does by itself, before anything that was changed on loading is believed.
+
+From its own keyframe, on its own actuators (``own_run``); and from the stand that was computed,
+held there, against the prediction (``as_published``). One short run each: less than the load costs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.models.joint_drives import Drive
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.prepare.bare import Bare, Hold, hold_of, placed, published_model, roll
+from pupper_analysis.prepare.causes import altered, candidates, with_line
+from pupper_analysis.prepare.start import stands_at
+from pupper_analysis.robot.as_published import (
+    Cause,
+    OwnRun,
+    Published,
+    PublishedRun,
+    ServoSource,
+    ServosUsed,
+)
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.simulation.monitor import FALLEN_TILT, SUNKEN
+from pupper_analysis.stance.sag.steady_state import steady_state
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.stance.sunk import sunk_stand
+
+Array = NDArray[np.float64]
+
+SECONDS = 1.0
+"""Of the run from the computed stand (s): servos of some hertz have come to rest, and what slides
+has slid."""
+
+_OWN_SECONDS = 2.0
+"""Of the run from the keyframe (s): it drops by a few centimetres, and servos catch it."""
+
+_LONGER = 3  # times as long, if it still moves then
+
+_MOVES = 0.02  # m/s of the base that still moves
+
+SAME = 0.01
+"""Share of the largest torque within which the file does as predicted: a verified stand's."""
+
+SAME_HEIGHT = 1e-3
+"""Share of its height within which the base is where it is predicted (v3: 0.13 mm)."""
+
+
+def self_checked(robot: Robot, mjcf: MjcfFile, keyframe: str | None) -> Robot:
+    """Returns a robot that knows what its MJCF does as it was published.
+
+    Args:
+        robot: The robot, with feet and a free base.
+        mjcf: Its file.
+        keyframe: The one that was asked for.
+    """
+    if not robot.floating or not robot.soles:
+        return robot
+    model = published_model(mjcf, robot)
+    if model is None:
+        held = Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
+        return replace(robot, published=held)
+    bare = Bare.of(model, robot)
+    published = None
+    with contextlib.suppress(PupperAnalysisError):
+        published = as_published(bare, robot, solve_stand(robot, explain=False))
+    if published is not None:
+        causes = tuple(with_line(cause, mjcf) for cause in published.causes)
+        published = replace(published, causes=causes)
+    own = own_run(bare, robot, _keyframes(model, robot, keyframe))
+    return replace(robot, own_run=own, published=published, published_model=model)
+
+
+def as_published_in(robot: Robot, stand: Stand, servos: ServosUsed) -> Published | None:
+    """Returns how the MJCF differs in a stand; in the nominal one where it cannot be told of it.
+
+    That is on other ground than the level one, and of a robot that was changed since it was loaded.
+
+    Args:
+        robot: The robot.
+        stand: The stand.
+        servos: On which it is asked for: if their gains were given, what is wrong with the MJCF's
+            does not count.
+    """
+    bad = any(servo.instead_of.bad for servo in robot.description.made_servos)
+    if servos.source is ServoSource.GIVEN and bad:
+        return None
+    if robot.published_model is None or not stand.task.ground.level:
+        return robot.published
+    known = {} if robot.published is None else {one.code: one for one in robot.published.causes}
+    found = as_published(Bare.of(robot.published_model, robot), robot, stand)
+    if found is None:
+        return robot.published
+    causes = tuple(known.get(cause.code, cause) for cause in found.causes)
+    return replace(found, causes=causes)
+
+
+def _keyframes(model: mujoco.MjModel, robot: Robot, wanted: str | None) -> list[str]:
+    """Returns the keyframes to take one of: the wanted one, or those in which it stands first."""
+    if wanted is not None:
+        return [wanted]
+    joints = [model.joint(name).id for name in robot.joint_names]
+    places = model.jnt_qposadr[joints]
+    ranks = {}
+    for key in range(model.nkey):
+        name = model.key(key).name or f"keyframe {key + 1}"
+        values = dict(zip(robot.joint_names, model.key_qpos[key, places].tolist(), strict=True))
+        ranks[name] = (not stands_at(robot, values), name != "home")
+    return sorted(ranks, key=ranks.__getitem__)
+
+
+def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None:
+    """Simulates the MJCF from its keyframe, with its own actuators and ctrl.
+
+    Args:
+        bare: The MJCF as it was published.
+        robot: The robot.
+        keyframes: Of those of these that it has, the first is taken.
+
+    Returns:
+        What it does; None if it has no keyframe, no free base, or no servos at most joints.
+    """
+    model = bare.model
+    names = {model.key(key).name or f"keyframe {key + 1}": key for key in range(model.nkey)}
+    name = next((name for name in keyframes if name in names), None)
+    holding = sum(drive not in (Drive.MOTOR, Drive.NONE) for drive in bare.drives)
+    if name is None or not bare.floating or 2 * holding < len(bare.drives):
+        return None
+    key, data = names[name], mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, key)
+    mujoco.mj_kinematics(model, data)
+    start, up = float(data.xpos[bare.base][2]), data.xmat[bare.base].copy()
+    places = [int(model.jnt_qposadr[model.joint(joint).id]) for joint in robot.joint_names]
+    hold = hold_of(bare, robot, data, None, data.qpos[places].copy())
+    own_ctrl = bool(model.key_ctrl[key].any())
+    if own_ctrl:
+        nothing = np.zeros(0)
+        outside = (nothing.astype(int), nothing, nothing, nothing, nothing)
+        hold = Hold(model.key_ctrl[key].copy(), model.key_act[key].copy(), outside, {})
+    seconds = _OWN_SECONDS
+    roll(bare, data, hold, seconds)
+    moving = np.zeros(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, bare.base, moving, 0)
+    if np.abs(moving[3:]).max() > _MOVES:
+        roll(bare, data, hold, (_LONGER - 1) * seconds)
+        seconds *= _LONGER
+    end = float(data.xpos[bare.base][2])
+    lean = _lean(up, data.xmat[bare.base])
+    height = start - (bare.ground or 0.0)
+    diverged = _diverged(model, data, float(model.key_time[key]), seconds)
+    return OwnRun(
+        keyframe=name,
+        own_ctrl=own_ctrl,
+        duration=seconds,
+        height=height,
+        end_height=end - (bare.ground or 0.0),
+        lean=lean,
+        diverged=diverged,
+        collapses=diverged or _collapses(start - end, height, lean),
+    )
+
+
+def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
+    """Simulates the MJCF as it was published from a stand, and finds what makes it differ.
+
+    Args:
+        bare: The MJCF as it was published.
+        robot: The robot.
+        stand: The stand, on level ground.
+
+    Returns:
+        What comes of it; None if nothing is predicted of the stand.
+    """
+    wanted = predictions(robot, stand)
+    if not wanted:
+        return None
+    height = float(stand.qpos[2])
+    if not bare.floating:
+        return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
+    if bare.ground is None:
+        return Published((), (Cause("ground", ()),), differs=True)
+    found = [(one, run_as_published(bare, robot, one)) for one in wanted]
+    runs = tuple(run for _, run in found if run is not None)
+    off = [(one, run) for one, run in found if run is not None and is_off(run, height)]
+    causes: tuple[Cause, ...] = ()
+    if off:
+        causes = causes_of(bare, robot, *off[0])
+    return Published(runs, causes, differs=bool(off))
+
+
+def _lean(before: Array, after: Array) -> float:
+    """Returns by how much a body leans off its vertical (rad), of two rotations (9,)."""
+    one, two = before.reshape(3, 3), after.reshape(3, 3)
+    return float(math.acos(min(1.0, max(-1.0, float(one[2] @ two[2])))))
+
+
+def _diverged(model: mujoco.MjModel, data: mujoco.MjData, since: float, seconds: float) -> bool:
+    """Tells whether MuJoCo began anew, as it does where numbers are no longer any."""
+    return not data.time - since > seconds - 1.5 * model.opt.timestep
+
+
+def _collapses(lost: float, height: float, lean: float) -> bool:
+    """Tells whether a robot has fallen or sunk."""
+    return not math.isfinite(lost) or lost > SUNKEN * height or lean > FALLEN_TILT
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """What a stand is predicted to be at rest.
+
+    Attributes:
+        feedforward: Whether its servos are told its torques, too.
+        qpos: (nq,) where it rests, sunk into the ground.
+        torques: (nu,) N m.
+        targets: (nu,) the positions that are commanded (rad).
+    """
+
+    feedforward: bool
+    qpos: Array
+    torques: Array
+    targets: Array
+
+
+def predictions(robot: Robot, stand: Stand) -> list[Predicted]:
+    """Returns what is predicted of a stand, with feed-forward and on position commands alone."""
+    try:
+        held = sunk_stand(robot, stand, explain=False)
+    except PupperAnalysisError:
+        return []  # where it comes to rest is not predicted
+    torques = stand_statics(robot, held).joint_torques
+    found = [Predicted(True, held.qpos, torques, held.joint_positions(robot))]
+    if len(own_servos(robot)) < robot.nu:
+        return found
+    with contextlib.suppress(PupperAnalysisError):
+        rest = steady_state(robot, stand)
+        if not rest.failures:
+            targets = stand.joint_positions(robot)
+            found.append(Predicted(False, rest.qpos, rest.joint_torques, targets))
+    return found
+
+
+def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRun | None:
+    """Simulates the MJCF from where it is predicted to rest, and compares.
+
+    Returns:
+        What comes of it; None if its base cannot be put there, as where it is held in the world.
+    """
+    model = bare.model
+    qpos = wanted.qpos
+    data = placed(bare, robot, qpos)
+    if data is None:
+        return None
+    mujoco.mj_kinematics(model, data)
+    start, up = float(data.xpos[bare.base][2]), data.xmat[bare.base].copy()
+    ahead = wanted.torques if wanted.feedforward else None
+    hold = hold_of(bare, robot, data, ahead, wanted.targets)
+    given = roll(bare, data, hold, SECONDS)
+    joints = [model.joint(name).id for name in robot.joint_names]
+    dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
+    driven = robot.mj_convention.actuator_index >= 0
+    off = np.abs(given[dofs] - wanted.torques)[driven]
+    largest = float(np.abs(wanted.torques).max())
+    lost = start - float(data.xpos[bare.base][2])
+    lean = _lean(up, data.xmat[bare.base])
+    moved = data.qpos[places] - qpos[robot.nq - robot.nu :]
+    height = start - (bare.ground or 0.0)
+    return PublishedRun(
+        feedforward=wanted.feedforward,
+        duration=SECONDS,
+        torque_error=float(off.max(initial=0.0)) / largest if largest else 0.0,
+        height_error=-lost,
+        joint_error=float(np.abs(moved).max()),
+        collapses=_diverged(model, data, 0.0, SECONDS) or _collapses(lost, height, lean),
+    )
+
+
+def is_off(run: PublishedRun, height: float) -> bool:
+    """Tells whether a run is not as predicted, of a robot whose base is so high (m).
+
+    Without feed-forward by the height alone: feet that are predicted pinned creep, and torques
+    within the robot relax.
+    """
+    moved = not abs(run.height_error) <= SAME_HEIGHT * height
+    return run.collapses or moved or (run.feedforward and not run.torque_error <= SAME)
+
+
+def causes_of(bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Cause, ...]:
+    """Finds what makes the MJCF differ: by switching off, in copies, what may.
+
+    One alone if that makes it as predicted; else, with all of them off, each that alone makes it
+    differ again.
+    """
+    height = float(wanted.qpos[2])
+    known = candidates(bare, robot)
+    without = {}
+    for candidate in known:
+        model = copy.copy(bare.model)
+        candidate.switch_off(model)
+        seen = run_as_published(replace(bare, model=model), robot, wanted)
+        without[candidate] = math.inf if seen is None else seen.torque_error
+        if seen is not None and not is_off(seen, height):
+            return (candidate.cause(seen.torque_error),)
+    all_off = copy.copy(bare.model)
+    for candidate in known:
+        candidate.switch_off(all_off)
+    best = run_as_published(replace(bare, model=all_off), robot, wanted)
+    found = []
+    for candidate in known if best is not None and not is_off(best, height) else ():
+        model = copy.copy(bare.model)
+        for other in known:
+            if other is not candidate:
+                other.switch_off(model)
+        seen = run_as_published(replace(bare, model=model), robot, wanted)
+        if seen is None or is_off(seen, height):
+            found.append(candidate.cause(without[candidate]))
+    if found:
+        return tuple(found)
+    helping = [one for one in known if without[one] < 0.5 * run.torque_error]
+    return (*(one.cause(without[one]) for one in helping), *altered(bare, robot))
