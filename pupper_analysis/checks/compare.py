@@ -13,6 +13,7 @@ from pupper_analysis.checks.conventions import Conventions, convention_changes
 from pupper_analysis.checks.differences import CONVENTIONS, Difference, Explanation
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
+from pupper_analysis.checks.mount import Mount, in_words, mount_of
 from pupper_analysis.checks.notes import armature_notes, unstated_notes
 from pupper_analysis.checks.patterns import Cause, causes
 from pupper_analysis.checks.places import mjcf_place, path_of, shares, urdf_place
@@ -53,6 +54,8 @@ class Comparison(Tabular):
         explained: Share of the worst deviation that the differences explain (1 is all).
         complete: Whether nothing is left unexplained.
         engines: Quantities on which the engines deviate for one and the same model.
+        mount: How a fixed base is tilted in one file, and what that does to gravity; None if it is
+            not, or the base is free.
         objections: Why the files do not agree, besides the differences, in words: what no
             difference explains, and what differences within the tolerances add up to.
         agree: Whether the models agree, within the tolerances: no difference, no joint in one file
@@ -77,6 +80,7 @@ class Comparison(Tabular):
     explained: float
     complete: bool
     engines: tuple[str, ...]
+    mount: Mount | None
     objections: tuple[str, ...]
     agree: bool
     same_robot: bool
@@ -98,6 +102,7 @@ def compare_models(
     tolerances: Tolerances | None = None,
     strict_names: bool = False,
     any_coordinates: bool = False,
+    same_mount: bool = False,
     configurations: int = 20,
     seed: int = 0,
 ) -> Comparison:
@@ -117,6 +122,8 @@ def compare_models(
         any_coordinates: Joints' zeros, moved with their limits, and a free base's frame may be
             elsewhere: notes tell of them. By default they are differences, because qpos means
             another pose.
+        same_mount: A fixed base that is tilted against the URDF's is an objection; otherwise
+            `mount` alone tells of it.
         configurations: Number of random configurations of the cross-check.
         seed: Of the random numbers, 0 or more.
 
@@ -134,6 +141,7 @@ def compare_models(
     matched = match(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
+    mount = mount_of(matched, urdf_file.root, tolerances)
     if any_coordinates:
         matched = _in_any_coordinates(matched)
     robot = matched.robot
@@ -162,6 +170,8 @@ def compare_models(
     differences = tuple(_placed(explanation, names_too, matched, urdf_file, mjcf_file))
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = tuple(_objections(explanation, tolerances))
+    if mount is not None and same_mount:
+        objections = (*objections, in_words(mount))
     return Comparison(
         urdf=str(urdf_file.path),
         mjcf=str(mjcf_file.path),
@@ -180,6 +190,7 @@ def compare_models(
         explained=_explained(max(explanation.deviations.values()), max(explanation.left.values())),
         complete=explanation.complete,
         engines=_engines(check, explanation),
+        mount=mount,
         objections=objections,
         agree=not (differences or unmatched or objections),
         same_robot=not (_mechanical(differences) or unmatched or objections),

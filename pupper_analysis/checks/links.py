@@ -15,6 +15,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_tensor
+from pupper_analysis.checks.matching_places import poses_at_zero
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.parameters import Body, Parameters
 from pupper_analysis.models.xml import parse_text
@@ -71,7 +72,7 @@ def mjcf_links(robot: Robot, raw: Parameters, aligned: Parameters) -> Links:
         aligned: The same in others.
     """
     model, mujoco_model = pinocchio_from_mujoco(robot.mj_model), robot.mj_model
-    here, there = _at_zero(raw), _at_zero(aligned)
+    here, there = poses_at_zero(raw), poses_at_zero(aligned)
     found: dict[str, list[Link]] = {}
     for index in np.flatnonzero(mujoco_model.body_mass > 0):
         name = str(mujoco_model.body(index).name)
@@ -111,15 +112,6 @@ def _placed(body: Body, pose: pin.SE3) -> Body:
     """Returns a body in the frame in which its own stands in a pose."""
     turn = np.array(pose.rotation)
     return replace(body, com=np.array(pose.act(body.com)), inertia=turn @ body.inertia @ turn.T)
-
-
-def _at_zero(tree: Parameters) -> dict[str, pin.SE3]:
-    """Returns where each body's frame is at zero angles, in the base's."""
-    poses = {tree.base: pin.SE3.Identity()}
-    for name in tree.parents_first():
-        joint = tree.joints[name]
-        poses[name] = poses[joint.parent] * pin.SE3(joint.rotation, joint.position)
-    return poses
 
 
 def fold(*bodies: Body) -> Body:

@@ -11,11 +11,19 @@ from pupper_analysis.models import parameters
 Array = NDArray[np.float64]
 
 
+def poses_at_zero(tree: parameters.Parameters) -> dict[str, pin.SE3]:
+    """Returns where each body's frame is at zero angles, in the base's."""
+    poses = {tree.base: pin.SE3.Identity()}
+    for name in tree.parents_first():
+        joint = tree.joints[name]
+        poses[name] = poses[joint.parent] * pin.SE3(joint.rotation, joint.position)
+    return poses
+
+
 def at_zero(tree: parameters.Parameters) -> dict[str, tuple[Array, Array]]:
     """Returns where each joint is at zero, and its axis, both in the base's frame."""
-    poses = {tree.base: pin.SE3.Identity()}
-    places = {}
-    for name, joint in tree.joints.items():
-        poses[name] = poses[joint.parent] * pin.SE3(joint.rotation, joint.position)
-        places[name] = (np.array(poses[name].translation), poses[name].rotation @ joint.axis)
-    return places
+    poses = poses_at_zero(tree)
+    return {
+        name: (np.array(poses[name].translation), poses[name].rotation @ joint.axis)
+        for name, joint in tree.joints.items()
+    }

@@ -86,6 +86,12 @@ def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances
     is_flag=True,
     help="Let joints' zeros, and a free base's frame, be elsewhere: notes tell of them.",
 )
+@click.option(
+    "--same-mount",
+    is_flag=True,
+    help="A fixed base that is tilted against the URDF's is a difference, as with --strict: "
+    "gravity torques are others.",
+)
 @click.option("--all", "everything", is_flag=True, help="Print every difference.")
 @shared.json_option
 @shared.report_option
@@ -100,6 +106,7 @@ def crosscheck(
     changes: tuple[str, ...],
     strict: bool,
     any_coordinates: bool,
+    same_mount: bool,
     everything: bool,
     json_path: Path | None,
     report_path: Path | None,
@@ -123,7 +130,8 @@ def crosscheck(
       xacro robot.urdf.xacro | pupper-analysis crosscheck - robot.xml
 
     \b
-    Exit status: 0 they agree within the tolerances, 1 they differ, 2 bad input.
+    Exit status: 0 they agree within the tolerances (a tilted base counts with --same-mount
+    alone), 1 they differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.checks.compare import compare_models
     from pupper_analysis.checks.tolerances import Tolerances
@@ -145,6 +153,7 @@ def crosscheck(
         tolerances=tolerances,
         strict_names=strict,
         any_coordinates=any_coordinates,
+        same_mount=same_mount or strict,
     )
     if style == "text":
         comparison_report.print_models(console(), comparison, everything=everything)

@@ -11,6 +11,7 @@ from rich.console import Console
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.engines import EDGES, EXTRAS
+from pupper_analysis.checks.mount import in_words
 from pupper_analysis.checks.patterns import Cause
 from pupper_analysis.report.console import SafeTable, escape, print_notes
 from pupper_analysis.report.formats import Annotation, Case
@@ -100,6 +101,8 @@ def first_to_mend(
         return groups[0][0].message
     if comparison.objections:
         return comparison.objections[0]
+    if comparison.agree and comparison.mount is not None:
+        return f"no difference within the tolerances; but {in_words(comparison.mount)}"
     if comparison.agree:
         return "no difference within the tolerances"
     return "they do not have the same joints"
@@ -108,6 +111,8 @@ def first_to_mend(
 def matching_notes(comparison: Comparison) -> Iterable[str]:
     """Says how joints were matched, and what was left out."""
     yield from comparison.notes
+    if comparison.mount is not None:
+        yield f"{in_words(comparison.mount)}; --same-mount makes it a difference"
     if comparison.guessed:
         pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
         yield f"matched by structure, by link or by part of the name (confirm with --map): {pairs}"

@@ -15,7 +15,7 @@ from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.rules.actuators import drives
 from pupper_analysis.checks.audit.view import MjcfView, View
-from pupper_analysis.models.conversion import effort_limit
+from pupper_analysis.models.efforts import effort_limit
 
 FLOOR_DEPTH = 5e-3
 """How deep a start may be in the floor (m): a standing robot sinks a few mm into soft contacts."""

@@ -1,0 +1,115 @@
+"""How a fixed base stands as each file is loaded, and what that does to gravity.
+
+Where a robot is mounted is no difference of robots: for the comparison the URDF is put where the
+MJCF stands. But who loads the URDF as it is computes other torques, if that is tilted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+from numpy.typing import NDArray
+
+from pupper_analysis.checks.matching import Match
+from pupper_analysis.checks.matching_places import poses_at_zero
+from pupper_analysis.checks.matching_urdf import end_link
+from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.checks.trees import base_pose, trees
+from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.results import Result
+
+Array = NDArray[np.float64]
+
+_GRAVITY = np.array([0.0, 0.0, -9.81])  # Pinocchio's, of a URDF (m/s^2)
+
+
+@dataclass(frozen=True, eq=False)
+class Mount(Result):
+    """A fixed base that is tilted in one of the files.
+
+    Attributes:
+        tilt: Angle between the two files' verticals, as seen from the base (rad).
+        torques: {joint: what it needs against gravity at zero angles by the URDF, and by the MJCF,
+            each as it is loaded (N m; N of a slide)}; the one that differs most is the first.
+        unit: Unit of the torques of the first.
+    """
+
+    tilt: float
+    torques: dict[str, tuple[float, float]]
+    unit: str
+
+
+def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Mount | None:
+    """Returns how the base of the MJCF is tilted against the URDF's; None if it is not.
+
+    Args:
+        matched: The files.
+        urdf: The URDF as it is.
+        tolerances: What counts as a difference.
+    """
+    robot = matched.robot
+    if robot.floating:
+        return None
+    stands = base_pose(robot).rotation
+    if matched.conventions.base is not None:
+        stands = stands @ matched.conventions.base.rotation
+    turn = stands @ _in_root(urdf, matched.urdf_link[robot.base]).T
+    one, two = trees(robot)
+    down = turn @ _GRAVITY
+    tilt = math.atan2(float(np.linalg.norm(np.cross(down, two.gravity))), float(down @ two.gravity))
+    if not two.gravity.any() or tilt <= tolerances.rotation:
+        return None
+    first, second = gravity_torques(one, down), gravity_torques(two, two.gravity)
+    names = sorted(one.joints, key=lambda name: -abs(second[name] - first[name]))
+    unit = "N" if one.joints[names[0]].slides else "N m"
+    return Mount(tilt, {name: (first[name], second[name]) for name in names}, unit)
+
+
+def gravity_torques(tree: Parameters, gravity: Array) -> dict[str, float]:
+    """Returns {joint: what it needs to hold against gravity at zero angles (N m; N)}.
+
+    Args:
+        tree: A robot on a fixed base.
+        gravity: (3,) in the base's frame (m/s^2).
+    """
+    poses = poses_at_zero(tree)
+    carried = {name: np.zeros(4) for name in tree.bodies}  # mass, and first moments
+    torques = {}
+    for name in reversed(tree.parents_first()):
+        body, joint, pose = tree.bodies[name], tree.joints[name], poses[name]
+        carried[name] += body.mass * np.array([1.0, *pose.act(body.com)])
+        mass, moment = carried[name][0], carried[name][1:]
+        axis = pose.rotation @ joint.axis
+        lever = moment - mass * pose.translation
+        torques[name] = -float(
+            axis @ (mass * gravity if joint.slides else np.cross(lever, gravity))
+        )
+        carried[joint.parent] += carried[name]
+    return torques
+
+
+def _in_root(urdf: etree._Element, link: str) -> Array:
+    """Returns the axes (3, 3) of a link on fixed joints, as seen from the URDF's root."""
+    above = {end_link(joint, "child"): joint for joint in urdf.findall("joint")}
+    axes = np.eye(3)
+    while link in above:
+        joint = above[link]
+        origin = joint.find("origin")
+        angles = "" if origin is None else origin.get("rpy") or ""
+        axes = pin.rpy.rpyToMatrix(np.array((angles or "0 0 0").split(), dtype=float)) @ axes
+        link = end_link(joint, "parent")
+    return axes
+
+
+def in_words(mount: Mount) -> str:
+    """Says what a tilted base does to gravity."""
+    joint, (one, two) = next(iter(mount.torques.items()))
+    return (
+        f"the base is tilted by {math.degrees(mount.tilt):.4g} deg against the URDF's, as they are "
+        f"loaded: against gravity {joint} needs {one:.4g} {mount.unit} by the URDF and {two:.4g} "
+        f"{mount.unit} by the MJCF, at zero angles"
+    )
