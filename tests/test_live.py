@@ -468,14 +468,10 @@ def connected(path: str, headers: dict[str, str]) -> Any:
 def test_a_browser_says_where_it_comes_from_and_what_it_asks_for() -> None:
     own = connected("/?state=roll:3;pitch:-1", {"Host": "pi:81", "Origin": "http://pi:81"})
     assert viser_parts.asked_for(own, 3) == ("pi:81", "roll:3;pitch:-1", "")
-    assert viser_parts.foreign(own, 3) == ""
     other = connected("/", {"Host": "127.0.0.1:81", "Origin": "http://example.com"})
-    assert viser_parts.foreign(other, 3) == "http://example.com"
     assert viser_parts.asked_for(other, 3) == ("127.0.0.1:81", "", "")
-    assert viser_parts.foreign(connected("/", {"Host": "a:1"}), 3) == ""  # no browser's page
     # A viser that keeps it elsewhere: a page without a state.
     assert viser_parts.asked_for(own, 4) == ("127.0.0.1:80", "", "")
-    assert viser_parts.foreign(own, 4) == ""
 
 
 @pytest.mark.parametrize(

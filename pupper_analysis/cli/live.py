@@ -58,7 +58,7 @@ def live_command(
 
     NAME is a variant (v3 by default). Each browser that opens the page plays on its own. The page
     can be reached from this machine alone, unless --host says otherwise: then by anyone who can
-    reach the port. It is served until Ctrl-C.
+    reach the port and has the address that is printed, with its token. It is served until Ctrl-C.
 
     \b
     Examples:
@@ -71,6 +71,7 @@ def live_command(
     \b
     Exit status: 130 ended by Ctrl-C, 2 bad input.
     """  # noqa: D301 - click reads the \b
+    from pupper_analysis.live.door import is_loopback
     from pupper_analysis.live.server import Page, serve
     from pupper_analysis.live.state import parse
     from pupper_analysis.live.viser_parts import viser
@@ -99,4 +100,10 @@ def live_command(
     with shared.working("making the page"):
         page = Page(source, begin, language=language, host=host, port=port)
     click.echo(f"{page.address}  (Ctrl-C ends it)")
+    if not is_loopback(host):
+        click.echo(
+            f"warning: whoever can reach {host} and has this address, with its token, can use the "
+            "page; what is said on the way is not encrypted",
+            err=True,
+        )
     serve(page, browser=not no_browser, wait=threading.Event().wait)

@@ -9,12 +9,12 @@ from typing import Any
 
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.live import viser_parts
+from pupper_analysis.live.door import Door
 from pupper_analysis.live.language import NAMES, Language
 from pupper_analysis.live.model import Model
 from pupper_analysis.live.session import Session
 from pupper_analysis.live.source import Source
 from pupper_analysis.live.state import State, parse
-from pupper_analysis.report.formats import visible
 
 LOOPBACK = "127.0.0.1"
 
@@ -63,10 +63,12 @@ class Page:
         free = viser_parts.free_port(host, port)
         self.sessions: dict[int, Session] = {}
         self._lock = threading.Lock()
-        self._server = viser_parts.started(host, free, f"{robot.name}, live")
+        door = Door(host)
+        self._server = viser_parts.started(host, free, f"{robot.name}, live", door)
         shown = "localhost" if host in ("0.0.0.0", "::") else host
         shown = f"[{shown}]" if ":" in shown else shown
         self.address = f"http://{shown}:{self._server.get_port()}/"
+        self.address += f"?token={door.token}" if door.token else ""
         self._size = size = robot.stand_height
         camera = self._server.initial_camera
         camera.position = tuple(size * number for number in _FROM)
@@ -76,11 +78,6 @@ class Page:
         self._server.on_client_disconnect(self._left)
 
     def _opened(self, client: Any) -> None:
-        if other := viser_parts.foreign(self._server, client.client_id):
-            say = self._language
-            told = say("{other} is another page; open {address}", other=other, address=self.address)
-            client.add_notification(say("Not from here"), visible(told), color="red")
-            return
         address, words, language = viser_parts.asked_for(self._server, client.client_id)
         say = Language(language) if language in NAMES else self._language
         state, problem = self._state, ""

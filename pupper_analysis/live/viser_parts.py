@@ -7,11 +7,14 @@ import io
 import logging
 import socket
 from collections.abc import Iterator
+from functools import partial
+from http import HTTPStatus
 from importlib import import_module
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from pupper_analysis.errors import ConfigurationError, MissingPackageError
+from pupper_analysis.live.door import HEADERS, MOST_BYTES, Door, problem_of
 
 
 def viser() -> Any:
@@ -56,21 +59,77 @@ def quiet() -> Iterator[None]:
         yield
 
 
-def started(host: str, port: int, label: str) -> Any:
+def started(host: str, port: int, label: str, door: Door | None = None) -> Any:
     """Returns a server of viser's, that nobody can open to the internet from the page.
 
     Args:
         host: Where it can be reached.
         port: A free one.
         label: What the page is called.
+        door: Who may come in; by default who may be at this host.
     """
     # What knocks at the port and says nothing, or nonsense, is no error of this program.
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-    with quiet():
+    for name in ("websockets.server", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    with quiet(), _behind(door or Door(host)):
         server = viser().ViserServer(host=host, port=port, label=label, verbose=False)
     server.request_share_url = lambda *_, **__: None
+    server._websock_server.on_client_connect(partial(_heed, server))
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(51, 86, 122))
     return server
+
+
+@contextlib.contextmanager
+def _behind(door: Door) -> Iterator[None]:
+    """Lets a server that viser starts meanwhile answer only whom a door lets in."""
+    websockets: Any = import_module("websockets.asyncio.server")
+    serve = websockets.serve
+
+    def guarded(handler: Any, *where: Any, **options: Any) -> Any:
+        answer = options["process_request"]
+
+        def answered(connection: Any, request: Any) -> Any:
+            headers = {name: ", ".join(request.headers.get_all(name)) for name in HEADERS}
+            if refusal := door.refusal(request.path, headers):
+                return connection.respond(HTTPStatus.FORBIDDEN, f"{refusal}\n")
+            response = answer(connection, request)
+            if door.token and response is not None and urlsplit(request.path).path == "/":
+                response.headers["Set-Cookie"] = door.cookie
+            return response
+
+        own = {"process_request": answered, "max_size": MOST_BYTES}
+        return serve(handler, *where, **(options | own))
+
+    websockets.serve = guarded
+    try:
+        yield
+    finally:
+        websockets.serve = serve
+
+
+def _heed(server: Any, connection: Any) -> None:
+    """Lets a browser that has connected move the controls of its page, and send no files."""
+    messages = viser()._messages
+    handlers = connection._incoming_handlers
+    for kind in (messages.FileTransferStartUpload, messages.FileTransferPart):
+        handlers.pop(kind, None)
+    moves = handlers.get(messages.GuiUpdateMessage, [])
+
+    async def moved(client_id: int, message: Any) -> None:
+        client = server.get_clients().get(client_id)
+        handle = (
+            None if client is None else client.gui._gui_input_handle_from_uuid.get(message.uuid)
+        )
+        if client is None or handle is None:
+            return
+        ends = getattr(handle, "min", None), getattr(handle, "max", None)
+        if problem := problem_of(message.updates, *ends):
+            client.add_notification("Not taken", problem, color="red")
+            return
+        for move in moves:
+            await move(client_id, message)
+
+    handlers[messages.GuiUpdateMessage] = [moved]
 
 
 def stopped(server: Any) -> None:
@@ -91,20 +150,6 @@ def asked_for(server: Any, client_id: int) -> tuple[str, str, str]:
     except (AttributeError, KeyError, TypeError, ValueError):
         return f"{server.get_host()}:{server.get_port()}", "", ""
     return address, given.get("state", [""])[0], given.get("language", [""])[0]
-
-
-def foreign(server: Any, client_id: int) -> str:
-    """Returns which other page it is that has opened a connection; empty for the server's own.
-
-    Any page in a browser may connect to a server of the same machine. What a browser says of the
-    page (``Origin``) and of the server (``Host``) are the same for one that came from the server.
-    """
-    try:
-        headers = server._websock_server._live_connections[client_id].request.headers
-        origin, host = headers.get("Origin", ""), headers.get("Host", "")
-    except (AttributeError, KeyError, TypeError):
-        return ""
-    return "" if not origin or urlsplit(origin).netloc == host else str(origin)
 
 
 def mark(slider: Any, values: tuple[float, ...]) -> None:

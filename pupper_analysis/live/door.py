@@ -1,0 +1,116 @@
+"""Who may open the page, and what may come in by it.
+
+Any page in a browser can connect to a server on the same machine, and by a name of its own that it
+lets point there (DNS rebinding). So a request must name the server as it is known here, and what
+opens a connection must come from the server's own page. Where others can reach the server, they
+must know a token, too.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import math
+import secrets
+from collections.abc import Mapping
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs, urlsplit
+
+MOST_BYTES = 1 << 20
+"""Of a message from a browser: those of sliders and cameras have some hundred."""
+
+LONGEST_TEXT = 10_000
+"""Characters of a typed text: a state with every slider moved has some hundred."""
+
+HEADERS = ("Host", "Origin", "Upgrade", "Cookie")
+"""What is looked at of a request's."""
+
+COOKIE = "pupper_analysis_token"
+
+_LOOPBACK = frozenset(("localhost", "127.0.0.1", "::1"))
+
+
+def is_loopback(host: str) -> bool:
+    """Tells whether an address can be reached from this machine alone."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class Door:
+    """Decides who may come in.
+
+    Args:
+        host: Where the server can be reached.
+
+    Attributes:
+        token: What others than this machine must know; empty if none can reach it.
+    """
+
+    def __init__(self, host: str) -> None:
+        self._host = host
+        self.token = "" if is_loopback(host) else secrets.token_urlsafe(16)
+
+    def refusal(self, path: str, headers: Mapping[str, str]) -> str:
+        """Says why a request is refused; empty if it is not.
+
+        Args:
+            path: What is asked for, with its query.
+            headers: Of the request.
+        """
+        host = headers.get("Host", "")
+        if not self.token and _name(host) not in {*_LOOPBACK, self._host}:
+            return "This server is not called so. Open the address that the program printed."
+        origin = headers.get("Origin", "")
+        if origin and urlsplit(origin).netloc != host:
+            return "Another page asks for it. Open the address that the program printed."
+        asset = headers.get("Upgrade", "").lower() != "websocket" and urlsplit(path).path != "/"
+        if self.token and not asset and not self._knows(path, headers):
+            return "The token is missing. Open the address that the program printed."
+        return ""
+
+    def _knows(self, path: str, headers: Mapping[str, str]) -> bool:
+        given = parse_qs(urlsplit(path).query).get("token", [])
+        try:
+            cookie = SimpleCookie(headers.get("Cookie", "")).get(COOKIE)
+        except CookieError:
+            cookie = None
+        given += [cookie.value] if cookie is not None else []
+        return any(hmac.compare_digest(one.encode(), self.token.encode()) for one in given)
+
+    @property
+    def cookie(self) -> str:
+        """The header by which a browser remembers the token."""
+        return f"{COOKIE}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+
+
+def _name(host: str) -> str:
+    """Returns the name in a Host header, without its port."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def problem_of(updates: Mapping[str, object], low: object = None, high: object = None) -> str:
+    """Says what is wrong with a control's new value as a browser gives it; empty if nothing is.
+
+    Args:
+        updates: {property: value}.
+        low: The least that the control goes to, if it is a slider's.
+        high: The greatest.
+    """
+    if set(updates) != {"value"}:
+        return "a control has a value, and nothing else to be set"
+    value = updates["value"]
+    if isinstance(value, str):
+        return "" if len(value) <= LONGEST_TEXT else "the text is too long"
+    if isinstance(value, bool):
+        return ""
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        return "a value is a finite number, a text, or yes or no"
+    numbers = isinstance(low, int | float) and isinstance(high, int | float)
+    if numbers and not low <= value <= high:  # type: ignore[operator]
+        return f"the slider goes from {low:g} to {high:g}"
+    return ""

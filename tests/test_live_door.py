@@ -1,0 +1,225 @@
+"""The live page's door: who may come in, and what a browser may send."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.live.door import COOKIE, MOST_BYTES, Door, problem_of
+from pupper_analysis.live.server import Page
+from pupper_analysis.pupper.live import Variants
+
+viser = pytest.importorskip("viser", reason="viser is not installed")
+websockets = pytest.importorskip("websockets.asyncio.client")
+
+SOCKET = {"Upgrade": "websocket"}
+
+
+@pytest.mark.parametrize(
+    ("host", "headers", "may"),
+    [
+        ("127.0.0.1", {"Host": "localhost:8080"}, True),
+        ("127.0.0.1", {"Host": "127.0.0.1:8080", "Origin": "http://127.0.0.1:8080"}, True),
+        ("127.0.0.1", {"Host": "[::1]:8080"}, True),
+        ("127.0.0.1", {"Host": "loc.example:8080"}, False),
+        ("127.0.0.1", {"Host": "localhost.example:8080"}, False),
+        # A name that its owner lets point here: Origin and Host are the same.
+        ("127.0.0.1", {"Host": "evil.example:8080", "Origin": "http://evil.example:8080"}, False),
+        ("127.0.0.1", {"Host": "127.0.0.1:8080", "Origin": "http://evil.example"}, False),
+        ("127.0.0.1", {"Host": "127.0.0.1:8080", "Origin": "http://127.0.0.1:9090"}, False),
+        ("127.0.0.1", {"Host": "127.0.0.1:8080", "Origin": "null"}, False),
+        ("127.0.0.1", {}, False),
+    ],
+)
+def test_who_may_come_in(host: str, headers: dict[str, str], may: bool) -> None:
+    door = Door(host)
+    assert not door.token
+    for more in ({}, SOCKET):
+        assert (door.refusal("/", headers | more) == "") == may
+
+
+def test_others_must_know_the_token() -> None:
+    door, headers = Door("0.0.0.0"), {"Host": "robot.example:8080"}
+    assert len(door.token) >= 16
+    assert Door("0.0.0.0").token != door.token
+    for more in ({}, SOCKET):
+        assert "token" in door.refusal("/", headers | more)
+        assert "token" in door.refusal("/?token=", headers | more)
+        assert "token" in door.refusal(f"/?token={door.token[:-1]}", headers | more)
+        assert door.refusal(f"/?state=roll:1&token={door.token}", headers | more) == ""
+        assert door.refusal("/", headers | more | {"Cookie": f"a=b; {door.cookie}"}) == ""
+        assert "token" in door.refusal("/", headers | more | {"Cookie": f"{COOKIE}=x"})
+    assert door.refusal("/assets/index.js", headers) == ""  # viser's, and nobody's secret
+    assert "page" in door.refusal(
+        f"/?token={door.token}", headers | SOCKET | {"Origin": "http://evil.example"}
+    )
+
+
+@pytest.mark.parametrize(
+    ("updates", "right"),
+    [
+        ({"value": 120.0}, True),
+        ({"value": 100}, True),
+        ({"value": True}, True),
+        ({"value": "roll:1"}, True),
+        ({"value": math.nan}, False),
+        ({"value": math.inf}, False),
+        ({"value": 99.9}, False),
+        ({"value": 200.1}, False),
+        ({"value": [1, 2]}, False),
+        ({"value": "x" * 100_000}, False),
+        ({"value": 120.0, "max": 1e9}, False),
+        ({"update_cb": []}, False),
+        ({}, False),
+    ],
+)
+def test_what_a_browser_may_say(updates: dict[str, object], right: bool) -> None:
+    assert (problem_of(updates, 100.0, 200.0) == "") == right
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    one = Page(Variants(pa.VARIANTS["v3"]))
+    yield one
+    one.close()
+
+
+def asked(address: str, **headers: str) -> tuple[int, str]:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers)) as found:
+            return found.status, str(found.headers.get("Set-Cookie", ""))
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def test_a_server_answers_by_its_own_names_alone(page: Page) -> None:
+    assert asked(page.address)[0] == 200
+    status, said = asked(page.address, Host="evil.example")
+    assert status == 403
+    assert "the address that the program printed" in said
+
+
+def test_a_page_that_others_can_reach_asks_for_its_token() -> None:
+    page = Page(Variants(pa.VARIANTS["v3"]), host="0.0.0.0")
+    try:
+        (token,) = parse_qs(urlsplit(page.address).query)["token"]
+        bare = page.address.partition("?")[0]
+        assert asked(bare)[0] == 403
+        status, cookie = asked(page.address)
+        assert status == 200
+        assert token in cookie
+        assert asked(bare, Cookie=cookie.partition(";")[0])[0] == 200
+    finally:
+        page.close()
+
+
+async def _talk(address: str, *messages: Any, origin: str | None = None) -> list[bytes]:
+    """Sends messages as viser's page does, after the camera's; returns what comes until then."""
+    where = address.replace("http", "ws")
+    host = urlsplit(address).netloc
+    async with websockets.connect(
+        where,
+        origin=origin or f"http://{host}",
+        subprotocols=[f"viser-v{viser.__version__}"],
+        max_size=None,
+    ) as socket:
+        told: list[bytes] = []
+        for message in messages:
+            await socket.send(message)
+            await asyncio.sleep(0.05)
+        end = asyncio.get_running_loop().time() + 1.0
+        while (left := end - asyncio.get_running_loop().time()) > 0:
+            try:
+                told.append(await asyncio.wait_for(socket.recv(), left))
+            except TimeoutError:
+                break
+        return told
+
+
+def test_a_connection_of_another_page_is_refused_at_once(page: Page) -> None:
+    refused = pytest.importorskip("websockets").exceptions.InvalidStatus
+    with pytest.raises(refused, match="403"):
+        asyncio.run(_talk(page.address, origin="http://evil.example"))
+    assert not page.sessions
+
+
+def test_a_message_that_is_too_long_ends_the_connection(page: Page) -> None:
+    closed = pytest.importorskip("websockets").exceptions.ConnectionClosed
+    with pytest.raises(closed):
+        asyncio.run(_talk(page.address, bytes(MOST_BYTES + 1), b"x"))
+    assert asked(page.address)[0] == 200
+
+
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1.0, 0.0, 0.0, 0.0],
+    "position": [1.0, 1.0, 1.0],
+    "fov": 1.0,
+    "near": 0.01,
+    "far": 100.0,
+    "image_height": 600,
+    "image_width": 800,
+    "look_at": [0.0, 0.0, 0.0],
+    "up_direction": [0.0, 0.0, 1.0],
+}
+
+
+@pytest.mark.slow
+def test_what_is_no_value_moves_nothing(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
+    """Nor is it a traceback in the terminal of who serves the page; files are not taken at all."""
+    pack = pytest.importorskip("msgspec").msgpack.encode
+
+    told: list[str] = []
+
+    async def attack() -> tuple[float, float, int]:
+        host = urlsplit(page.address).netloc
+        async with websockets.connect(
+            page.address.replace("http", "ws"),
+            origin=f"http://{host}",
+            subprotocols=[f"viser-v{viser.__version__}"],
+            max_size=None,
+        ) as socket:
+            known = set(page.sessions)
+            await socket.send(pack(CAMERA))
+            for _ in range(1000):
+                await asyncio.sleep(0.02)
+                if new := set(page.sessions) - known:
+                    break
+            session = page.sessions[new.pop()]
+            slider = session._panels.controls.sliders["roll"]
+            session._client.add_notification = lambda _, body, **__: told.append(body)
+            update = {"type": "GuiUpdateMessage", "uuid": slider._impl.uuid}
+            bad = ({"value": math.nan}, {"value": 1e9}, {"value": [1]}, {"nonsense": 1})
+            for updates in (*bad, {"update_cb": ["x"]}, {"max": 1e9}):
+                await socket.send(pack(update | {"updates": updates}))
+            await socket.send(pack(update | {"uuid": "none", "updates": {"value": 1}}))
+            upload = {
+                "type": "FileTransferStartUpload", "source_component_uuid": slider._impl.uuid,
+                "transfer_uuid": "t", "filename": "a", "mime_type": "b", "part_count": 100,
+                "size_bytes": 10**12,
+            }  # fmt: skip
+            await socket.send(pack(upload))
+            await asyncio.sleep(0.5)
+            before = session._panels.controls.state.roll
+            held = len(session._client.gui._current_file_upload_states)
+            await socket.send(pack(update | {"updates": {"value": 5}}))
+            for _ in range(200):
+                await asyncio.sleep(0.02)
+                if session._panels.controls.state.roll == 5.0:
+                    break
+            return before, session._panels.controls.state.roll, held
+
+    assert asyncio.run(attack()) == (0.0, 5.0, 0)
+    assert len(told) == 6
+    assert "finite number" in told[0]
+    assert "the slider goes from" in told[1]
+    printed = capfd.readouterr()
+    assert "Traceback" not in printed.out + printed.err
