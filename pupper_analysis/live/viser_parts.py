@@ -122,8 +122,7 @@ def _heed(server: Any, connection: Any) -> None:
         )
         if client is None or handle is None:
             return
-        ends = getattr(handle, "min", None), getattr(handle, "max", None)
-        if problem := problem_of(message.updates, *ends):
+        if problem := problem_of(message.updates):
             client.add_notification("Not taken", problem, color="red")
             return
         for move in moves:
