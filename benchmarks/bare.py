@@ -45,12 +45,13 @@ def jobs(variant: str) -> list[Job]:
 
 
 def _stand(robot: pa.Robot) -> Job:
-    stand, wrapper = pa.solve_stand(robot), Shapes(robot).wrapper
+    stand, shapes = pa.solve_stand(robot), Shapes(robot)
     height, start = float(stand.qpos[2]), robot.home.copy()
     start[2] = height
     q = robot.pin_convention.q(start)
 
     def bare() -> None:
+        wrapper = shapes.wrapper  # lent for as long as the shapes are held
         wrapper.state.q = q
         wrapper.update_kinematics()
         solver = placo.KinematicsSolver(wrapper)
@@ -190,7 +191,8 @@ def _mujocos(robot: pa.Robot, stand: pa.Stand) -> Callable[[], tuple[np.ndarray,
 
 
 def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
-    config, wrapper = pa.Configuration(robot, stand.qpos), Shapes(robot).wrapper
+    config, shapes = pa.Configuration(robot, stand.qpos), Shapes(robot)
+    wrapper = shapes.wrapper
     wrapper.state.q = robot.pin_convention.q(stand.qpos)
     wrapper.update_kinematics()
     solver = placo.DynamicsSolver(wrapper)
@@ -204,7 +206,7 @@ def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
         if kind == "minimum tangential":
             contact.weight_forces, contact.weight_tangentials = 1.0, 1e6
     solver.torque_cost = 1.0 if kind == "minimum torque" else 0.0
-    kept = solver, wrapper  # which the solver does not keep itself
+    kept = solver, shapes  # which the solver does not keep itself
 
     def bare() -> np.ndarray:
         result = kept[0].solve(False)

@@ -299,7 +299,11 @@ def _feet(
 
 
 def _started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list[str]) -> Robot:
-    """Gives a robot a start pose: a keyframe's in which it stands, or one that is found."""
+    """Gives a robot a start pose: a keyframe's in which it stands, or one that is found.
+
+    What is on its feet's bodies beside the feet is not in the way: see ``touching``.
+    """
+    whole, robot = robot, touching.with_bare_feet(robot)
     standing = {name: pose for name, pose in known.items() if start.stands_at(robot, pose)}
     for name, pose in standing.items():
         home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
@@ -318,7 +322,7 @@ def _started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list
     found = start.found_start(robot, [*poses, middle])
     if found is None:
         notes.append("no start pose was found in which the robot stands")
-        return robot
+        return whole
     why = "no keyframe in which it stands" if known else "no keyframe"
     notes.append(
         f"the MJCF has {why}: a stand was found, {found.stand_height:.3f} m high, in the middle of "

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
+
 import mujoco
 
 from pupper_analysis.errors import PupperAnalysisError
@@ -14,10 +17,23 @@ _BESIDE = 5e-3
 """Shapes that are no further above the ground than this beside a sunk foot may touch it (m)."""
 
 
+def with_bare_feet(robot: Robot) -> Robot:
+    """Returns a robot whose MuJoCo model lets nothing on the feet's bodies touch but the feet.
+
+    In which it is seen how a robot stands before ``on_feet_alone`` knows what is in the way. What
+    is built from its description has it all again.
+    """
+    model, own = copy.copy(robot.mj_model), start.feet_bodies(robot)
+    for geom in range(model.ngeom):
+        if int(model.body_weldid[model.geom_bodyid[geom]]) in own and geom not in robot.foot_geoms:
+            model.geom_contype[geom] = model.geom_conaffinity[geom] = 0
+    return replace(robot, mj_model=model)
+
+
 def on_feet_alone(robot: Robot, notes: list[str]) -> Robot:
     """Keeps shapes beside a foot, of its own body, off the ground into which the foot sinks."""
     try:
-        stand = sunk_stand(robot, explain=False)
+        stand = sunk_stand(with_bare_feet(robot), explain=False)
     except PupperAnalysisError:
         return robot
     model, own = robot.mj_model, start.feet_bodies(robot)

@@ -24,6 +24,7 @@ from pupper_analysis.robot.closure import Closure, closure_of
 from pupper_analysis.robot.contact import ContactParameters
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.efforts import efforts_of
+from pupper_analysis.robot.shapes import Shape, shapes_of
 from pupper_analysis.robot.structure import Structure
 
 Array = NDArray[np.float64]
@@ -110,6 +111,7 @@ class Robot:
             "efforts",
             "effort_ranges",
             "effort_limits",
+            "shapes",
         ):  # worked out again, quicker than they travel
             state.pop(made, None)
         return state
@@ -157,6 +159,11 @@ class Robot:
     def closure(self) -> Closure | None:
         """The closed loops and couplings of the MJCF's joints; None if there are none."""
         return closure_of(self.mj_model, self.mj_convention, self.joint_names)
+
+    @cached_property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The shapes with which MuJoCo has it touch, feet included."""
+        return shapes_of(self)
 
     @property
     def lower_limits(self) -> Array:

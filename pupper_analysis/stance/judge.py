@@ -45,7 +45,7 @@ class Stand(Result):
         com_margin: Distance of the com's projection from the support polygon's edge (m); negative
             outside.
         ground_clearance: How high the lowest part other than the feet is above the ground, by the
-            URDF's shapes; None if it has none.
+            shapes that MuJoCo lets touch it, of meshes the convex hulls; None if there are none.
         self_clearance: The least distance between links that are not neighbours; None if it was
             not asked for.
         iterations: Quadratic programmes solved.
@@ -141,6 +141,9 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
         goal: What is asked of the stand.
         qpos: (nq,) the configuration.
         iterations: Quadratic programmes that it took.
+
+    Raises:
+        ConfigurationError: If the task demands a clearance and nothing has one.
     """
     robot, task = shapes.robot, goal.task
     own = robot.structure.state(qpos)
@@ -155,6 +158,20 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
     if robot.closure is not None:
         missed.append(robot.closure.open_by(own, goal.give))
     contacts = dict(zip(goal.stance_feet, goal.contacts.copy(), strict=True))
+    near = shapes.above_ground(own, task.ground, targets, goal.depths, moved=True)
+    if near is None and task.ground_clearance > 0.0:
+        raise ConfigurationError(
+            "ground_clearance",
+            f"the MJCF of {robot.name} has no shapes but the feet's that touch the ground: how "
+            "high it is above that cannot be told",
+        )
+    apart = None if task.self_clearance is None else shapes.between_links(own)
+    if apart is None and task.self_clearance is not None:
+        raise ConfigurationError(
+            "self_clearance",
+            f"the MJCF of {robot.name} has no two links with shapes that touch anything and are "
+            "apart in its home configuration: how far links are from each other cannot be told",
+        )
     return Stand(
         task=task,
         qpos=own,
@@ -168,8 +185,8 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
         height_error=abs(z - goal.height),
         com_error=math.dist(at, goal.place.tolist()),
         com_margin=margin_inside((com[0], com[1]), goal.corners),
-        ground_clearance=shapes.above_ground(own, task.ground, targets, goal.depths, moved=True),
-        self_clearance=None if task.self_clearance is None else shapes.between_links(own),
+        ground_clearance=near,
+        self_clearance=apart,
         iterations=iterations,
         robot=robot.fingerprint,
     )

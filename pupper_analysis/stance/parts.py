@@ -5,37 +5,44 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import coal
-import pinocchio as pin
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.robot.kinematics import Place
+from pupper_analysis.robot.shapes import Shape
 
+Array = NDArray[np.float64]
 Direction = tuple[float, float, float]
 
+_G = mujoco.mjtGeom
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """A shape in its link's frame, as the sum of a point, bars, a disc and a ball (m).
+    """A shape in its link's frame, as the sum of a point, bars, an ellipse, a ball and a hull (m).
 
     Attributes:
         link: Its link.
         centre: Its centre.
         bars: Half of each: a box is the sum of three, a capsule that of one and a ball.
-        disc: Two radii of it at right angles; () without one.
+        radii: Those of an ellipse, two at right angles, or of an ellipsoid, three; () without one.
         ball: The ball's radius.
+        hull: (n, 3) corners of a convex hull, from the centre; None without one.
     """
 
     link: str
     centre: Direction
     bars: tuple[Direction, ...]
-    disc: tuple[Direction, ...]
+    radii: tuple[Direction, ...]
     ball: float
+    hull: Array | None
 
     def height(self, link: Place, normal: Direction) -> float:
         """Returns how high its lowest point is above a plane through the origin (m).
 
         A shape reaches below its centre by its support function, which of a sum of convex sets is
-        the sum of theirs.
+        the sum of theirs, and of a hull that of its corners.
 
         Args:
             link: Where its link is.
@@ -53,30 +60,40 @@ class Part:
         height += u * x + v * y + w * z - self.ball
         for x, y, z in self.bars:
             height -= abs(u * x + v * y + w * z)
-        if self.disc:
-            (x, y, z), (p, q, r) = self.disc
-            height -= math.hypot(u * x + v * y + w * z, u * p + v * q + w * r)
+        if self.radii:
+            height -= math.hypot(*[u * x + v * y + w * z for x, y, z in self.radii])
+        if self.hull is not None:
+            height += self.hull.dot((u, v, w)).min()
         return float(height)
 
 
-def part_of(link: str, shape: coal.CollisionGeometry, place: pin.SE3) -> Part | None:
-    """Returns a shape at a place in its link's frame; None for a shape of another form."""
-    bars, disc, ball = [], 0.0, 0.0
-    if isinstance(shape, coal.Box):
-        bars = list(enumerate(shape.halfSide.tolist()))
-    elif isinstance(shape, coal.Sphere):
-        ball = shape.radius
-    elif isinstance(shape, coal.Cylinder):
-        bars, disc = [(2, shape.halfLength)], shape.radius
-    elif isinstance(shape, coal.Capsule):
-        bars, ball = [(2, shape.halfLength)], shape.radius
-    else:
-        return None
-    axes = place.rotation.T
+def part_of(shape: Shape) -> Part:
+    """Returns a shape as a sum."""
+    bars: tuple[int, ...] = ()
+    radii: tuple[int, ...] = ()
+    ball, size = 0.0, shape.size.tolist()
+    if shape.kind == _G.mjGEOM_BOX:
+        bars = (0, 1, 2)
+    elif shape.kind == _G.mjGEOM_SPHERE:
+        ball = size[0]
+    elif shape.kind == _G.mjGEOM_ELLIPSOID:
+        radii = (0, 1, 2)
+    elif shape.kind == _G.mjGEOM_CYLINDER:  # MuJoCo's sizes: the radius, and half of the length
+        bars, radii, size = (2,), (0, 1), [size[0], size[0], size[1]]
+    elif shape.kind == _G.mjGEOM_CAPSULE:
+        bars, ball, size = (2,), size[0], [0.0, 0.0, size[1]]
+    turn, mesh = shape.place.rotation, shape.kind == _G.mjGEOM_MESH
+
+    def along(axis: int) -> Direction:
+        x, y, z = (size[axis] * turn[:, axis]).tolist()
+        return x, y, z
+
+    x, y, z = shape.place.translation.tolist()
     return Part(
-        link,
-        tuple(place.translation.tolist()),
-        tuple(tuple((half * axes[axis]).tolist()) for axis, half in bars),
-        tuple(tuple((disc * axes[axis]).tolist()) for axis in (0, 1)) if disc else (),
-        ball,
+        link=shape.link,
+        centre=(x, y, z),
+        bars=tuple(along(axis) for axis in bars),
+        radii=tuple(along(axis) for axis in radii),
+        ball=ball,
+        hull=np.ascontiguousarray(shape.hull @ turn.T) if mesh else None,
     )

@@ -45,7 +45,8 @@ class Tasks:
         self, shapes: Shapes, goal: Goal, *, inside: bool, firmly: bool = False, apart: bool
     ) -> None:
         robot, wrapper = shapes.robot, shapes.wrapper
-        self._shapes, self._goal = shapes, goal
+        # Not the shapes, which keep their tasks: a circle would hold PlaCo's robot back for long.
+        self._robot, self._engine, self._goal = robot, shapes.engine, goal
         solver = self.solver = placo.KinematicsSolver(wrapper)
         solver.enable_joint_limits(True)
         wrapper.set_velocity_limits(1.0)
@@ -96,12 +97,12 @@ class Tasks:
 
     def aim(self, goal: Goal) -> None:
         """Takes the goal's numbers, and its joint limits, which are the wrapper's."""
-        limits, given = (goal.lower, goal.upper), self._shapes.limits
+        limits, given = (goal.lower, goal.upper), self._engine.limits
         if given is None or limits[0] is not given[0] or limits[1] is not given[1]:
-            joints, self._shapes.limits = self._shapes.robot.joint_names, limits
+            joints, self._engine.limits = self._robot.joint_names, limits
             for name, low, high in zip(joints, *limits, strict=True):
                 if math.isfinite(low) and math.isfinite(high):
-                    self._shapes.wrapper.set_joint_limits(name, low, high)
+                    self._engine.placo.set_joint_limits(name, low, high)
         if goal is self._goal:
             return
         before, self._goal = self._goal, goal
@@ -117,7 +118,7 @@ class Tasks:
 
     def bind(self, qpos: Array, q: Array) -> None:
         """Keeps loops and couplings of joints as they are at a configuration, to first order."""
-        robot = self._shapes.robot
+        robot = self._robot
         if self._loops is None or robot.closure is None:
             return
         rows, convention = robot.closure.bound(qpos)[0], robot.pin_convention

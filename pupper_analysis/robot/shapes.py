@@ -1,0 +1,217 @@
+"""The shapes with which a robot touches, as MuJoCo has them, in the frames of its links.
+
+What MuJoCo's collisions know of a robot is in its compiled model: primitives, and of each mesh the
+convex hull. Those are its shapes here, so that what is judged before a simulation is what the
+simulation finds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import coal  # comes with pin
+import mujoco
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.robot import contact
+
+if TYPE_CHECKING:
+    from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_G = mujoco.mjtGeom
+_CONVEX = (_G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_ELLIPSOID, _G.mjGEOM_CYLINDER)
+_KINDS = (*_CONVEX, _G.mjGEOM_BOX, _G.mjGEOM_MESH)
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A geom that touches things, in the frame of the link that carries it.
+
+    Attributes:
+        geom: Its id in ``mj_model``.
+        body: The body that it belongs to (its id).
+        link: The URDF's link that moves with it.
+        joint: The joint that moves it; empty for the base.
+        kind: MuJoCo's type: a sphere, capsule, ellipsoid, cylinder, box or mesh.
+        size: (3,) MuJoCo's size (m).
+        place: Where it is in the link's frame.
+        hull: (n, 3) corners of a mesh's convex hull, in the geom's frame (m); (0, 3) of others.
+        faces: (m, 3) which corners make its triangles.
+        on_ground: Whether MuJoCo lets it touch the ground.
+    """
+
+    geom: int
+    body: int
+    link: str
+    joint: str
+    kind: mujoco.mjtGeom
+    size: Array
+    place: pin.SE3
+    hull: Array = field(repr=False)
+    faces: IntArray = field(repr=False)
+    on_ground: bool
+
+    @cached_property
+    def solid(self) -> coal.CollisionGeometry:
+        """The shape in coal."""
+        x, y, z = self.size.tolist()
+        if self.kind == _G.mjGEOM_SPHERE:
+            return coal.Sphere(x)
+        if self.kind == _G.mjGEOM_CAPSULE:
+            return coal.Capsule(x, 2 * y)
+        if self.kind == _G.mjGEOM_CYLINDER:
+            return coal.Cylinder(x, 2 * y)
+        if self.kind == _G.mjGEOM_ELLIPSOID:
+            return coal.Ellipsoid(x, y, z)
+        if self.kind == _G.mjGEOM_BOX:
+            return coal.Box(2 * x, 2 * y, 2 * z)
+        corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+        corners.extend(list(self.hull))
+        triangles.extend([coal.Triangle(*face) for face in self.faces.tolist()])
+        return coal.Convex(corners, triangles)
+
+
+def shapes_of(robot: Robot) -> tuple[Shape, ...]:
+    """Returns the shapes of a robot's moving bodies that touch anything, in MuJoCo's order.
+
+    Where a body is in its link's frame is found at zero angles, at which both models are one
+    robot.
+
+    Args:
+        robot: The robot.
+
+    Raises:
+        ModelError: If one is a signed distance field, whose distances nothing here can tell.
+    """
+    model = robot.mj_model
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, robot.neutral())
+    mujoco.mj_kinematics(model, data)
+    ground = contact.ground_geom(model)
+    carriers = _Carriers(robot)
+    paired = {int(geom) for pair in (model.pair_geom1, model.pair_geom2) for geom in pair}
+    found = []
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        touches = model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
+        moving = int(model.body_weldid[body])
+        if not touches or moving not in carriers.joints:
+            continue
+        kind = _G(int(model.geom_type[geom]))
+        if kind not in _KINDS:
+            name = model.geom(geom).name or f"of body {model.body(body).name!r}"
+            raise ModelError(
+                robot.description.mjcf_source,
+                f"geom {name} touches things and is a {kind.name.removeprefix('mjGEOM_').lower()}, "
+                "of which no distance can be told; make it a mesh or a primitive, or give it "
+                'contype="0" conaffinity="0"',
+            )
+        link, place = carriers.link(model.body(body).name, moving)
+        there = pin.SE3(data.geom_xmat[geom].reshape(3, 3), np.array(data.geom_xpos[geom]))
+        hull, faces = (
+            _hull(model, int(model.geom_dataid[geom]))
+            if kind == _G.mjGEOM_MESH
+            else (np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+        )
+        found.append(
+            Shape(
+                geom=geom,
+                body=body,
+                link=link,
+                joint=carriers.joints[moving],
+                kind=kind,
+                size=np.array(model.geom_size[geom]),
+                place=place.actInv(there),
+                hull=hull,
+                faces=faces,
+                on_ground=ground is not None and _touch(model, geom, ground),
+            )
+        )
+    return tuple(found)
+
+
+class _Carriers:
+    """Which links carry what of a robot at zero angles, the base's and those that it carries.
+
+    Attributes:
+        joints: {moving body: the joint that moves it}; the base's is "".
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        model, own = robot.mj_model, robot.structure
+        self._links, self._frames = own.links, own.model.frames
+        self._data = own.model.createData()
+        pin.framesForwardKinematics(own.model, self._data, own.q(robot.neutral()))
+        moving = {int(model.jnt_bodyid[model.joint(name).id]): name for name in own.joints}
+        self.joints = {int(model.body(robot.mj_base).id): ""} | moving
+        self._first = {"": robot.base}
+        names = {number: name for name, number in own.joints.items()}
+        for name, number in sorted(own.links.items(), key=lambda link: link[1]):
+            joint = names.get(int(self._frames[number].parentJoint))
+            if joint is not None:
+                self._first.setdefault(joint, name)
+
+    def link(self, body: str, moving: int) -> tuple[str, pin.SE3]:
+        """Returns the link that carries a body, and where it is.
+
+        It is the link of the body's name, if that moves with it, or else what the joint moves.
+
+        Args:
+            body: The body's name.
+            moving: The moving body (its id) to which it belongs.
+        """
+        first = self._first[self.joints[moving]]
+        joint = self._frames[self._links[first]].parentJoint
+        own = body in self._links and self._frames[self._links[body]].parentJoint == joint
+        link = body if own else first
+        return link, self._data.oMf[self._links[link]]
+
+
+def _touch(model: mujoco.MjModel, geom: int, ground: int) -> bool:
+    """Whether MuJoCo looks for contacts of a geom and the ground: by their bits, or a pair."""
+    for one, two in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
+        if {one, two} == {geom, ground}:
+            return True
+    bits, floor = model.geom_contype, model.geom_conaffinity
+    met = (bits[geom] & floor[ground]) or (bits[ground] & floor[geom])
+    bodies = sorted((int(model.geom_bodyid[geom]), int(model.geom_bodyid[ground])))
+    excluded = (bodies[0] << 16) + bodies[1] in set(model.exclude_signature.tolist())
+    return bool(met) and not excluded
+
+
+def excluded(robot: Robot) -> set[frozenset[int]]:
+    """Returns the pairs of bodies (ids) that the MJCF excludes from touching each other."""
+    return {
+        frozenset((int(signature) >> 16, int(signature) & 0xFFFF))
+        for signature in robot.mj_model.exclude_signature
+    }
+
+
+def _hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, IntArray]:
+    """Returns corners (n, 3) (m) and triangles (m, 3) of the convex hull of a mesh.
+
+    MuJoCo's own: its collisions know no more of a mesh. See the compiler's ``mesh_graph``: numbers
+    of corners and faces, where each corner's edges begin, the corners' numbers in the mesh, the
+    edges, and the faces by numbers in the mesh.
+    """
+    begin, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    points = np.array(model.mesh_vert[begin : begin + count], dtype=float)
+    graph = int(model.mesh_graphadr[mesh])
+    if graph < 0:  # it has none where no collision asks for it
+        begin, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        return points, np.array(model.mesh_face[begin : begin + count], dtype=np.int64)
+    corners, faces = model.mesh_graph[graph : graph + 2].tolist()
+    numbers = model.mesh_graph[graph + 2 + corners : graph + 2 + 2 * corners]
+    at = graph + 2 + 3 * corners + 3 * faces
+    triangles = model.mesh_graph[at : at + 3 * faces].reshape(-1, 3)
+    order = np.full(len(points), -1, dtype=np.int64)
+    order[numbers] = np.arange(corners)
+    return points[numbers], order[triangles]

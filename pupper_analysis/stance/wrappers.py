@@ -1,0 +1,113 @@
+"""PlaCo's robots, lent to one user at a time: what PlaCo makes of a URDF it never gives back.
+
+A ``RobotWrapper`` keeps its 375 kB for good, whoever lets go of it; and reading the URDF takes
+milliseconds. Robots whose joints and links hang together in the same way, as the thousand designs
+of a study do, differ in numbers alone: these can be set in place.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Hashable, Sequence
+
+import numpy as np
+import pinocchio as pin
+import placo
+from numpy.typing import NDArray
+
+from pupper_analysis.files import readable
+from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+_spare: dict[Hashable, list[placo.RobotWrapper]] = {}
+"""{structure: PlaCo's robots that nobody uses}. They are never let go: that would free nothing."""
+
+
+class Wrapper:
+    """PlaCo's robot with a robot's numbers; it belongs to its holder alone, in one thread.
+
+    Whoever uses ``placo`` holds this: when it goes, another robot may have PlaCo's.
+
+    Attributes:
+        placo: PlaCo's robot, without shapes.
+        limits: The joint limits that it was given last.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._spare = _spare.setdefault(_structure(robot.pin_model), [])
+        self.limits: tuple[Array, Array] | None = None
+        try:
+            self.placo = self._spare.pop()
+        except IndexError:
+            self.placo = _load(robot)
+        _take_numbers(self.placo.model, robot.pin_model)
+
+    def __del__(self) -> None:
+        if hasattr(self, "placo"):
+            self._spare.append(self.placo)
+
+    def take_shapes(
+        self, shapes: Sequence[pin.GeometryObject], pairs: Collection[tuple[str, str]]
+    ) -> None:
+        """Gives PlaCo shapes, and says between which links it shall look at distances.
+
+        Args:
+            shapes: The shapes; their ``parentFrame`` is PlaCo's.
+            pairs: Names of two links each.
+        """
+        model = self.placo.collision_model
+        for old in [shape.name for shape in model.geometryObjects]:
+            model.removeGeometryObject(old)
+        for shape in shapes:
+            model.addGeometryObject(shape)
+        with readable(json.dumps(sorted(pairs)).encode()) as file:
+            self.placo.load_collision_pairs(str(file))
+
+
+def _load(robot: Robot) -> placo.RobotWrapper:
+    """Has PlaCo read a robot's URDF, without shapes: no file is needed."""
+    root = parse_text(robot.description.urdf)
+    for link in root.iter("link"):
+        for shape in (*link.findall("visual"), *link.findall("collision")):
+            link.remove(shape)
+    wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, to_text(root))
+    _leave_names_to_links(wrapper.model)
+    return wrapper
+
+
+def _leave_names_to_links(model: pin.Model) -> None:
+    """Renames frames of joints that are named like a link: PlaCo asks for names alone."""
+    links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
+    taken = {frame.name for frame in model.frames}
+    for frame in model.frames:
+        if frame.type != pin.FrameType.BODY and frame.name in links:
+            while frame.name in taken:
+                frame.name += " (joint)"
+            taken.add(frame.name)
+
+
+def _structure(model: pin.Model) -> Hashable:
+    """Returns what cannot be changed in place: joints, their axes and order, and links' names."""
+    axes = tuple(joint.createData().S.tobytes() for joint in list(model.joints)[1:])
+    kinds = tuple(joint.shortname() for joint in list(model.joints)[1:])
+    links = tuple(
+        (frame.name, int(frame.parentJoint))
+        for frame in model.frames
+        if frame.type == pin.FrameType.BODY
+    )
+    return tuple(model.names), tuple(model.parents), kinds, axes, links
+
+
+def _take_numbers(model: pin.Model, given: pin.Model) -> None:
+    """Gives a model the numbers of another one of its structure, in place."""
+    for joint in range(given.njoints):
+        model.inertias[joint] = given.inertias[joint]
+        model.jointPlacements[joint] = given.jointPlacements[joint]
+    places = {f.name: f.placement for f in given.frames if f.type == pin.FrameType.BODY}
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY and frame.name in places:
+            frame.placement = places[frame.name]
+    model.lowerPositionLimit = given.lowerPositionLimit
+    model.upperPositionLimit = given.upperPositionLimit
