@@ -55,6 +55,10 @@ def crashes_once(robot: pa.Robot, stand: pa.Stand) -> float:
     return 1.0
 
 
+def process(robot: pa.Robot, stand: pa.Stand) -> float:
+    return float(os.getpid())
+
+
 def slow(robot: pa.Robot, stand: pa.Stand) -> float:
     time.sleep(0.05)
     return robot.total_mass

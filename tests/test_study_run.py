@@ -329,6 +329,17 @@ def test_a_worker_that_is_killed_once_costs_nothing(
 
 
 @pytest.mark.longest
+def test_workers_are_begun_anew_before_engines_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(running, "WORN", 2)
+    monkeypatch.setattr(running, "LARGEST", 1)
+    table = study(HEAVY, study_measures.process).run(tmp_path, workers=1)
+    assert not table["failure"].notna().any()
+    assert 2 <= table["process"].nunique() < 5
+
+
+@pytest.mark.longest
 def test_a_given_executor_that_breaks_loses_nothing_that_is_done(tmp_path: Path) -> None:
     made = study(HEAVY, study_measures.crashes)
     with (

@@ -48,6 +48,10 @@ come after a fifth of the time that has passed, so that a long run has few."""
 TRIES = 2
 """A design that ends its worker, alone in it, is tried so often, as the machine may be to blame."""
 
+WORN = 4000
+"""Designs after which a process is begun anew: engines keep memory (PlaCo 0.4 MB of each robot that
+it reads from a file), which goes with the process; its start takes as long as fifty designs."""
+
 SLACK = 5.0
 """s in which a process that has ended must be gone."""
 
@@ -108,14 +112,26 @@ class Crew:
         self._given = executor
         self.workers = workers or _size(executor) or os.cpu_count() or 1
         self._executor = executor
+        self._taken = 0
 
     @property
     def renewable(self) -> bool:
         """Whether lost processes can be replaced."""
         return self._given is None
 
+    @property
+    def worn(self) -> bool:
+        """Whether the processes have done so much that new ones shall go on."""
+        return self.renewable and self._taken >= WORN * self.workers
+
+    def renew(self) -> None:
+        """Ends the processes, which do nothing, and begins others."""
+        self.end()
+        self.check()  # that the time of the next design is not that of its worker's start
+
     def submit(self, chunk: Chunk) -> Future[Measured]:
         """Hands a chunk over."""
+        self._taken += len(chunk.names)
         with self._beginning():
             return self._now().submit(measured, chunk)
 
@@ -177,7 +193,7 @@ class Crew:
                 process.terminate()
             for process in processes:
                 process.join()
-            self._executor = None
+            self._executor, self._taken = None, 0
 
 
 def _size(executor: Executor | None) -> int | None:
@@ -279,6 +295,10 @@ class Run:
             if self._suspects:  # one at a time, so that it is known who ends a worker
                 if not self._flying:
                     self._submit(crew, self._suspects.popleft())
+            elif waiting is not None and crew.worn:
+                if not self._flying:
+                    crew.renew()
+                    continue
             else:
                 while waiting is not None and len(self._flying) < 2 * crew.workers + 1:
                     self._submit(crew, waiting)
@@ -328,8 +348,7 @@ class Run:
         if not crew.renewable:
             problem = "its executor is broken by a worker that ended; run it again to go on"
             raise StudyError(self.store.folder, problem) from error
-        crew.end()
-        crew.check()  # that the time of the next design is not that of its worker's start
+        crew.renew()
 
     def _blame(self, crew: Crew, chunk: Chunk, seconds: float) -> None:
         """Tries the designs of a chunk whose worker ended again, alone; or marks the one it was."""
