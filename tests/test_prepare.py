@@ -473,9 +473,9 @@ def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) 
 
 @pytest.mark.slow
 def test_a_foot_that_is_a_lying_cylinder_in_the_urdf(tmp_path: Path) -> None:
-    """As on a B2 or an M20: where the MJCF's foot is a sphere, the cylinder there is the same foot.
+    """As on a B2 or an M20: what MuJoCo lets touch the ground is the MJCF's, and that is a sphere.
 
-    It is as wide as it is thick, so that it is in the ground as soon as the calf leans sideways.
+    The cylinder would be in the ground as soon as the calf leans sideways.
     """
     pair = quadruped(tmp_path, keyframe="")
     text = pair.urdf.read_text()
@@ -492,8 +492,10 @@ def test_a_foot_that_is_a_lying_cylinder_in_the_urdf(tmp_path: Path) -> None:
     said(robot, "a stand was found")
     stands(robot)
     pa.solve_stand(robot, pa.StandTask(roll=0.1))
-    # A longer part there is no foot: it may be no deeper in the ground than the foot.
-    pair.urdf.write_text(text.replace('length="0.03"', 'length="0.2"'))
+    # A longer one of the MJCF's, which is no foot, may be no deeper in the ground than the foot.
+    long = '<geom type="cylinder" size="0.02 0.15" euler="1.5707963 0 0" pos="0 0 -0.188"/>'
+    text = pair.mjcf.read_text().replace('pos="0 0 -0.2"/>', f'pos="0 0 -0.2"/>{long}')
+    pair.mjcf.write_text(text)
     with pytest.raises(pa.StanceUnreachableError, match=r"calf is .* mm in the ground"):
         pa.solve_stand(load(pair), pa.StandTask(roll=0.1))
 

@@ -402,8 +402,6 @@ def test_a_pair_stands_as_it_is_published_or_says_why_not(name: str) -> None:
         assert row.stand == "holds"
         assert row.torque is not None
         assert row.torque < 1e-2
-    elif name == "HyQReal2":
-        assert "in the ground" in row.stand
     else:
         assert "the two files are not of one robot" in row.stand
 
