@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
     from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
     from pupper_analysis.stance.stands import solve_stands
-    from pupper_analysis.stance.sunk import sunk_stand
+    from pupper_analysis.stance.sunk import held_stand, sunk_stand
     from pupper_analysis.stance.task import StandTask
     from pupper_analysis.stance.workspace import (
         BaseWorkspace,
@@ -153,6 +153,7 @@ _HOME = {
     "minimum_stiffness": "stance.sag.steady_state",
     "steady_state": "stance.sag.steady_state",
     "stand_statics": "stance.stand",
+    "held_stand": "stance.sunk",
     "sunk_stand": "stance.sunk",
     "compare_models": "checks.compare",
     "Tolerances": "checks.tolerances",
@@ -285,6 +286,7 @@ __all__ = [
     "fastest_path",
     "gravity_compensation",
     "gravity_compensations",
+    "held_stand",
     "inverse_dynamics",
     "linear_shares",
     "linspace",

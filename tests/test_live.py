@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import socket
 import subprocess
@@ -24,12 +25,13 @@ import pupper_analysis as pa
 from pupper_analysis.live import export, text, viser_parts
 from pupper_analysis.live.colour import BEYOND, SCALE, UNLIMITED, colour_of
 from pupper_analysis.live.language import Language
-from pupper_analysis.live.model import Answer, Model, explained, held_stand, pushed, sag, simulated
+from pupper_analysis.live.model import Answer, Model, expected, explained, pushed, sag, simulated
 from pupper_analysis.live.shapes import parts_of, primitive
 from pupper_analysis.live.sliders import fine, ranges_of, round_up
 from pupper_analysis.live.source import Pair
 from pupper_analysis.live.state import State, metres, parse
 from pupper_analysis.pupper.live import Variants
+from pupper_analysis.simulation.verdict import VerdictCode
 
 RICH = State(
     height=125.5,
@@ -143,14 +145,14 @@ def test_an_answer_is_the_python_interfaces() -> None:
     assert found.robot is not None
     assert found.stand is not None
     assert found.statics is not None
-    stand = pa.solve_stand(robot, task)
+    stand = pa.sunk_stand(robot, task)
     statics = pa.stand_statics(robot, stand)
     assert found.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
     assert found.statics.joint_torques == pytest.approx(statics.joint_torques, abs=1e-9)
     settled = sag(found).settled
-    expected = pa.steady_state(robot, stand, kp=20.0)
+    same = pa.steady_state(robot, stand, kp=20.0)
     assert settled is not None
-    assert settled.height_loss == pytest.approx(expected.height_loss, abs=1e-9)
+    assert settled.height_loss == pytest.approx(same.height_loss, abs=1e-9)
 
 
 def test_an_offset_is_the_bases() -> None:
@@ -164,16 +166,16 @@ def test_simulations_are_the_python_interfaces() -> None:
     found = model_of("original").answer(State(pitch=3.0, kp=40.0, kd=0.6))
     robot = load("original")
     assert found.robot is not None
-    held = held_stand(found)
-    expected = pa.sunk_stand(robot, pa.StandTask(pitch=np.radians(3.0)))
-    assert held.qpos == pytest.approx(expected.qpos, abs=1e-12)
-    report = simulated(found, held, feedforward=True)
-    again = pa.verify_stand(robot, expected, kp=40.0, kd=0.6)
+    held = pa.sunk_stand(robot, pa.StandTask(pitch=np.radians(3.0)))
+    assert found.stand is not None
+    assert found.stand.qpos == pytest.approx(held.qpos, abs=1e-12)
+    report = simulated(found).verification
+    again = pa.verify_stand(robot, held, kp=40.0, kd=0.6)
     assert report.passed
     assert report.base_height == pytest.approx(again.base_height, abs=1e-9)
     assert report.kp == pytest.approx(40.0)
     trial = pushed(found, 0.5, 1.0, feedforward=True)
-    same = pa.push_trial(robot, expected, 0.5, 1.0, duration=4.0, kp=40.0, kd=0.6)
+    same = pa.push_trial(robot, held, 0.5, 1.0, duration=4.0, kp=40.0, kd=0.6)
     assert trial.motion == pytest.approx(same.motion, abs=1e-6)
 
 
@@ -212,14 +214,14 @@ def test_what_is_wrong_is_in_the_answer(state: State, kind: type[Exception]) -> 
     found = model_of().answer(state)
     assert isinstance(found.refusal, kind)
     assert found.statics is None
-    assert text.numbers(ENGLISH, found, None)
+    assert text.numbers(ENGLISH, found, None, None)
 
 
 def test_what_slides_is_shown_without_forces() -> None:
     slope = model_of("original").answer(State(slope=44.0))
     if slope.stand is not None:
         assert isinstance(slope.refusal, pa.StaticsInfeasibleError)
-        assert "friction" in text.numbers(ENGLISH, slope, None)
+        assert "friction" in text.numbers(ENGLISH, slope, None, None)
 
 
 def test_robots_are_kept_and_not_all_of_them() -> None:
@@ -278,7 +280,7 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
     done = run_command(*words[1:], "--json", "stance.json", folder=tmp_path)
     assert done.returncode in (0, 1), done.stderr
     saved = json.loads((tmp_path / "stance.json").read_text())
-    assert saved["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)
+    assert saved["sunk"]["qpos"] == pytest.approx(qpos, abs=1e-12)
 
     whole = json.loads(export.json(source, found, sag(found)))
     assert whole["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)
@@ -341,7 +343,7 @@ def test_nothing_in_a_name_acts() -> None:
         refusal=pa.ConfigurationError(evil, evil),
     )
     for html in (
-        text.numbers(ENGLISH, worse, None),
+        text.numbers(ENGLISH, worse, None, expected(worse, closely=False)),
         text.failure(ENGLISH, worse.refusal or pa.ModelError("", "")),
     ):
         assert "<img" not in html
@@ -354,15 +356,70 @@ def test_the_words_tell_the_numbers() -> None:
     assert found.stand is not None
     assert found.statics is not None
     settled = sag(found)
-    html = text.numbers(ENGLISH, found, settled)
+    html = text.numbers(ENGLISH, found, settled, expected(found, closely=True))
     assert "120.0 mm" in html
     assert f"{1e3 * found.stand.com_margin:.1f} mm" in html
     for torque in found.statics.joint_torques:
         assert f">{torque:+.4f}<" in html
     assert settled.settled is not None
     assert f"{1e3 * settled.settled.height_loss:.2f} mm" in html
-    assert "being worked out" in text.numbers(ENGLISH, found, None)
+    assert "being worked out" in text.numbers(ENGLISH, found, None, None)
     assert "being worked out" not in html
+
+
+def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
+    """Knees beyond their limits: not green, whatever balances; as `stand` has it."""
+    found = model_of().answer(State(payload=30.0))
+    assert found.statics is not None
+    over = [n for n, share in zip(found.statics.joint_names, found.statics.motor_utilisation,
+                                  strict=True) if share > 1]  # fmt: skip
+    assert over
+    judged = expected(found, closely=False)
+    assert judged is not None
+    assert (judged.code, judged.passed) == (VerdictCode.OVERLOADED, False)
+    assert judged.overloaded == tuple(over)
+    for said in (text.numbers(ENGLISH, found, None, judged), text.brief(ENGLISH, found, judged)):
+        assert 'class="good"' not in said
+        assert "OVERLOADED" in said
+        assert all(name in said for name in over)
+    usual = model_of().answer(State())
+    sound = expected(usual, closely=True)
+    assert sound is not None
+    assert sound.code is VerdictCode.IN_BALANCE
+    assert 'class="good"' in text.numbers(ENGLISH, usual, None, sound)
+    # Servos too soft: a deviation doubles in 2.5 s, which is found without a simulation.
+    soft = model_of().answer(State(kp=0.3, kd=0.05))
+    shaky = expected(soft, closely=True)
+    assert shaky is not None
+    assert shaky.code is VerdictCode.UNSTABLE
+    assert 'class="good"' not in text.numbers(ENGLISH, soft, None, shaky)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("self_clearance:-50", "self_clearance: -50 mm is less than 0 mm"),
+        ("slope:200", "slope: 200° is more than 89.9°"),
+        ("roll:-200", "roll: -200° is less than -180°"),
+        ("height:-3", "height: -3 mm is not above the ground"),
+        ("lift:FL,-1", "lift FL: -1 mm is not above the ground"),
+    ],
+)
+def test_errors_are_in_the_units_of_the_page(words: str, said: str) -> None:
+    found = model_of().answer(parse(words))
+    assert said in str(found.refusal)
+    assert re.search("[\u4e00-\u9fff]", Language("zh").sentence(str(found.refusal)))
+
+
+def test_what_is_possible_is_in_the_units_of_the_page() -> None:
+    found = model_of().answer(State(height=250.0))
+    error = explained(found)
+    assert error is not None
+    told = text.refusal(ENGLISH, found, error, pending=False)
+    assert f"height (mm): {1e3 * error.limits['height']['height']:g}" in told
+    both = model_of().answer(State(roll=35.0))
+    joints = text.refusal(ENGLISH, both, explained(both), pending=False)
+    assert "leg_front_l_2 (+24.1°)" in joints  # of 0.42 rad
 
 
 def test_colours_tell_how_hard_a_motor_works() -> None:

@@ -144,7 +144,7 @@ class Opened:
 @pytest.fixture
 def opened(browser: Any, served: Page) -> Iterator[Opened]:  # noqa: F811
     one = Opened(browser, served.address)
-    one.takes(pa.solve_stand(load("v3")))
+    one.takes(pa.sunk_stand(load("v3")))
     yield one
     one.close()
     wait_for(lambda: not served.sessions, "a session is left")
@@ -160,19 +160,19 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     before = opened.pixels()
     yellow = (before[..., 0] > 150) & (before[..., 2] < 110)  # the torso
     assert yellow.mean() > 0.005
-    settled = pa.steady_state(load("v3"), pa.solve_stand(load("v3")))
+    settled = pa.steady_state(load("v3"), pa.sunk_stand(load("v3")))
     opened.says(f"{1e3 * settled.height_loss:.2f} mm")
 
     opened.set("roll (°)", 8)
-    opened.takes(pa.solve_stand(load("v3"), pa.StandTask(roll=np.radians(8.0))))
+    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(8.0))))
     wait_for(lambda: differs(opened.pixels(), before) > 0.005, "the robot does not move")
 
     opened.set("height (mm)", 120)
     task = pa.StandTask(roll=np.radians(8.0), height=0.12)
-    opened.takes(pa.solve_stand(load("v3"), task))
+    opened.takes(pa.sunk_stand(load("v3"), task))
     assert "120.0 mm" in opened.words()
     opened.button("Reset all")
-    opened.takes(pa.solve_stand(load("v3")))
+    opened.takes(pa.sunk_stand(load("v3")))
 
 
 @pytest.mark.slow
@@ -196,7 +196,7 @@ def test_a_slider_can_be_dragged(opened: Opened, served: Page) -> None:
     state = asked()
     assert state is not None
     assert 8.0 < state.pitch < 12.0
-    opened.takes(pa.solve_stand(load("v3"), state.task()))
+    opened.takes(pa.sunk_stand(load("v3"), state.task()))
 
 
 @pytest.mark.slow
@@ -204,7 +204,7 @@ def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     solid = opened.pixels()
     opened.set("roll (°)", 35)
     with pytest.raises(pa.StanceUnreachableError) as refused:
-        pa.solve_stand(load("v3"), pa.StandTask(roll=np.radians(35.0)))
+        pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(35.0)))
     limit = np.degrees(refused.value.limits["roll"]["roll"])
     opened.says("In the way: roll")
     assert refused.value.possible["roll"] in opened.words()
@@ -221,7 +221,7 @@ def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     grey = np.abs(empty - np.array([200, 208, 218])).max(axis=-1) < 45
     assert grey.mean() > 0.01
     opened.button("Go to the nearest stance")
-    opened.takes(pa.solve_stand(load("v3"), refused.value.nearest.task))
+    opened.takes(pa.sunk_stand(load("v3"), refused.value.nearest.task))
 
 
 @pytest.mark.slow
@@ -230,7 +230,7 @@ def test_what_cannot_be_held_is_told(opened: Opened) -> None:
     opened.press(opened.page.get_by_role("option", name="base at an offset"))
     opened.set("offset x (mm)", 0)
     opened.set("slope (°)", 40)
-    wait_for(lambda: "It stands" not in opened.words(), "it stands")
+    wait_for(lambda: "in balance" not in opened.words(), "it stands")
     assert "friction too low" in opened.words() or "Out of reach" in opened.words()
 
 
@@ -244,7 +244,7 @@ def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
     assert not twin()
     opened.tab("MuJoCo")
     opened.button("Simulate")
-    opened.says("it stands")
+    opened.says("HOLDS")
     opened.says("base at, simulated")
     wait_for(twin, "no robot is played")
     opened.set("impulse (N s)", 6)
@@ -253,7 +253,7 @@ def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
     opened.says("touches the ground")
     opened.tab("Stance")
     opened.set("roll (°)", 3)
-    opened.takes(pa.solve_stand(load("v3"), pa.StandTask(roll=np.radians(3.0))))
+    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(3.0))))
     # It was about another stance.
     wait_for(lambda: "Pushed" not in " ".join(opened.all_words()), "an old result is left")
     wait_for(lambda: not twin(), "the robot of another stance is left")
@@ -266,18 +266,18 @@ def test_two_browsers_play_on_their_own(
     served: Page,
 ) -> None:
     other = Opened(browser, served.address)
-    other.takes(pa.solve_stand(load("v3")))
+    other.takes(pa.sunk_stand(load("v3")))
     assert len(served.sessions) == 2
     assert len(threads()) == 4
     other.set("pitch (°)", 6)
     opened.set("roll (°)", 4)
-    other.takes(pa.solve_stand(load("v3"), pa.StandTask(pitch=np.radians(6.0))))
-    opened.takes(pa.solve_stand(load("v3"), pa.StandTask(roll=np.radians(4.0))))
+    other.takes(pa.sunk_stand(load("v3"), pa.StandTask(pitch=np.radians(6.0))))
+    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(4.0))))
     other.tab("Body")
     other.set("leg length", 1.3)
     long = pa.load_variant(pa.VariantSpec("v3", 1.3))
-    other.takes(pa.solve_stand(long, pa.StandTask(pitch=np.radians(6.0))), long)
-    opened.takes(pa.solve_stand(load("v3"), pa.StandTask(roll=np.radians(4.0))))
+    other.takes(pa.sunk_stand(long, pa.StandTask(pitch=np.radians(6.0))), long)
+    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(4.0))))
     # Closed in the midst of a simulation: nothing is left, and the other one plays on.
     other.tab("MuJoCo")
     other.button("Simulate")
@@ -285,7 +285,7 @@ def test_two_browsers_play_on_their_own(
     wait_for(lambda: len(served.sessions) == 1, "a session is left")
     wait_for(lambda: len(threads()) == 2, f"threads are left: {threads()}")
     opened.set("roll (°)", 5)
-    opened.takes(pa.solve_stand(load("v3"), pa.StandTask(roll=np.radians(5.0))))
+    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(5.0))))
     assert other.complaints == []
 
 
@@ -295,7 +295,7 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     address = served.address.removeprefix("http://").removesuffix("/")
     one = Opened(browser, link(address, state))
     robot = pa.with_payload(load("v3"), 0.4)
-    stand = pa.solve_stand(robot, state.task())
+    stand = pa.sunk_stand(robot, state.task())
     one.takes(stand, robot)
     one.tab("Share")
     wait_for(lambda: one.row("state").locator("input").first.input_value() == str(state), "state")
@@ -308,7 +308,7 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     box = one.row("state").locator("input").first
     box.fill("roll:3")
     box.press("Enter")
-    one.takes(pa.solve_stand(load("v3"), pa.StandTask(roll=np.radians(3.0))))
+    one.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(3.0))))
     one.close()
     assert one.complaints == []
 
@@ -317,19 +317,19 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
 def test_it_goes_on_in_chinese_and_back(browser: Any, served: Page) -> None:  # noqa: F811
     address = served.address.removeprefix("http://").removesuffix("/")
     one = Opened(browser, link(address, State(roll=4.0), "zh"))
-    stand = pa.solve_stand(load("v3"), pa.StandTask(roll=np.radians(4.0)))
+    stand = pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(4.0)))
     one.takes(stand)
-    assert "能站立，受力平衡。" in one.words()
+    assert "受力平衡，未超出电机上限" in one.words()
     one.set("俯仰 (°)", 3)
     both = pa.StandTask(roll=np.radians(4.0), pitch=np.radians(3.0))
-    one.takes(pa.solve_stand(load("v3"), both))
+    one.takes(pa.sunk_stand(load("v3"), both))
     one.button("English")
     one.page.get_by_text("pitch (°)").first.wait_for()
-    one.takes(pa.solve_stand(load("v3"), both))
-    assert "It stands, in balance." in one.words()
+    one.takes(pa.sunk_stand(load("v3"), both))
+    assert "in balance, within" in one.words()
     assert not re.search("[\u4e00-\u9fff]", one.words())
     one.set("roll (°)", 0)
-    one.takes(pa.solve_stand(load("v3"), pa.StandTask(pitch=np.radians(3.0))))
+    one.takes(pa.sunk_stand(load("v3"), pa.StandTask(pitch=np.radians(3.0))))
     one.close()
     assert one.complaints == []
 
@@ -337,7 +337,7 @@ def test_it_goes_on_in_chinese_and_back(browser: Any, served: Page) -> None:  # 
 @pytest.mark.slow
 def test_on_a_phone_the_robot_is_above_the_sliders(browser: Any, served: Page) -> None:  # noqa: F811
     one = Opened(browser, served.address, (390, 844))
-    one.page.get_by_text("It stands, in balance. leg_").wait_for()
+    one.page.get_by_text("not simulated yet; leg_").wait_for()
     canvas, sheet = one.page.locator("canvas").first, one.page.locator(".mantine-Paper-root").first
     wait_for(lambda: canvas.bounding_box()["height"] < 400, "the scene is beneath the sheet")
     scene, sliders = canvas.bounding_box(), sheet.bounding_box()
@@ -366,7 +366,7 @@ def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> No
     address = served.address.removeprefix("http://")
     one = Opened(browser, f"{served.address}?websocket=ws://{address}?state={state}")
     one.page.get_by_text("This state cannot be shown").wait_for(state="attached")
-    one.takes(pa.solve_stand(load("v3")))
+    one.takes(pa.sunk_stand(load("v3")))
     one.close()
     assert one.complaints == []
 

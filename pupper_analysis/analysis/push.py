@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.errors import StanceUnreachableError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.push import PushRecovery, push_recovery
 from pupper_analysis.stance.stand import Stand, solve_stand
-from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.stance.sunk import held_stand
 from pupper_analysis.stance.task import StandTask
 
 
@@ -62,7 +61,7 @@ def study_pushes(
         ConfigurationError: If the task, or another argument, makes no sense for a robot.
         ModelError: If a robot has no position servos, and kp and kd are not both given.
     """
-    stands = [_standing(robot, task) for robot in robots]
+    stands = [held_stand(robot, solve_stand(robot, task)) for robot in robots]
     return {
         robot.name: PushedStance(
             robot.name,
@@ -71,11 +70,3 @@ def study_pushes(
         )
         for robot, stand in zip(robots, stands, strict=True)
     }
-
-
-def _standing(robot: Robot, task: StandTask) -> Stand:
-    """Returns what is pushed; see ``PushedStance.stand``."""
-    try:
-        return sunk_stand(robot, task, explain=False)
-    except StanceUnreachableError:
-        return solve_stand(robot, task)

@@ -23,6 +23,7 @@ from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
 from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.stance.sunk import held_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import (
     ForceDistribution,
@@ -31,9 +32,6 @@ from pupper_analysis.statics.equilibrium import (
 )
 
 Array = NDArray[np.float64]
-
-SECONDS = 12.0
-"""Simulated time: without feed-forward a robot on soft servos sinks slowly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +105,8 @@ class Analysis(Result):
             for a leg without joints.
         joints: Per joint, in actuator order.
         notes: What was assumed on loading.
-        stand: The solved stand.
+        stand: How it stands, with its feet sunk into MuJoCo's ground (its ``depths``); where that
+            is out of reach, on rigid ground.
         statics: Torques and contact forces of the stand: those that last.
         minimum_peak: The same of least peak motor utilisation.
         hanging_torques: (nu,) what the motors hold in the same pose with the base held (N m).
@@ -167,14 +166,14 @@ def analyze_variant(
         ConfigurationError: If the base is fixed.
         ModelError: If a motor is no position servo, or MuJoCo cannot import the URDF.
     """
-    stand = solve_stand(robot, task)
+    stand = held_stand(robot, solve_stand(robot, task))
     config = Configuration(robot, stand.qpos)
     rest = Configuration(robot, robot.neutral())
     # All at once: MuJoCo's steps leave Python to others, who import and check meanwhile.
     with ThreadPoolExecutor() as pool:
-        holding = pool.submit(verify_stand, robot, stand, duration=SECONDS)
+        holding = pool.submit(verify_stand, robot, stand)
         checking = pool.submit(cross_check, robot)
-        sinking = pool.submit(verify_stand, robot, stand, feedforward=False, duration=SECONDS)
+        sinking = pool.submit(verify_stand, robot, stand, feedforward=False)
         sweeping = pool.submit(sweep_gains, robot, stand, progress=progress)
         verification, check = holding.result(), checking.result()
         sagging, sweep = sinking.result(), sweeping.result()
@@ -233,7 +232,7 @@ def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
         summaries.append(
             JointSummary(
                 name=name,
-                motion=_motion(axis, slides=_slides(robot, name)),
+                motion=_motion(axis, slides=slides(robot, name)),
                 axis=axis,
                 lower=float(robot.lower_limits[index]),
                 upper=float(robot.upper_limits[index]),
@@ -248,7 +247,8 @@ def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
     return tuple(summaries)
 
 
-def _slides(robot: Robot, joint: str) -> bool:
+def slides(robot: Robot, joint: str) -> bool:
+    """Tells whether a joint slides."""
     kind = robot.mj_model.jnt_type[robot.mj_model.joint(joint).id]
     return bool(kind == mujoco.mjtJoint.mjJNT_SLIDE.value)
 

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.errors import (
     NoEquilibriumError,
     NoStiffnessError,
-    NotSettlingError,
-    StanceUnreachableError,
 )
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.prepare.self_check import as_published_in
@@ -28,7 +26,7 @@ from pupper_analysis.stance.sag.steady_state import (
     steady_state,
 )
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
-from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.stance.sunk import held_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
@@ -44,12 +42,13 @@ class Stance(Result):
         joint_positions: (nu,) of ``sunk``, or else of ``stand``, in actuator order (rad).
         limits: (nu,) of the motors' torques, the least that both files state (N m).
         limit_origins: (nu,) which statement of which file each is; None without a limit.
-        stand: The solved stand.
-        statics: Torques and contact forces of ``sunk``, or else of ``stand``: those that last.
+        stand: How it stands on rigid ground.
+        sunk: How it stands with its feet sunk into MuJoCo's ground, which all that follows is of;
+            None where that is out of reach: then it is of ``stand``.
+        statics: Torques and contact forces: those that last.
         minimum_peak: The same of least peak motor utilisation.
-        sunk: The stance with its feet sunk into MuJoCo's ground; None where that is out of reach.
-        verification: The simulation, with feed-forward, of ``sunk``, or else of ``stand``.
-        sagging: The simulation of ``stand``, without feed-forward.
+        verification: The simulation, with feed-forward.
+        sagging: The simulation without.
         verdict: Whether it holds, and what that rests on.
         settled: Where it settles without feed-forward; None where that is not predicted.
         unsettled: Why ``settled`` is None.
@@ -64,9 +63,9 @@ class Stance(Result):
     limits: Array
     limit_origins: tuple[EffortStatement | None, ...]
     stand: Stand
+    sunk: Stand | None
     statics: GravityCompensation
     minimum_peak: GravityCompensation
-    sunk: Stand | None
     verification: StandVerification
     sagging: StandVerification
     verdict: Verdict
@@ -110,31 +109,27 @@ def study_stance(
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
-    settled, unsettled, sunk, least = None, "", None, None
+    settled, unsettled, least = None, "", None
+    held = held_stand(robot, stand)
     try:
-        settled = steady_state(robot, stand, kp=kp)
+        settled = steady_state(robot, held, kp=kp)
     except NoEquilibriumError as error:
         unsettled = str(error)
     if stiffness:
         with contextlib.suppress(NoStiffnessError):
-            least = minimum_stiffness(robot, stand)
-    # Loops that are very soft open further and further: then the simulation says so.
-    soft = (NotSettlingError,) if robot.closure is not None else ()
-    with contextlib.suppress(StanceUnreachableError, *soft):
-        sunk = sunk_stand(robot, stand, explain=False)
-    held = sunk or stand
+            least = minimum_stiffness(robot, held)
     statics, used = stand_statics(robot, held), servos_used(robot, kp, kd)
     fed = verify_stand(robot, held, kp=kp, kd=kd)
-    alone = verify_stand(robot, stand, kp=kp, kd=kd, feedforward=False)
+    alone = verify_stand(robot, held, kp=kp, kd=kd, feedforward=False)
     return Stance(
         name=robot.name,
         joint_positions=held.joint_positions(robot),
         limits=robot.effort_limits,
         limit_origins=tuple(limit.origin for limit in robot.efforts),
         stand=stand,
+        sunk=held if any(held.depths.values()) else None,
         statics=statics,
         minimum_peak=stand_statics(robot, held, distribution=ForceDistribution.MIN_PEAK),
-        sunk=sunk,
         verification=fed,
         sagging=alone,
         verdict=judge(

@@ -51,7 +51,7 @@ LABELS = {
 }
 """{slider: (what it is called, what it is about)}."""
 
-_OF_A_FOOT = ("move_x", "move_y", "step", "lift_height")
+OF_A_FOOT = ("move_x", "move_y", "step", "lift_height")
 
 _PAIRS = {"offset_x": ("offset", 0), "offset_y": ("offset", 1)} | {
     f"payload_{axis}": ("payload_at", number) for number, axis in enumerate("xyz")
@@ -156,6 +156,7 @@ class Controls:
     def _with(self, name: str, state: State) -> State:
         """Returns a state with a slider's value."""
         value = float(self.sliders[name].value)
+        self._slide(name, value)  # what is typed may lie beyond its end, and would be cut off later
         if name in _PAIRS:
             field, number = _PAIRS[name]
             numbers = list(getattr(state, field))
@@ -208,7 +209,7 @@ class Controls:
         with self._lock:
             self._state = state
             for name in self.sliders:
-                if name not in _OF_A_FOOT:
+                if name not in OF_A_FOOT:
                     self._slide(name, self._value(state, name))
             special = {*state.moves, *state.lifts, *state.steps}
             first = next((name for name, foot in self._feet.items() if foot in special), None)

@@ -22,7 +22,7 @@ import pupper_analysis as pa
 
 robot = {robot}
 task = pa.StandTask({task})
-stand = pa.solve_stand(robot, task)
+stand = pa.held_stand(robot, task)  # on MuJoCo's ground, which is soft
 statics = pa.stand_statics(robot, stand)
 for joint, torque in zip(robot.joint_names, statics.joint_torques):
     print(f"{{joint:24}} {{torque:+.4f}} N m")
@@ -33,7 +33,7 @@ try:
     print(f"sags by {{1e3 * settled.height_loss:.2f}} mm")
 except pa.NoEquilibriumError as error:
     print(error)
-report = pa.verify_stand(robot, pa.sunk_stand(robot, task){gains})  # in MuJoCo
+report = pa.verify_stand(robot, stand{gains})  # in MuJoCo
 print("verified" if report.passed else report.failures)
 """
 

@@ -5,10 +5,12 @@ Nothing here knows of a browser. Every number is that of the public function whi
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
 
+from pupper_analysis.analysis.stance import Stance, study_stance
 from pupper_analysis.errors import (
     NoEquilibriumError,
     PupperAnalysisError,
@@ -19,19 +21,18 @@ from pupper_analysis.live.source import Source
 from pupper_analysis.live.state import State
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.push_trial import PushTrial, push_trial
-from pupper_analysis.simulation.verify import StandVerification, verify_stand
+from pupper_analysis.simulation.stability import stand_stability
+from pupper_analysis.simulation.verdict import Verdict, expect
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
-from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.stance.sunk import held_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 _KEPT = 8
 """Robots that are kept: as many as a hand goes to and fro between; v3 takes some MB."""
-
-SIMULATED = 5.0
-"""s, of a verification: its last second is what settles."""
 
 PUSHED = 4.0
 """s after a push: a robot that recovers has by then come to rest."""
@@ -45,8 +46,9 @@ class Answer:
         state: What was asked.
         robot: The robot, with its payload; None if there is none.
         task: The stand task; None if it is none.
-        stand: ``solve_stand``'s; None if it is out of reach.
-        statics: ``stand_statics``'s; None if it cannot be held.
+        stand: ``held_stand``'s: on MuJoCo's soft ground, if that is in reach; None if it is out of
+            reach.
+        statics: ``stand_statics``'s of it; None if it cannot be held.
         refusal: Why one of these is None; a ``StanceUnreachableError`` here is not yet explained.
     """
 
@@ -126,6 +128,7 @@ class Model:
             robot = self.robot(state)
             task = state.task()
             stand = solve_stand(robot, task, explain=False)
+            stand = held_stand(robot, stand)
             statics = stand_statics(robot, stand)
         except PupperAnalysisError as error:
             return Answer(state, robot, task, stand, None, error)
@@ -145,18 +148,12 @@ def explained(answer: Answer) -> StanceUnreachableError | None:
     return None
 
 
-def sag(answer: Answer, held: Stand | None = None) -> Sag:
-    """Predicts where the stand settles without feed-forward.
-
-    Args:
-        answer: How it stands.
-        held: Another stand, which is commanded instead.
-    """
+def sag(answer: Answer) -> Sag:
+    """Predicts where the stand settles without feed-forward."""
     assert answer.robot is not None
     assert answer.stand is not None
-    stand = answer.stand if held is None else held
     try:
-        return Sag(steady_state(answer.robot, stand, kp=answer.state.kp), "")
+        return Sag(steady_state(answer.robot, answer.stand, kp=answer.state.kp), "")
     except NoEquilibriumError as error:
         return Sag(None, str(error))
     except StaticsInfeasibleError:
@@ -165,37 +162,36 @@ def sag(answer: Answer, held: Stand | None = None) -> Sag:
         return Sag(None, str(error))
 
 
-def held_stand(answer: Answer) -> Stand:
-    """Returns the stand that is simulated: on soft ground, if that is in reach."""
-    assert answer.robot is not None
-    assert answer.stand is not None
-    try:
-        return sunk_stand(answer.robot, answer.task, explain=False)
-    except PupperAnalysisError:
-        return answer.stand
-
-
-def simulated(answer: Answer, held: Stand, *, feedforward: bool) -> StandVerification:
-    """Simulates the stand.
+def expected(answer: Answer, *, closely: bool) -> Verdict | None:
+    """Returns the verdict of a stance that is not simulated; None of one without balance.
 
     Args:
         answer: How it stands.
-        held: The same on soft ground; see ``held_stand``.
-        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        closely: Also look whether it is stable, which takes some milliseconds.
+    """
+    if answer.robot is None or answer.statics is None:
+        return None
+    state, robot, stand = answer.state, answer.robot, answer.stand
+    stability = None
+    if closely and stand is not None:
+        # Without servos there is nothing to look at: simulations say so.
+        with contextlib.suppress(PupperAnalysisError):
+            stability = stand_stability(robot, stand, kp=state.kp, kd=state.kd)
+    return expect(answer.statics, servos_used(robot, state.kp, state.kd), stability)
+
+
+def simulated(answer: Answer) -> Stance:
+    """Simulates the stance, as ``pupper-analysis stand`` does, and judges it.
+
+    Args:
+        answer: How it stands.
 
     Raises:
         PupperAnalysisError: If it cannot be.
     """
     assert answer.robot is not None
-    state = answer.state
-    return verify_stand(
-        answer.robot,
-        held,
-        feedforward=feedforward,
-        kp=state.kp,
-        kd=state.kd,
-        duration=SIMULATED,
-    )
+    assert answer.task is not None
+    return study_stance(answer.robot, answer.task, kp=answer.state.kp, kd=answer.state.kd)
 
 
 def pushed(answer: Answer, impulse: float, direction: float, *, feedforward: bool) -> PushTrial:
@@ -211,9 +207,10 @@ def pushed(answer: Answer, impulse: float, direction: float, *, feedforward: boo
         PupperAnalysisError: If it cannot be.
     """
     assert answer.robot is not None
+    assert answer.stand is not None
     return push_trial(
         answer.robot,
-        held_stand(answer),
+        answer.stand,
         impulse,
         direction,
         duration=PUSHED,

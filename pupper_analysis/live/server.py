@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 from pupper_analysis.errors import PupperAnalysisError
@@ -20,6 +21,10 @@ LOOPBACK = "127.0.0.1"
 
 _FROM = (2.6, -2.3, 1.7)
 """Where it is looked from, in parts of the stand's height: from the front, on the right."""
+
+RELOADED = 30.0
+"""s within which a browser that left and comes back, asking for the same, goes on where it was: it
+has loaded the page again, or lost its connection for a moment."""
 
 _LEAVE = 3.0  # s that sessions have to end what they are at
 
@@ -62,6 +67,8 @@ class Page:
         check(self._model, self._state)
         free = viser_parts.free_port(host, port)
         self.sessions: dict[int, Session] = {}
+        self._came: dict[int, Hashable] = {}
+        self._gone: dict[Hashable, tuple[float, State, Language]] = {}
         self._lock = threading.Lock()
         door = Door(host)
         self._server = viser_parts.started(host, free, f"{robot.name}, live", door)
@@ -87,6 +94,8 @@ class Page:
                 check(self._model, state)
             except PupperAnalysisError as error:
                 state, problem = self._state, str(error)
+        came = (*viser_parts.browser_of(self._server, client.client_id), words)
+        state, say = self._gone_on(came) or (state, say)
         camera = client.camera
         if camera.image_width < camera.image_height:  # a phone, upright: its sheet leaves 45 %
             away = max(1.0, 1.3 * 0.45 * camera.image_height / camera.image_width)
@@ -95,14 +104,26 @@ class Page:
         session = Session(client, self._model, state, address, problem, say)
         with self._lock:
             self.sessions[client.client_id] = session
+            self._came[client.client_id] = came
         if client.client_id not in self._server.get_clients():  # it left meanwhile
             self._left(client)
 
     def _left(self, client: Any) -> None:
         with self._lock:
             session = self.sessions.pop(client.client_id, None)
+            came = self._came.pop(client.client_id, None)
+            if session is not None and came is not None:
+                self._gone[came] = (time.monotonic(), *session.asked)
         if session is not None:
             session.close()
+
+    def _gone_on(self, came: Hashable) -> tuple[State, Language] | None:
+        """Returns what a browser had when it left just now; None if it did not."""
+        now = time.monotonic()
+        with self._lock:
+            self._gone = {key: one for key, one in self._gone.items() if now - one[0] < RELOADED}
+            left = self._gone.pop(came, None)
+        return None if left is None else left[1:]
 
     def close(self) -> None:
         """Ends all sessions, and serves no more."""

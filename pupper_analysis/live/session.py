@@ -24,6 +24,7 @@ from pupper_analysis.live.motion import Motion
 from pupper_analysis.live.panels import Panels
 from pupper_analysis.live.scene import Scene
 from pupper_analysis.live.state import State, halfway, parse
+from pupper_analysis.simulation.verdict import Verdict
 
 QUIET = 0.15
 """s without a change after which it is worth to look closer: a hand on a slider moves on sooner."""
@@ -68,6 +69,7 @@ class Session:
         self._lock = threading.RLock()
         self._answer: Answer | None = None
         self._sag: Sag | None = None
+        self._verdict: Verdict | None = None
         self._refusal: Any = None
         self._pending = True
         self._job: Callable[[Answer], None] | None = None
@@ -88,6 +90,11 @@ class Session:
         self._asked.set()
         for thread in self.threads:
             thread.start()
+
+    @property
+    def asked(self) -> tuple[State, Language]:
+        """What its page asks for, and in which language."""
+        return self._panels.controls.state, self._panels.say
 
     def close(self) -> None:
         """Ends the threads, as soon as what they are at is done."""
@@ -231,6 +238,7 @@ class Session:
             return
         with self._lock, self._client.atomic():
             self._answer, self._sag, self._refusal, self._pending = answer, None, None, True
+            self._verdict = answers.expected(answer, closely=False)
             self._job, self._motion, self._result = None, None, None
             self._since = time.monotonic()
             self._scene.show(answer)
@@ -245,8 +253,8 @@ class Session:
         if answer.unreachable:
             said = text.refusal(say, answer, self._refusal, pending=self._pending)
         else:
-            said = text.numbers(say, answer, self._sag)
-        self._panels.status(said, text.brief(say, answer))
+            said = text.numbers(say, answer, self._sag, self._verdict)
+        self._panels.status(said, text.brief(say, answer, self._verdict))
 
     def _looking(self) -> None:
         """Looks closer at what stays, and simulates."""
@@ -305,23 +313,28 @@ class Session:
 
             self._if_shown(answer, show_refusal)
         elif answer.statics is not None:
-            sag = answers.sag(answer)
+            sag, verdict = answers.sag(answer), answers.expected(answer, closely=True)
 
             def show_sag() -> None:
-                self._sag = sag
+                self._sag, self._verdict = sag, verdict
                 self._tell()
 
             self._if_shown(answer, show_sag)
 
     def _simulate(self, answer: Answer) -> None:
-        held = answers.held_stand(answer)
-        report = answers.simulated(answer, held, feedforward=self._panels.feedforward)
-        sag = answers.sag(answer, held)  # of what is simulated: with longer legs
+        feedforward = self._panels.feedforward
+        stance = answers.simulated(answer)
+        shown = stance.verification if feedforward else stance.sagging
 
         def said(say: Language) -> str:
-            return text.simulation(say, report, held, sag)
+            return text.simulation(say, stance, feedforward=feedforward)
 
-        self._show_motion(answer, said, Motion(report.motion_time, report.motion))
+        def judged() -> None:
+            self._verdict = stance.verdict
+            self._tell()
+
+        self._if_shown(answer, judged)
+        self._show_motion(answer, said, Motion(shown.motion_time, shown.motion))
 
     def _push(self, answer: Answer) -> None:
         impulse, direction = self._panels.push_asked

@@ -24,6 +24,14 @@ _NUMBERS = {
 }
 """How many numbers a field has, where it has nothing else."""
 
+_FROM_TO = {
+    **dict.fromkeys(("roll", "pitch", "yaw"), (-180.0, 180.0, "°")),
+    **dict.fromkeys(("com_margin", "ground_clearance", "self_clearance"), (0.0, math.inf, " mm")),
+    "joint_margin": (0.0, 180.0, "°"),
+    "slope": (0.0, 89.9, "°"),
+}
+"""{field: (its least value, its greatest, their unit)}: what is beyond is refused as typed."""
+
 _FEET = {"move": ("moves", 2), "lift": ("lifts", 1), "step": ("steps", 1)}
 """{how a text says it: (the field that has it for some feet, how many numbers each has)}."""
 
@@ -103,12 +111,32 @@ class State:
         object.__setattr__(self, "moves", moves)
         object.__setattr__(self, "steps", {foot: h for foot, h in self.steps.items() if h})
 
+    def _check_ranges(self) -> None:
+        """Refuses what makes no task, in the units in which it was asked."""
+        for name, (low, high, unit) in _FROM_TO.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                least, most = f"{plain(low)}{unit}", f"{plain(high)}{unit}"
+                beyond = (
+                    f"less than {least}, the least"
+                    if value < low
+                    else f"more than {most}, the most"
+                )
+                raise ConfigurationError(name, f"{plain(value)}{unit} is {beyond}")
+        if self.height is not None and self.height <= 0:
+            raise ConfigurationError("height", f"{plain(self.height)} mm is not above the ground")
+        for foot, height in self.lifts.items():
+            if height <= 0:
+                problem = f"{plain(height)} mm is not above the ground"
+                raise ConfigurationError(f"lift {foot}", problem)
+
     def task(self) -> StandTask:
         """Returns the stand task.
 
         Raises:
             ConfigurationError: If it is none.
         """
+        self._check_ranges()
         offset = None
         if self.place == "offset":
             offset = (metres(self.offset[0]), metres(self.offset[1]))

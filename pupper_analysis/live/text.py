@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from html import escape
+from typing import Any
 
 import numpy as np
 
+from pupper_analysis.analysis.robot import slides
+from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.live.colour import BEYOND, SCALE, colour_of, css
+from pupper_analysis.live.controls import LABELS, OF_A_FOOT, slider_values
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Answer, Sag
+from pupper_analysis.live.state import State
 from pupper_analysis.report.formats import visible
+from pupper_analysis.report.verdict import clauses
 from pupper_analysis.simulation.push_trial import PushTrial
-from pupper_analysis.simulation.verify import StandVerification
+from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -83,27 +90,41 @@ def title(answer: Answer) -> str:
     return "" if robot is None else headed(f"{robot.name}, {robot.total_mass:.3f} kg")
 
 
-def verdict(say: Language, answer: Answer) -> str:
-    """Returns whether it stands, in one remark."""
-    if answer.refusal is None:
-        return box("good", say("It stands, in balance."))
+def verdict(say: Language, answer: Answer, judged: Verdict | None) -> str:
+    """Returns whether it stands, in one remark.
+
+    Args:
+        say: The language.
+        answer: The stance.
+        judged: Its verdict; None if it is out of reach, or not in balance.
+    """
+    if judged is not None:
+        return ruling(say, judged)
     if answer.unreachable:
         return box("bad", say("Out of reach."))
     return box("bad", say.sentence(str(answer.refusal)))
 
 
-def numbers(say: Language, answer: Answer, sag: Sag | None) -> str:
+def ruling(say: Language, judged: Verdict, more: str = "") -> str:
+    """Returns a verdict as a remark."""
+    good = judged.passed or judged.code is VerdictCode.IN_BALANCE
+    told = [say.clause(clause) for clause in clauses(judged)]
+    return box("good" if good else "bad", "; ".join([*told, *([more] if more else [])]))
+
+
+def numbers(say: Language, answer: Answer, sag: Sag | None, judged: Verdict | None) -> str:
     """Returns what a stance takes.
 
     Args:
         say: The language.
         answer: The stance.
         sag: Where it settles; None while that is worked out.
+        judged: Its verdict.
     """
     robot, stand = answer.robot, answer.stand
     if robot is None:
-        return page(verdict(say, answer))
-    parts = [title(answer), verdict(say, answer)]
+        return page(verdict(say, answer, judged))
+    parts = [title(answer), verdict(say, answer, judged)]
     if stand is not None:
         parts.append(_stance(say, stand, answer.statics))
     if stand is not None and answer.statics is not None:
@@ -115,17 +136,16 @@ def numbers(say: Language, answer: Answer, sag: Sag | None) -> str:
     return page(*parts)
 
 
-def brief(say: Language, answer: Answer) -> str:
+def brief(say: Language, answer: Answer, judged: Verdict | None) -> str:
     """Returns the verdict and which motor works hardest, in a line."""
-    parts = [verdict(say, answer)]
-    if answer.statics is not None:
+    parts = [verdict(say, answer, judged)]
+    if answer.statics is not None and judged is not None:
         statics = answer.statics
         shares = np.nan_to_num(statics.motor_utilisation, nan=0.0, posinf=0.0)
         if shares.any():
             hardest = int(np.argmax(shares))
             name, share = statics.joint_names[hardest], 100 * float(shares[hardest])
-            stands = say("It stands, in balance.")
-            parts = [box("good", f"{stands} {name}: {share:.0f} %")]
+            parts = [ruling(say, judged, f"{name}: {share:.0f} %")]
     return f'<div class="pa-page">{page(*parts)}</div>'
 
 
@@ -226,12 +246,11 @@ def refusal(
         demands = say.either(say.demands(demand) for demand in error.possible)
         parts.append(headed(say("In the way: {demands}", demands=demands)))
         parts.append(line(say("Possible with all else as asked:")))
-        parts += [line(f"• {say.demands(text)}") for text in error.possible.values()]
+        parts += [line(f"• {_possible(say, answer.state, one)}") for one in error.limits.values()]
     if missing:
         parts += [headed(say("Feet miss their places by")), rows(missing)]
     if error.at_limit:
-        names = ", ".join(f"{name} ({limit:+.2f} rad)" for name, limit in error.at_limit.items())
-        parts += [headed(say("Joints at a limit")), line(names)]
+        parts += [headed(say("Joints at a limit")), line(_at_limits(answer, error.at_limit))]
     parts += [line(say.sentence(text)) for text in error.blocked]
     if error.nearest is not None:
         parts += [headed(say("The ghost: the nearest stance in reach")),
@@ -239,27 +258,46 @@ def refusal(
     return page(*parts)
 
 
-def simulation(say: Language, report: StandVerification, held: Stand, sag: Sag) -> str:
+def _possible(say: Language, state: State, fields: Mapping[str, Any]) -> str:
+    """Returns how far fields of a task can go, as their sliders say it."""
+    task = replace(state.task(), **fields)
+    feet = dict.fromkeys((*task.foot_offsets, *task.swing, *task.ground.heights)) or {"": None}
+    told = {
+        f"{say(LABELS[name][0])}{f' {foot}' if name in OF_A_FOOT else ''}: {value:g}": None
+        for foot in feet
+        for name, value in slider_values(state, task, fields, foot).items()
+    }
+    return ", ".join(told)
+
+
+def _at_limits(answer: Answer, joints: Mapping[str, float]) -> str:
+    """Returns joints with the limits that they are at: in degrees, or mm of those that slide."""
+    assert answer.robot is not None
+    robot = answer.robot
+    return ", ".join(
+        f"{name} ({1e3 * limit:+.1f} mm)"
+        if slides(robot, name)
+        else f"{name} ({math.degrees(limit):+.1f}°)"
+        for name, limit in joints.items()
+    )
+
+
+def simulation(say: Language, stance: Stance, *, feedforward: bool) -> str:
     """Returns what MuJoCo made of a stance, beside the prediction.
 
     Args:
         say: The language.
-        report: The simulation.
-        held: The stand that was simulated.
-        sag: Where that settles without feed-forward, by prediction.
+        stance: What was simulated.
+        feedforward: Which of its simulations is told.
     """
-    if report.feedforward:
-        title, good = "MuJoCo, {time} s with feed-forward", say("verified: as predicted")
+    report = stance.verification if feedforward else stance.sagging
+    if feedforward:
+        title = "MuJoCo, {time} s with feed-forward"
+        expected = (stance.sunk or stance.stand).qpos[2]
     else:
-        title, good = "MuJoCo, {time} s without feed-forward", say("it stands")
-    failures = [say.sentence(failure) for failure in report.failures]
-    parts = [
-        headed(say(title, time=f"{report.duration:.0f}")),
-        box("good", good) if report.passed else box("bad", "; ".join(failures)),
-    ]
-    expected = held.qpos[2] if report.feedforward else None
-    if not report.feedforward and sag.settled is not None:
-        expected = sag.settled.base_height
+        title = "MuJoCo, {time} s without feed-forward"
+        expected = None if stance.settled is None else stance.settled.base_height
+    parts = [headed(say(title, time=f"{report.duration:.0f}")), ruling(say, stance.verdict)]
     table = [
         (
             say("base at, predicted"),

@@ -151,6 +151,15 @@ def asked_for(server: Any, client_id: int) -> tuple[str, str, str]:
     return address, given.get("state", [""])[0], given.get("language", [""])[0]
 
 
+def browser_of(server: Any, client_id: int) -> tuple[str, str]:
+    """Returns from where a browser has opened a connection, and which browser it says it is."""
+    try:
+        connection = server._websock_server._live_connections[client_id]
+        return str(connection.remote_address[0]), str(connection.request.headers["User-Agent"])
+    except (AttributeError, IndexError, KeyError, TypeError):
+        return "", str(client_id)
+
+
 def mark(slider: Any, values: tuple[float, ...]) -> None:
     """Marks places of a slider's track; viser takes marks only when a slider is made."""
     with contextlib.suppress(AttributeError):

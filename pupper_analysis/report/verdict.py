@@ -12,7 +12,7 @@ from pupper_analysis.models.joint_drives import MadeServo
 from pupper_analysis.report.console import escape
 from pupper_analysis.robot.as_published import OwnRun, Published, ServosUsed
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.verdict import Ending, Verdict
+from pupper_analysis.simulation.verdict import Ending, Verdict, VerdictCode
 
 _TOLD = 3  # names that a clause lists
 
@@ -112,7 +112,16 @@ _ALONE = {
 def _computed(verdict: Verdict) -> Iterator[Clause]:
     """Says how the simulations of the computed robot ended, and on which servos."""
     fed, alone = verdict.with_feedforward, verdict.commands_alone
-    if fed is not Ending.HOLDS:
+    if fed is Ending.UNTRIED:
+        within = not verdict.overloaded
+        yield Clause(
+            verdict.code is not VerdictCode.IN_BALANCE,  # what decides stands first
+            "in balance, within the motors' limits; not simulated yet"
+            if within
+            else "in balance; not simulated yet",
+            {},
+        )
+    elif fed is not Ending.HOLDS:
         yield Clause(False, _COMPUTED[fed], {"failures": "; ".join(verdict.failures)})
     else:
         numbers = {

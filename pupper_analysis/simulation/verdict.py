@@ -13,6 +13,7 @@ import numpy as np
 
 from pupper_analysis.results import Result
 from pupper_analysis.robot.as_published import OwnRun, Published, ServosUsed
+from pupper_analysis.robot.stability import Stability
 from pupper_analysis.simulation.monitor import FALLEN_TILT, SUNKEN
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -29,6 +30,8 @@ class VerdictCode(StrEnum):
     HOLDS_ON_MADE_UP_SERVOS = "holds on servos that were made up"
     HOLDS_ALTERED = "holds as computed, and is not quite so as published"
     HOLDS_WITH_FEEDFORWARD = "holds with feed-forward alone"
+    IN_BALANCE = "in balance, and not simulated"
+    UNSTABLE = "in balance, not stable, and not simulated"
     OVERLOADED = "beyond the motors' limits"
     DIFFERS_AS_PUBLISHED = "holds as computed, and not as published"
     OWN_DRIVES_FAIL = "fails on the file's own servos or keyframe"
@@ -50,6 +53,7 @@ class Ending(StrEnum):
     HOLDS = "holds"
     FAILS = "fails"
     COLLAPSES = "collapses"
+    UNTRIED = "was not simulated"
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +131,38 @@ def judge(
         own=own,
         published=published,
         doubling_time=doubling_time,
+    )
+
+
+def expect(
+    statics: GravityCompensation, servos: ServosUsed, stability: Stability | None = None
+) -> Verdict:
+    """Weighs what is known of a stance that balances before it is simulated; it never passes.
+
+    Args:
+        statics: Its balance.
+        servos: Those that hold it.
+        stability: Whether it is stable with feed-forward; None where that is not known yet.
+    """
+    overloaded = beyond_limits(statics)
+    leaves = stability is not None and not stability.lasts()
+    code = VerdictCode.UNSTABLE if leaves else VerdictCode.IN_BALANCE
+    doubling = math.inf if stability is None else stability.doubling_time or math.inf
+    return Verdict(
+        code=VerdictCode.OVERLOADED if overloaded else code,
+        passed=False,
+        seconds=0.0,
+        with_feedforward=Ending.UNTRIED,
+        commands_alone=None,
+        torque_error=math.nan,
+        force_error=math.nan,
+        failures=(),
+        failures_alone=(),
+        overloaded=overloaded,
+        servos=servos,
+        own=None,
+        published=None,
+        doubling_time=doubling,
     )
 
 

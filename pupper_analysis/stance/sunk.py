@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked
-from pupper_analysis.errors import NotSettlingError
+from pupper_analysis.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -121,6 +121,36 @@ def sunk_stand(
         goal = goal if robot.closure is None else replace(goal, give=give)
         stand = stand_for(robot, goal, explain=explain)
     raise NotSettlingError(change, f"the feet's depths do not settle, by {1e3 * change:.3g} mm")
+
+
+@checked
+def held_stand(robot: Robot, task: StandTask | Stand | None = None) -> Stand:
+    """Finds the stand that a task means wherever it is told, pushed, loaded or simulated.
+
+    That is the ``sunk_stand``, which MuJoCo holds as predicted; or, where the legs do not reach
+    down so far, or the ground does not settle under soft loops, the one on rigid ground, without
+    ``depths``.
+
+    Args:
+        robot: A robot with a floating base and a ground.
+        task: How to stand; the nominal stand by default. Or a stand that satisfies a task on rigid
+            ground.
+
+    Raises:
+        ConfigurationError: As ``solve_stand``.
+        StanceUnreachableError: If it is out of reach on rigid ground; not explained.
+        StaticsInfeasibleError: If no contact forces balance it.
+        NotSettlingError: If the depths do not settle, of a robot without loops.
+    """
+    stand = task if isinstance(task, Stand) else solve_stand(robot, task, explain=False)
+    try:
+        return sunk_stand(robot, stand, explain=False)
+    except StanceUnreachableError:
+        return stand
+    except NotSettlingError:
+        if robot.closure is None:
+            raise
+        return stand  # loops that are very soft open further and further: a simulation says so
 
 
 def loops_give(robot: Robot, stand: Stand, forces: Mapping[str, Array]) -> Array:
