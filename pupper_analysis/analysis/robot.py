@@ -19,6 +19,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
 from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
@@ -171,9 +172,9 @@ def analyze_variant(
     rest = Configuration(robot, robot.neutral())
     # All at once: MuJoCo's steps leave Python to others, who import and check meanwhile.
     with ThreadPoolExecutor() as pool:
-        holding = pool.submit(verify_stand, robot, stand)
+        holding = pool.submit(verify_stand, robot, stand, duration=LASTING)
         checking = pool.submit(cross_check, robot)
-        sinking = pool.submit(verify_stand, robot, stand, feedforward=False)
+        sinking = pool.submit(verify_stand, robot, stand, feedforward=False, duration=LASTING)
         sweeping = pool.submit(sweep_gains, robot, stand, progress=progress)
         verification, check = holding.result(), checking.result()
         sagging, sweep = sinking.result(), sweeping.result()

@@ -18,6 +18,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.as_published import ServoSource
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.steady_state import (
@@ -119,8 +120,8 @@ def study_stance(
         with contextlib.suppress(NoStiffnessError):
             least = minimum_stiffness(robot, held)
     statics, used = stand_statics(robot, held), servos_used(robot, kp, kd)
-    fed = verify_stand(robot, held, kp=kp, kd=kd)
-    alone = verify_stand(robot, held, kp=kp, kd=kd, feedforward=False)
+    fed = verify_stand(robot, held, kp=kp, kd=kd, duration=LASTING)
+    alone = verify_stand(robot, held, kp=kp, kd=kd, feedforward=False, duration=LASTING)
     return Stance(
         name=robot.name,
         joint_positions=held.joint_positions(robot),

@@ -243,9 +243,9 @@ def predictions(robot: Robot, stand: Stand) -> list[Predicted]:
     if len(own_servos(robot)) < robot.nu:
         return found
     with contextlib.suppress(PupperAnalysisError):
-        rest = steady_state(robot, stand)
+        rest = steady_state(robot, held)
         if not rest.failures:
-            targets = stand.joint_positions(robot)
+            targets = held.joint_positions(robot)
             found.append(Predicted(False, rest.qpos, rest.joint_torques, targets))
     return found
 

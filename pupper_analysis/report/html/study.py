@@ -197,7 +197,7 @@ def _means(measure: str, shown: Sequence[Panel], x: str, y: str) -> list[doc.Blo
 def _of_panel(title: doc.Text, panel: Panel) -> doc.Text:
     """Returns a map's title with what its designs have in common, and what is averaged."""
     if panel.fixed:
-        title = text("{title}: {values}", title=title, values=panel.values())
+        title = text("{title}, at {values}", title=title, values=panel.values())
     if panel.averaged:
         title = text("{title}: mean over {names}", title=title, names=", ".join(panel.averaged))
     return title
