@@ -142,14 +142,14 @@ _ALL = (
     Measure(
         "peak_utilisation",
         lambda d: float(d.statics.motor_utilisation.max()),
-        "largest torque / effort limit of a motor, in the stand",
+        "largest torque / effort limit of a motor, in the stand on rigid ground",
         "1",
         better="min",
     ),
     Measure(
         "peak_torque",
         lambda d: float(np.abs(d.statics.joint_torques).max()),
-        "largest torque of a motor, in the stand",
+        "largest torque of a motor, in the stand on rigid ground",
         "N m",
         better="min",
     ),
@@ -184,7 +184,7 @@ _ALL = (
     Measure(
         "sag",
         lambda d: d.rest.height_loss,
-        "height lost at rest, in servos and ground",
+        "height lost at rest on its servos and soft ground, with joints for rigid ground",
         "m",
         better="min",
     ),
