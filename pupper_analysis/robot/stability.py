@@ -106,6 +106,8 @@ class Stability(Result):
         least_damped: The mode with the least damping ratio of those that swing and decay.
         speed: The greatest element of qvel where it was judged (m/s, rad/s): a state that is not at
             rest is not judged by this.
+        sticks: Whether friction sticks (``noslip_iterations``): it then holds what would buckle until
+            it slips, and what its iterations leave is no mode: only a simulation tells.
         settled: Whether it settled before it was judged; what is thrown off is judged where it
             begins.
     """
@@ -118,7 +120,13 @@ class Stability(Result):
     slowest: Mode | None
     least_damped: Mode | None
     speed: float
+    sticks: bool
     settled: bool
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it was at rest, near enough to be judged."""
+        return self.speed <= _RESTING
 
     @property
     def stable(self) -> bool:
@@ -132,7 +140,8 @@ class Stability(Result):
 
     def leaving(self, duration: float = LASTING) -> tuple[Mode, ...]:
         """Returns the modes with which it does not stay for that time (s); see ``grows_within``."""
-        return tuple(mode for mode in self.unstable if mode.grows_within(duration))
+        growing = (mode for mode in self.unstable if mode.grows_within(duration))
+        return tuple(mode for mode in growing if mode.shakes or not self.sticks)
 
     def lasts(self, duration: float = LASTING) -> bool:
         """Tells whether it stays for that time (s) when it is nudged."""
@@ -173,10 +182,10 @@ def step_stability(
             settled=False
         )  # it diverged, and MuJoCo began anew
     found = _Modes(model, data).judged(settled=True)
-    if found.speed <= _RESTING:
+    if found.at_rest:
         return found
     other = _Modes(model, _copied(model, start)).judged(settled=False)
-    return found if other.stable or other.speed > _RESTING else other
+    return other if other.at_rest and not other.stable else found
 
 
 def _copied(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
@@ -266,6 +275,7 @@ class _Modes:
             slowest=self._mode(int(slow[np.argmax(self._growth[slow])])) if slow.size else None,
             least_damped=self._mode(int(swinging[int(np.argmin(damped))])) if damped else None,
             speed=float(np.abs(data.qvel).max(initial=0.0)),
+            sticks=bool(model.opt.noslip_iterations > 0),
             settled=settled,
         )
 

@@ -1,4 +1,4 @@
-"""Why a simulation does not come to rest: servos too stiff, feet that creep, in words."""
+"""Why a simulation does not come to rest: what grows, stiff servos, feet that creep, in words."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servo_stability import servo_stability
 from pupper_analysis.robot.servos import Servos
+from pupper_analysis.robot.stability import Mode, Stability
 from pupper_analysis.simulation.monitor import Watcher
+from pupper_analysis.simulation.nudge import LEFT, Nudge
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -50,6 +52,34 @@ def too_stiff(robot: Robot, stand: Stand, drive: Servos) -> list[str]:
         f"({drive.integrator}, {1e3 * model.opt.timestep:g} ms), most of all at {worst}: a time "
         f"step of {1e3 * found.timestep:.2g} ms is stable{other}, or less kp and kd"
     ]
+
+
+def unstable(stability: Stability, nudge: Nudge | None) -> list[str]:
+    """Says so if a stand would not last, or a nudge did not decay.
+
+    Args:
+        stability: Of where it settled; what still moves there is not judged by it.
+        nudge: What became of the nudge, if it was given.
+    """
+    leaving = stability.leaving() if stability.at_rest else ()
+    said = [growing(mode) for mode in leaving[:1]]
+    if nudge is not None and not nudge.decayed and not said:
+        said.append(
+            f"a nudge of {nudge.speed:g} m/s and rad/s does not decay: after "
+            f"{nudge.duration:.3g} s {nudge.left:.1g} is left of it"
+        )
+    if nudge is not None and not nudge.moved < LEFT:
+        said.append(
+            f"a nudge of {nudge.speed:g} m/s and rad/s takes a joint {nudge.moved:.1g} rad away"
+        )
+    return said
+
+
+def growing(mode: Mode) -> str:
+    """Says how a mode grows."""
+    where = f", most of all at {', '.join(mode.joints)}" if mode.joints else ""
+    how = f"it shakes at {mode.frequency:.3g} Hz" if mode.shakes else "it buckles"
+    return f"{how}{where}: a deviation doubles every {mode.doubling_time:.2g} s"
 
 
 def rattling(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[str]:

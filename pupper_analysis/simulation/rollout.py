@@ -24,10 +24,6 @@ _FURTHER = 8.0  # a search looks so many times as deep: wider brackets than 2 ta
 
 _SAME = 1e-12  # m: drops that differ by no more are one
 
-
-_NUDGE = 1e-9
-"""m/s and rad/s: what is stable is as it was to eight digits, and rounding is far below."""
-
 _FILTERS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
 """Of a servo with ``timeconst``: what it commands lags behind, and at rest is its command."""
 
@@ -78,20 +74,6 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     # Where nothing carries, however deep, it begins there and falls.
     surplus(_carried(surplus, low, high, short, over) if over > 0 else high)
     return full_state(model, data)
-
-
-def nudged(model: mujoco.MjModel, start: Array) -> Array:
-    """Returns a state (mjSTATE_FULLPHYSICS) with a breath of a motion in all directions.
-
-    A robot that is alike on all sides can begin in so exact a balance that MuJoCo, whose solver
-    ends within its tolerance, has no acceleration at all: it would stand for good on servos that
-    shake it to pieces, or on a summit. What is stable forgets the nudge within the simulation.
-    """
-    state = start.copy()
-    first = 1 + model.nq
-    # Cosines of whole numbers: no two alike, and no pattern that a mode is blind to.
-    state[first : first + model.nv] += _NUDGE * np.cos(np.arange(model.nv))
-    return state
 
 
 def settled_activations(model: mujoco.MjModel, ctrl: Array) -> Array:

@@ -10,17 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
+from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.causes import creeping, rattling, too_stiff
+from pupper_analysis.simulation.causes import creeping, rattling, too_stiff, unstable
 from pupper_analysis.simulation.edges import several_contacts
 from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.loops import closed_loops, give_way
-from pupper_analysis.simulation.rollout import check_stand, nudged, place_on_ground, run
+from pupper_analysis.simulation.nudge import Nudge, nudged_states, response
+from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
+from pupper_analysis.simulation.stability import judged_at
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import drop_at
@@ -49,6 +53,9 @@ SOFT = 1e-4
 """Ground into which feet sink deeper than their stand has them by this is soft (m)."""
 
 _SAMPLE = 0.02  # s between the states that are looked at closely
+_RESTING = 5e-3  # m/s, rad/s: feet creep by less
+_LAST = 1.0  # s in which what it settles at is measured
+_NUDGED = 7 / 12  # of the time by default: 5 s to settle, and 7 s in which 1e-3 must be forgotten
 _FRAME = 0.1  # s between those that are kept: an eye sees what it does, and results stay small
 
 
@@ -56,20 +63,21 @@ _FRAME = 0.1  # s between those that are kept: an eye sees what it does, and res
 class StandVerification(Held, Tabular):
     """What a simulation made of a stand, against the prediction, and how it was ``Held``.
 
-    Settled values are means over the last second. Predictions are Pinocchio's, from the URDF.
+    Settled values are means over the last second before the nudge. Predictions are Pinocchio's,
+    from the URDF.
 
     Attributes:
         passed: Whether the stand is verified.
         failures: If not, why.
         base_height: Settled (m).
-        height_deviation: Standard deviation of the base's height in the last second (m).
-        height_drift: Rate of the base's height in the last second (m/s): still sinking if negative.
+        height_deviation: Standard deviation of the base's height in that second (m).
+        height_drift: Rate of the base's height in that second (m/s): still sinking if negative.
         height_loss: Task's height less the settled one (m); the sum of the next two.
         servo_sag: The part lost in the joints (m).
         contact_sag: The part lost in the softness of feet and ground (m).
-        tilt: Angle of the base's settled orientation against the task's (rad).
+        tilt: Angle of the base's orientation at the end against the task's (rad).
         foot_slip: {foot: horizontal distance from its target} at the end (m).
-        joint_error: The largest deviation of a joint from the stand in the last second (rad).
+        joint_error: The largest deviation of a joint from the stand in that second (rad).
         joint_torques: (nu,) of the motors, settled (N m).
         predicted_torques: (nu,) (N m).
         torque_error: Largest deviation / largest predicted torque.
@@ -81,6 +89,8 @@ class StandVerification(Held, Tabular):
             kinematics of the MJCF (m).
         mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
             predicted f and tau (N, N m), less what closed loops carry.
+        stability: Of where it settled: the modes that grow, and the margin.
+        nudge: What became of the nudge; None if it was not given.
         time: (n,) samples (s).
         height: (n,) the base's height at these (m).
         motion_time: (m,) fewer samples (s).
@@ -106,6 +116,8 @@ class StandVerification(Held, Tabular):
     force_error: float
     mujoco_foot_error: float
     mujoco_residual: float
+    stability: Stability
+    nudge: Nudge | None
     time: Array
     height: Array
     motion_time: Array
@@ -124,7 +136,8 @@ def verify_stand(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     integrator: str | None = None,
-    duration: float = 5.0,
+    duration: float = LASTING,
+    nudged: float | None = None,
 ) -> StandVerification:
     """Simulates a stand on the floating base, and compares it with Pinocchio's prediction.
 
@@ -132,6 +145,10 @@ def verify_stand(
     lasts in a simulator whose friction creeps. MuJoCo's ground is soft: where the feet bear unequal
     loads a stand for rigid ground tilts by milliradians, and the loads change by percents;
     ``sunk_stand`` is the stand that does hold as predicted.
+
+    What it settles at is measured first. Then everything is nudged (``NUDGE``), and must come to
+    rest again; and no mode of the step's spectrum may grow within ``LASTING`` (12 s), nor shake at
+    all, so that it stands for longer than is simulated.
 
     Args:
         robot: The robot.
@@ -141,6 +158,8 @@ def verify_stand(
         kd: Servo damping (N m s/rad); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
         duration: Simulated time (s), at least 2.
+        nudged: The part of it after the nudge (s); 7 of 12 by default. 0: it is not nudged, and
+            what it settles at is measured at the end.
 
     Returns:
         The comparison; ``failures`` says why a stand is not verified.
@@ -151,27 +170,54 @@ def verify_stand(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     check_stand(robot, stand, duration)
+    after = _time_after(duration, nudged)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     drive = servos(robot, kp, kd, integrator)
     torques = prediction.joint_torques if feedforward else None
     ctrl = drive.command(robot, stand.joint_positions(robot), torques)
-    start = nudged(drive.model, place_on_ground(robot, drive, stand, prediction.joint_torques))
+    start = place_on_ground(robot, drive, stand, prediction.joint_torques)
     timestep = float(drive.model.opt.timestep)
-    states = run(drive.model, start, np.tile(ctrl, (max(2, round(duration / timestep)), 1)))
+    quiet = run(
+        drive.model, start, np.tile(ctrl, (max(2, round((duration - after) / timestep)), 1))
+    )
+    diverged = monitor.diverged(quiet, timestep)
+    later = nudged_states(drive.model, quiet[-1], ctrl, after) if after and not diverged else None
+    states = quiet if later is None else np.concatenate([quiet, later])
     predicted = robot.per_foot(prediction.contact_forces)
     light = LIGHT * sum(force[2] for force in predicted.values())
     loaded = {foot for foot, force in predicted.items() if force[2] >= FORCE_TOLERANCE * light}
-    watch = _watch(robot, drive.model, stand, states, ctrl, round(1.0 / timestep), loaded)
-    found = _measured(robot, stand, drive, prediction, states, watch, light)
-    found = replace(found, feedforward=feedforward)
+    watch = _watch(robot, drive.model, stand, states, ctrl, len(quiet), loaded)
+    judged = judged_at(drive, quiet[-1], ctrl, 0.0)
+    if diverged or judged.speed > _RESTING:  # what threw it off grew where it began
+        judged = judged_at(drive, start, ctrl)
+    nudge = None if later is None else response(drive.model, quiet[-1], later)
+    seen = _Seen(states, len(quiet), watch, judged, nudge)
+    found = replace(
+        _measured(robot, stand, drive, prediction, seen, light), feedforward=feedforward
+    )
     failures = _failures(robot, stand, states, watch, found)
     if failures:
         failures += [*too_stiff(robot, stand, drive), *creeping(robot, stand, prediction)]
+    failures += unstable(found.stability, found.nudge)
     if feedforward:
         failures += _deviations(robot, stand, watch, found, prediction, alone=not failures)
     failures += rattling(robot, drive, states, ctrl) if failures else []
     return replace(found, passed=not failures, failures=tuple(failures))
+
+
+def _time_after(duration: float, nudged: float | None) -> float:
+    """Returns for how long a nudge is simulated (s).
+
+    Raises:
+        ConfigurationError: If it leaves less than a second, in which it settles.
+    """
+    most = duration - _LAST
+    if nudged is None:
+        return min(_NUDGED * duration, most)
+    if not 0 <= nudged <= most:
+        raise ConfigurationError("nudged", f"{nudged} s is not between 0 and {most:g} s")
+    return nudged
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,14 +236,24 @@ class _Watch:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What was simulated: the states, of which so many settle before the nudge, and their looks."""
+
+    states: Array
+    settling: int
+    watch: _Watch
+    stability: Stability
+    nudge: Nudge | None
+
+
 @np.errstate(invalid="ignore", over="ignore")  # of what has diverged: it is judged to have
 def _measured(
     robot: Robot,
     stand: Stand,
     drive: Servos,
     prediction: GravityCompensation,
-    states: Array,
-    watch: _Watch,
+    seen: _Seen,
     light: float,
 ) -> StandVerification:
     """Compares a rollout with what was predicted, and does not judge it yet.
@@ -206,8 +262,9 @@ def _measured(
     more.
     """
     timestep = float(drive.model.opt.timestep)
-    last_second = round(1.0 / timestep)
-    settled = states[-last_second:]
+    states, settling, watch = seen.states, seen.settling, seen.watch
+    last_second = round(_LAST / timestep)
+    settled = states[settling - last_second : settling]
     heights = monitor.base_heights(robot, states)
     drops = watch.drops(stand)
     base_height = float(monitor.base_heights(robot, settled).mean())
@@ -228,7 +285,8 @@ def _measured(
     )
     tilt = monitor.turned_by(robot, stand.task.rotation(), states[-1])
     deviation = float(monitor.base_heights(robot, settled).std())
-    drift = float(heights[-1] - heights[-last_second]) / (timestep * (last_second - 1))
+    drift = float(heights[settling - 1] - heights[settling - last_second])
+    drift /= timestep * (last_second - 1)
     step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE, _FRAME))
     foot_error, residual = _backend_evaluation(robot, stand, prediction)
     return StandVerification(
@@ -260,6 +318,8 @@ def _measured(
         force_error=float(force_error),
         mujoco_foot_error=foot_error,
         mujoco_residual=residual,
+        stability=seen.stability,
+        nudge=seen.nudge,
         time=states[::step, 0].copy(),
         height=heights[::step].copy(),
         motion_time=states[::frame, 0].copy(),
@@ -275,8 +335,9 @@ def _failures(
     failures = list(watch.failures)
     if monitor.diverged(states, found.timestep):
         failures.insert(0, monitor.divergence(found.integrator, found.timestep))
-    if monitor.has_fallen(leaning, found.base_height, float(stand.qpos[2])):
-        failures.insert(0, monitor.fall(leaning, found.base_height))
+    height = float(monitor.base_heights(robot, states[-1]))
+    if monitor.has_fallen(leaning, height, float(stand.qpos[2])):
+        failures.insert(0, monitor.fall(leaning, height))
     if not found.height_deviation < STABLE_DEVIATION:
         failures.append(
             f"the height deviates by {1e3 * found.height_deviation:.2f} mm in the last second"
@@ -332,10 +393,10 @@ def _watch(
     stand: Stand,
     states: Array,
     ctrl: Array,
-    last_second: int,
+    settling: int,
     loaded: Container[str],
 ) -> _Watch:
-    """Looks at contacts all along, and at torques and forces in the last second.
+    """Looks at contacts all along, and at torques and forces in the last second of settling.
 
     The feet in ``loaded`` must not let go; others are hardly predicted to touch.
     """
@@ -348,12 +409,14 @@ def _watch(
     carrying = robot.feet_with(stand.stance_feet)
     feet = {foot: np.zeros(3) for foot in robot.feet}
     count = 0
-    for index in range(len(states) - 1, -1, -step):  # backwards: the first moment stays
+    last_second = range(settling - round(_LAST / model.opt.timestep), settling)
+    # Backwards: the first moment stays. Both parts end with their last state.
+    for index in (*range(len(states) - 1, settling - 1, -step), *range(settling - 1, -1, -step)):
         seen = watcher.look(states[index], ctrl)
         touched |= dict.fromkeys(seen.bodies, seen.time)
         touched |= {foot: seen.time for foot in seen.forces if foot not in carrying}
         lost |= {foot: seen.time for foot in seen.idle(carrying) if foot in loaded}
-        if index >= len(states) - last_second:
+        if index in last_second:
             count += 1
             torques += watcher.data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
             for foot in total:

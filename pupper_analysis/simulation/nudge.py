@@ -1,0 +1,109 @@
+"""Does a stand come to rest again when it is nudged?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.results import Result
+from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.rollout import run
+
+Array = NDArray[np.float64]
+
+NUDGE = 1e-3
+"""Greatest speed in a nudge, of each coordinate (m/s, rad/s). Equilibria that shake to pieces at
+the next touch have basins of 1e-7, and survive 1e-9; those that stand forget 1e-2."""
+
+LEFT = 1e-2
+"""A joint that is further from where it was before the nudge has left it (rad, m)."""
+
+_DECAYING = 0.9
+"""Motion in the last third of the time is at most this part of that in the second third: what
+swings on, or in a cycle of its own, is as fast in both."""
+
+_GONE = 1e-2
+"""Part of the nudge below which motion is what contacts and the solver make: it has decayed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nudge(Result):
+    """What became of a nudge.
+
+    Attributes:
+        speed: Of the nudge (m/s, rad/s), in each coordinate up to this.
+        time: When it was given (s).
+        duration: What was simulated of it (s).
+        motion: Greatest speed in the second third of that time, by creep apart (m/s, rad/s).
+        left: The same in the last third.
+        moved: The greatest way of a joint from where it was before, in the last third (rad, m).
+        decayed: Whether the motion ``left`` is less, or nothing to speak of.
+    """
+
+    speed: float
+    time: float
+    duration: float
+    motion: float
+    left: float
+    moved: float
+    decayed: bool
+
+
+def nudged_states(model: mujoco.MjModel, state: Array, ctrl: Array, duration: float) -> Array:
+    """Simulates what becomes of a state when everything is nudged, base and joints.
+
+    Args:
+        model: The model.
+        state: The state (mjSTATE_FULLPHYSICS) at rest.
+        ctrl: (nu,) what is commanded.
+        duration: s.
+
+    Returns:
+        (n, size) the states after each step.
+    """
+    start, first = state.copy(), 1 + model.nq
+    # Seeded: the same robot is nudged alike. No mode is orthogonal to what is random.
+    nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
+    start[first : first + model.nv] += NUDGE * nudge / np.abs(nudge).max(initial=0.5)
+    steps = max(3, round(duration / model.opt.timestep))
+    return run(model, start, np.tile(ctrl, (steps, 1)))
+
+
+@np.errstate(invalid="ignore", over="ignore")  # of what has diverged: it has not decayed
+def response(model: mujoco.MjModel, before: Array, states: Array) -> Nudge:
+    """Measures what became of a nudge.
+
+    Feet creep on MuJoCo's friction, at a speed that hardly changes: only what differs from a
+    straight line in time is motion.
+
+    Args:
+        model: The model.
+        before: (size,) the state before it.
+        states: (n, size) those after it.
+    """
+    third = len(states) // 3
+    windows = states[third : 2 * third], states[-third:]
+    motion, left = (_swinging(rows[:, 1 + model.nq : 1 + model.nq + model.nv]) for rows in windows)
+    whole = not monitor.diverged(states, float(model.opt.timestep))
+    hinges = model.jnt_qposadr[model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value]
+    ways = np.abs(states[-third:, 1 + hinges] - before[1 + hinges])
+    gone = left <= max(_DECAYING * motion, _GONE * NUDGE)
+    return Nudge(
+        speed=NUDGE,
+        time=float(before[0]),
+        duration=len(states) * float(model.opt.timestep),
+        motion=motion,
+        left=left,
+        moved=float(ways.max(initial=0.0)),
+        decayed=bool(whole and gone),
+    )
+
+
+def _swinging(rates: Array) -> float:
+    """Returns the greatest deviation of rates (n, nv) from straight lines in time."""
+    time = np.linspace(-1.0, 1.0, len(rates))
+    slopes = (time @ rates) / (time @ time)
+    return float(np.abs(rates - rates.mean(axis=0) - np.outer(time, slopes)).max(initial=0.0))
