@@ -122,7 +122,9 @@ def cases(robot: pa.Robot, lifts: tuple[float, ...], times: tuple[float, ...]) -
             stand = pa.solve_stand(robot, task)
             least = least_stiffness(lambda kp, stand=stand: stands(robot, stand, kp))
             for kp in least * np.array(times):
-                run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=SECONDS)
+                run = pa.verify_stand(
+                    robot, stand, feedforward=False, kp=kp, duration=SECONDS, nudged=0
+                )
                 try:
                     pose = steady_state(robot, stand, kp=kp, seconds=SECONDS - 0.5)
                 except pa.NoEquilibriumError:
@@ -241,7 +243,7 @@ def band(variant: tuple[str, ...], deep: float, seconds: float) -> None:
         robot = changed(pa.load_variant(name), gripping)
         stand = pa.solve_stand(robot)
         found = steady_state_band(robot, stand)
-        go = pa.verify_stand(robot, stand, feedforward=False, duration=SECONDS)
+        go = pa.verify_stand(robot, stand, feedforward=False, duration=SECONDS, nudged=0)
         ends = [found.highest, found.frictionless, found.lowest]
         heights = [None if pose is None else pose.base_height for pose in ends]
         heights.append(led(robot, stand, (0.0, 1.0), seconds))
@@ -269,7 +271,12 @@ def limits() -> None:
 
         for times in (1.05, 1.1, 1.3):
             run = pa.verify_stand(
-                changed(robot, grip), stand, feedforward=False, kp=times * least, duration=SECONDS
+                changed(robot, grip),
+                stand,
+                feedforward=False,
+                kp=times * least,
+                duration=SECONDS,
+                nudged=0,
             )
             knees = "touch the ground" if any("touches" in text for text in run.failures) else "-"
             lost = f"{1e3 * run.height_loss:.2f}"
@@ -287,7 +294,7 @@ def limits() -> None:
             predicted = f"{1e3 * steady_state(weak, stand).height_loss:.3f} mm"
         except pa.NoEquilibriumError:
             predicted = "no equilibrium"
-        run = pa.verify_stand(weak, stand, feedforward=False, duration=SECONDS)
+        run = pa.verify_stand(weak, stand, feedforward=False, duration=SECONDS, nudged=0)
         lost = f"{1e3 * run.height_loss:.3f} mm" if run.passed else "collapses"
         table.add_row(f"{limit:g}", predicted, lost)
     Console().print(table)

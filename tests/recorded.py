@@ -179,7 +179,7 @@ JOBS = {
     "cross-check": Job(checked),
     "payload": Job(lambda robot, stand: pa.payload_limit(robot, stand, (0.01, 0.0, 0.05)), CONES),
     "verification": Job(
-        lambda robot, stand: pa.verify_stand(robot, stand, duration=2.0),
+        lambda robot, stand: pa.verify_stand(robot, stand, duration=2.0, nudged=0),
         STEPPED,
         same_engines=True,
         why=SIMULATED,

@@ -118,7 +118,7 @@ def test_constraints_may_be_as_soft_as_they_are(pair, tmp_path: Path) -> None:
     assert robot.closure is not None
     assert robot.closure.open(stand.qpos) > 2e-3
     sag = pa.steady_state(robot, stand, feet="sliding")
-    found = pa.verify_stand(robot, stand, feedforward=False, duration=20.0)
+    found = pa.verify_stand(robot, stand, feedforward=False, duration=20.0, nudged=0)
     assert found.base_height == pytest.approx(sag.base_height, abs=1e-6)
     if pair is four_bars:
         with pytest.raises(pa.NoEquilibriumError, match="or is not found from loops"):
@@ -229,7 +229,7 @@ def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
     stand = pa.solve_stand(robot)
     sag = pa.steady_state(robot, stand, feet="sliding")
     assert not sag.failures
-    found = pa.verify_stand(robot, stand, feedforward=False, duration=20.0)
+    found = pa.verify_stand(robot, stand, feedforward=False, duration=20.0, nudged=0)
     assert found.base_height == pytest.approx(sag.base_height, abs=1e-7)
     np.testing.assert_allclose(found.joint_torques, sag.joint_torques, atol=1e-4)
     assert float(stand.qpos[2]) - sag.base_height > 2e-3
@@ -442,7 +442,12 @@ def test_a_weld_closes_a_loop_in_a_plane_as_a_connect_does(tmp_path: Path) -> No
     one, two = load(plain), load(pair)
     assert two.closure is not None
     assert len(two.closure.following) == 12
-    stand = holds(two)
+    stand = pa.sunk_stand(two)
+    # It stands as predicted, and for no longer than some 20 s: welds are softer, and it buckles.
+    seen = pa.verify_stand(two, stand)
+    assert max(seen.torque_error, seen.force_error) < 1e-5
+    (mode,) = seen.stability.leaving()[:1]
+    assert not mode.shakes
     wanted = pa.stand_statics(one, pa.solve_stand(one, pa.StandTask(height=stand.task.height)))
     torques = pa.stand_statics(two, pa.solve_stand(two, stand.task)).joint_torques
     for leg in LEGS:

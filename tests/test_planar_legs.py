@@ -70,7 +70,7 @@ def test_its_sag_is_mujocos(tmp_path: Path) -> None:
     stand = pa.solve_stand(robot)
     sag = pa.steady_state(robot, stand)
     assert not sag.failures
-    seen = pa.verify_stand(robot, stand, feedforward=False, duration=8.0)
+    seen = pa.verify_stand(robot, stand, feedforward=False, duration=8.0, nudged=0)
     assert sag.height_loss == pytest.approx(seen.height_loss, rel=1e-3)  # feet creep by micrometres
     assert sag.height_loss > 1e-3
 

@@ -171,7 +171,7 @@ def test_creeping_feet_end_sliding(name: str) -> None:
 def test_creep_of_pinned_feet(name: str) -> None:
     """Once dry friction in the joints, which delays it, has crept away."""
     pose = steady_state(load(name), stand_of(name))
-    run = pa.verify_stand(load(name), stand_of(name), feedforward=False, duration=8)
+    run = pa.verify_stand(load(name), stand_of(name), feedforward=False, duration=8, nudged=0)
     assert run.height_drift == pytest.approx(pose.height_drift, rel=0.15)
 
 
@@ -227,7 +227,7 @@ def test_creep_in_time(name: str) -> None:
     robot = load(name)
     stand = pa.solve_stand(robot, ANYWHERE["slope"])
     for seconds in (2.0, 8.0):
-        run = pa.verify_stand(robot, stand, feedforward=False, duration=seconds)
+        run = pa.verify_stand(robot, stand, feedforward=False, duration=seconds, nudged=0)
         pose = steady_state(robot, stand, seconds=seconds - 0.5)
         assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
     drift = run.height_drift
@@ -297,7 +297,7 @@ def test_a_lifted_foot_that_comes_down_carries(
     pose = steady_state(robot, stand, kp=kp, seconds=7.5)
     assert pose.stance_feet == robot.feet
     assert [failure for failure in pose.failures if f"foot {foot}, lifted, touches" in failure]
-    run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=8)
+    run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=8, nudged=0)
     assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
     for other, force in run.foot_forces.items():
         assert pose.contact_forces[other][2] == pytest.approx(force[2], abs=0.25)
@@ -350,7 +350,7 @@ def test_it_comes_down_on_a_step_and_on_a_slope(what: str, kp: float, ground: pa
     robot, stand = load("v3"), lifted("v3", "RR", 0.004, ground=ground)
     pose = steady_state(robot, stand, kp=kp, seconds=5.5)
     assert "RR" in pose.stance_feet
-    run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=6)
+    run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=6, nudged=0)
     assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
     assert pose.contact_forces["RR"][2] == pytest.approx(run.foot_forces["RR"][2], abs=0.2)
 
@@ -436,7 +436,7 @@ def test_long_leg_of_v3_does_not_last() -> None:
     assert 0.8 < caught.value.share < 0.9
     for change in (None, firm_grip):
         ground = robot if change is None else changed(robot, change)
-        run = pa.verify_stand(ground, stand, feedforward=False, duration=10)
+        run = pa.verify_stand(ground, stand, feedforward=False, duration=10, nudged=0)
         assert any("touches the ground" in failure for failure in run.failures)
 
 
@@ -536,7 +536,7 @@ def test_instability_is_reported() -> None:
     pose = steady_state(robot, stand, kp=0.1, feedforward=True)
     assert not pose.stable
     assert any("not stable" in failure for failure in pose.failures)
-    run = pa.verify_stand(robot, stand, kp=0.1, kd=0.1, duration=20)
+    run = pa.verify_stand(robot, stand, kp=0.1, kd=0.1, duration=20, nudged=0)
     assert any("fell over" in failure for failure in run.failures)
 
 

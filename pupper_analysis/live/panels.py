@@ -99,7 +99,7 @@ class Panels:
         self._feedforward = gui.add_checkbox(
             say("feed-forward"), False, hint=say("Command q* + torque / kp, not q* alone.")
         )
-        simulate = gui.add_button(say("Simulate"), hint=say("5 s of MuJoCo."))
+        simulate = gui.add_button(say("Simulate"), hint=say("12 s of MuJoCo."))
         most = max(1.0, round(2.0 * mass, 1))  # N s: 2 m/s tip over what is about as high as v3
         with gui.add_folder(say("Push")):
             self._impulse = gui.add_slider(say("impulse (N s)"), 0.0, most, most / 100, most / 10)

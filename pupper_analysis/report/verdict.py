@@ -197,7 +197,7 @@ def _beyond(verdict: Verdict) -> Iterator[Clause]:
             "OVERLOADED: with the contact forces that last the motors cannot hold it: {joints}",
             {"joints": ", ".join(verdict.overloaded)},
         )
-    if verdict.doubling_time is not None and math.isfinite(verdict.doubling_time):
+    if math.isfinite(verdict.doubling_time):
         yield Clause(
             False, "what deviates doubles every {time} s", {"time": f"{verdict.doubling_time:.3g}"}
         )

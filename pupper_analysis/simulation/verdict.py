@@ -74,8 +74,8 @@ class Verdict(Result):
         servos: The servos that it rests on.
         own: What the MJCF does from its own keyframe; None where it has no servos or no keyframe.
         published: How the MJCF as it was published differs; None where it was not looked at.
-        doubling_time: In which what deviates doubles (s); infinite if nothing grows, None where
-            that was not looked at.
+        doubling_time: In which what deviates doubles (s), with feed-forward; infinite if nothing
+            grows.
     """
 
     code: VerdictCode
@@ -91,7 +91,7 @@ class Verdict(Result):
     servos: ServosUsed
     own: OwnRun | None
     published: Published | None
-    doubling_time: float | None
+    doubling_time: float
 
 
 def judge(
@@ -102,7 +102,6 @@ def judge(
     overloaded: tuple[str, ...] = (),
     own: OwnRun | None = None,
     published: Published | None = None,
-    doubling_time: float | None = None,
 ) -> Verdict:
     """Weighs what was simulated of a stance.
 
@@ -113,7 +112,6 @@ def judge(
         overloaded: Motors above their limits.
         own: What the MJCF does from its own keyframe.
         published: How the MJCF as it was published differs from what was simulated.
-        doubling_time: In which what deviates doubles (s).
     """
     code = _code(fed, alone, servos, overloaded, own, published)
     return Verdict(
@@ -130,7 +128,7 @@ def judge(
         servos=servos,
         own=own,
         published=published,
-        doubling_time=doubling_time,
+        doubling_time=fed.stability.doubling_time or math.inf,
     )
 
 
