@@ -434,9 +434,10 @@ def test_servos_that_let_it_fall_slowly_are_told_too(tmp_path: Path) -> None:
     robot = load(pair)
     kp, kd = advised(robot)
     stand = pa.sunk_stand(robot)
-    assert pa.verify_stand(robot, stand).tilt < 0.01
-    assert pa.verify_stand(robot, stand, duration=12.0, nudged=0).tilt > 0.5
-    assert pa.verify_stand(robot, stand, kp=kp, kd=kd, duration=12.0, nudged=0).passed
+    assert pa.verify_stand(robot, stand, duration=5.0, nudged=0).tilt < 0.01
+    assert not pa.verify_stand(robot, stand, duration=5.0, nudged=0).passed  # for it buckles
+    assert pa.verify_stand(robot, stand).tilt > 0.5
+    assert pa.verify_stand(robot, stand, kp=kp, kd=kd).passed
 
 
 def test_a_foot_with_a_mesh_that_is_not_round_is_told(tmp_path: Path) -> None:

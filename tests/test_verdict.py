@@ -31,6 +31,7 @@ def run(loss: float = 0.001, *, passed: bool = True) -> Any:
         tilt=0.0,
         torque_error=1e-8,
         force_error=2e-8,
+        stability=Stub(doubling_time=None),
     )
 
 
