@@ -101,7 +101,6 @@ class Stability(Result):
 
     Attributes:
         timestep: s.
-        integrator: MuJoCo's number of it.
         radius: The greatest absolute eigenvalue of a step.
         unstable: The modes that grow, the fastest first.
         drifts: How many modes neither grow nor decay: 3 of a base on level ground, which is alike
@@ -118,7 +117,6 @@ class Stability(Result):
     """
 
     timestep: float
-    integrator: int
     radius: float
     unstable: tuple[Mode, ...]
     drifts: int
@@ -277,7 +275,6 @@ class _Modes:
         slow = np.flatnonzero(decaying)
         return Stability(
             timestep=float(model.opt.timestep),
-            integrator=int(model.opt.integrator),
             radius=1 + float(self._growth.max(initial=-1.0)),
             unstable=tuple(self._mode(mode) for mode in growing.tolist()),
             drifts=int(self._drifts.sum()),

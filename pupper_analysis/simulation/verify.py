@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -25,6 +24,7 @@ from pupper_analysis.simulation.loops import closed_loops, give_way
 from pupper_analysis.simulation.nudge import Nudge, nudged_states, response
 from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
 from pupper_analysis.simulation.stability import judged_at
+from pupper_analysis.simulation.watch import LAST, Watch, watched
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 from pupper_analysis.statics.support_polygon import drop_at
@@ -54,7 +54,6 @@ SOFT = 1e-4
 
 _SAMPLE = 0.02  # s between the states that are looked at closely
 _RESTING = 5e-3  # m/s, rad/s: feet creep by less
-_LAST = 1.0  # s in which what it settles at is measured
 _NUDGED = 7 / 12  # of the time by default: 5 s to settle, and 7 s in which 1e-3 must be forgotten
 _FRAME = 0.1  # s between those that are kept: an eye sees what it does, and results stay small
 
@@ -187,7 +186,7 @@ def verify_stand(
     predicted = robot.per_foot(prediction.contact_forces)
     light = LIGHT * sum(force[2] for force in predicted.values())
     loaded = {foot for foot, force in predicted.items() if force[2] >= FORCE_TOLERANCE * light}
-    watch = _watch(robot, drive.model, stand, states, ctrl, len(quiet), loaded)
+    watch = watched(robot, drive.model, stand, states, ctrl, len(quiet), loaded)
     judged = judged_at(drive, quiet[-1], ctrl, 0.0)
     if diverged or judged.speed > _RESTING:  # what threw it off grew where it began
         judged = judged_at(drive, start, ctrl)
@@ -212,7 +211,7 @@ def _time_after(duration: float, nudged: float | None) -> float:
     Raises:
         ConfigurationError: If it leaves less than a second, in which it settles.
     """
-    most = duration - _LAST
+    most = duration - LAST
     if nudged is None:
         return min(_NUDGED * duration, most)
     if not 0 <= nudged <= most:
@@ -221,28 +220,12 @@ def _time_after(duration: float, nudged: float | None) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Watch:
-    """What a close look at some states of a rollout shows."""
-
-    failures: tuple[str, ...]
-    torques: Array
-    forces: dict[str, Array]
-    feet_settled: dict[str, Array]
-
-    def drops(self, stand: Stand) -> dict[str, Array]:
-        """Returns by what (3,) the stance feet ended below, or beside, where they should be (m)."""
-        return {
-            foot: stand.foot_targets[foot] - self.feet_settled[foot] for foot in stand.stance_feet
-        }
-
-
-@dataclass(frozen=True, eq=False)
 class _Seen:
     """What was simulated: the states, of which so many settle before the nudge, and their looks."""
 
     states: Array
     settling: int
-    watch: _Watch
+    watch: Watch
     stability: Stability
     nudge: Nudge | None
 
@@ -262,12 +245,10 @@ def _measured(
     more.
     """
     timestep = float(drive.model.opt.timestep)
-    states, settling, watch = seen.states, seen.settling, seen.watch
-    last_second = round(_LAST / timestep)
-    settled = states[settling - last_second : settling]
-    heights = monitor.base_heights(robot, states)
-    drops = watch.drops(stand)
-    base_height = float(monitor.base_heights(robot, settled).mean())
+    states, watch, drops = seen.states, seen.watch, seen.watch.drops(stand)
+    settled = states[seen.settling - round(LAST / timestep) : seen.settling]
+    resting = monitor.base_heights(robot, settled)
+    base_height = float(resting.mean())
     height_loss = float(stand.qpos[2]) - base_height
     contact_sag = drop_at(
         stand.qpos[:2],
@@ -283,10 +264,6 @@ def _measured(
         abs(watch.forces[foot][2] - force[2]) / max(force[2], light)
         for foot, force in predicted.items()
     )
-    tilt = monitor.turned_by(robot, stand.task.rotation(), states[-1])
-    deviation = float(monitor.base_heights(robot, settled).std())
-    drift = float(heights[settling - 1] - heights[settling - last_second])
-    drift /= timestep * (last_second - 1)
     step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE, _FRAME))
     foot_error, residual = _backend_evaluation(robot, stand, prediction)
     return StandVerification(
@@ -299,12 +276,12 @@ def _measured(
         kp=drive.kp,
         kd=drive.kd,
         base_height=base_height,
-        height_deviation=deviation,
-        height_drift=drift,
+        height_deviation=float(resting.std()),
+        height_drift=float(resting[-1] - resting[0]) / (timestep * (len(resting) - 1)),
         height_loss=height_loss,
         servo_sag=height_loss - contact_sag,
         contact_sag=contact_sag,
-        tilt=tilt,
+        tilt=monitor.turned_by(robot, stand.task.rotation(), states[-1]),
         foot_slip={
             foot: max(float(np.linalg.norm(drops[point][:2])) for point in robot.soles[foot])
             for foot in robot.feet_with(drops)
@@ -321,14 +298,14 @@ def _measured(
         stability=seen.stability,
         nudge=seen.nudge,
         time=states[::step, 0].copy(),
-        height=heights[::step].copy(),
+        height=monitor.base_heights(robot, states[::step]).copy(),
         motion_time=states[::frame, 0].copy(),
         motion=np.round(states[::frame, 1 + robot.mj_convention.qpos_index], 6),
     )
 
 
 def _failures(
-    robot: Robot, stand: Stand, states: Array, watch: _Watch, found: StandVerification
+    robot: Robot, stand: Stand, states: Array, watch: Watch, found: StandVerification
 ) -> list[str]:
     """Says why the robot does not stand still on its feet, if it does not."""
     leaning = monitor.lean(robot, stand.task.rotation(), states[-1])
@@ -352,7 +329,7 @@ def _failures(
 def _deviations(
     robot: Robot,
     stand: Stand,
-    watch: _Watch,
+    watch: Watch,
     found: StandVerification,
     prediction: GravityCompensation,
     *,
@@ -385,56 +362,6 @@ def _deviations(
     if off and alone and deepest > SOFT and not any(stand.depths.values()):
         off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")
     return off
-
-
-def _watch(
-    robot: Robot,
-    model: mujoco.MjModel,
-    stand: Stand,
-    states: Array,
-    ctrl: Array,
-    settling: int,
-    loaded: Container[str],
-) -> _Watch:
-    """Looks at contacts all along, and at torques and forces in the last second of settling.
-
-    The feet in ``loaded`` must not let go; others are hardly predicted to touch.
-    """
-    watcher = monitor.Watcher(robot, model)
-    step = max(1, round(_SAMPLE / model.opt.timestep))
-    touched: dict[str, float] = {}
-    lost: dict[str, float] = {}
-    torques = np.zeros(robot.nu)
-    total = {foot: np.zeros(3) for foot in robot.soles}
-    carrying = robot.feet_with(stand.stance_feet)
-    feet = {foot: np.zeros(3) for foot in robot.feet}
-    count = 0
-    last_second = range(settling - round(_LAST / model.opt.timestep), settling)
-    # Backwards: the first moment stays. Both parts end with their last state.
-    for index in (*range(len(states) - 1, settling - 1, -step), *range(settling - 1, -1, -step)):
-        seen = watcher.look(states[index], ctrl)
-        touched |= dict.fromkeys(seen.bodies, seen.time)
-        touched |= {foot: seen.time for foot in seen.forces if foot not in carrying}
-        lost |= {foot: seen.time for foot in seen.idle(carrying) if foot in loaded}
-        if index in last_second:
-            count += 1
-            torques += watcher.data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
-            for foot in total:
-                total[foot] += seen.forces.get(foot, np.zeros(3))
-            for foot, centre in watcher.foot_centres().items():
-                feet[foot] += centre
-    failures = [
-        f"{body} touches the ground at {moment:.2f} s" for body, moment in sorted(touched.items())
-    ]
-    failures += [
-        f"foot {foot} carries nothing at {moment:.2f} s" for foot, moment in sorted(lost.items())
-    ]
-    return _Watch(
-        failures=tuple(failures),
-        torques=torques / count,
-        forces={foot: force / count for foot, force in total.items()},
-        feet_settled={foot: position / count for foot, position in feet.items()},
-    )
 
 
 def _backend_evaluation(
