@@ -1,0 +1,159 @@
+"""What an MJCF does by itself counts: it is simulated as it was published, and judged first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import legged
+import numpy as np
+import pytest
+from slips import FALLS, SLIPS, by_itself, standing
+
+import pupper_analysis as pa
+from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.models.joint_drives import Drive
+from pupper_analysis.report.verdict import in_words, of_the_file
+from pupper_analysis.simulation.verdict import Verdict, VerdictCode
+
+
+def verdict_of(pair: legged.Pair) -> Verdict:
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    return study_stance(robot, pa.StandTask()).verdict
+
+
+def slipped(folder: Path, name: str, seed: int = 0) -> legged.Pair:
+    pair = standing(folder)
+    text = pair.mjcf.read_text()
+    changed = SLIPS[name](text, np.random.default_rng(seed))
+    assert changed != text
+    pair.mjcf.write_text(changed)
+    return pair
+
+
+def test_what_stands_by_itself_holds(tmp_path: Path) -> None:
+    pair = standing(tmp_path)
+    assert by_itself(pair.mjcf) < 0.02
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.own_run is not None
+    assert robot.own_run.own_ctrl
+    assert not robot.own_run.collapses
+    assert robot.published is not None
+    assert not robot.published.differs
+    assert not of_the_file(robot)
+    verdict = study_stance(robot, pa.StandTask()).verdict
+    assert verdict.code is VerdictCode.HOLDS
+    assert not verdict.servos.made
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("kp of one has the wrong sign", "a servo whose stiffness is negative"),
+        ("kp is 0", "a servo without stiffness"),
+        ("ctrl is of lying down", "COLLAPSES as published from its own keyframe home, with its"),
+        ("gear of all is -1", "as published from its own keyframe home, with its own ctrl"),
+    ],
+)
+def test_a_file_that_falls_by_itself_does_not_hold(tmp_path: Path, name: str, said: str) -> None:
+    pair = slipped(tmp_path, name)
+    assert by_itself(pair.mjcf) > FALLS
+    verdict = verdict_of(pair)
+    assert verdict.code is VerdictCode.OWN_DRIVES_FAIL
+    assert not verdict.passed
+    assert said in in_words(verdict)
+
+
+def test_what_is_replaced_is_named(tmp_path: Path) -> None:
+    """The servo of one knee, with its own gains, and never as if there were none."""
+    pair = slipped(tmp_path, "kp of one has the wrong sign", seed=3)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    (made,) = robot.description.made_servos
+    assert made.instead_of is Drive.WRONG_SIGN
+    assert not any("no position servos:" in note for note in robot.notes)
+    as_is = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, as_is=True)
+    with pytest.raises(pa.ModelError, match=f"{made.joint}.*is no position servo"):
+        study_stance(as_is, pa.StandTask())
+
+
+# By an edit of the file that stands: (what, old, new, cause, its element, its line's beginning).
+CAUSES = {
+    "exclude": (
+        "<actuator>",
+        '<contact>\n<exclude body1="world" body2="FL_calf"/></contact><actuator>',
+        "world and FL_calf",
+        "<exclude",
+    ),
+    "override": (
+        "<option ",
+        '<option o_solref="0.05 1">\n<flag override="enable"/></option><option ',
+        "flag override",
+        "<flag",
+    ),
+    "weld": (
+        "<actuator>",
+        '<equality>\n<weld name="hung" body1="trunk"/></equality><actuator>',
+        "hung",
+        "<weld",
+    ),
+    "connect": (
+        "<actuator>",
+        '<equality>\n<connect name="hung" body1="trunk" anchor="0 0 0"/></equality><actuator>',
+        "hung",
+        "<connect",
+    ),
+    "ctrlrange": ('kp="150"', 'ctrlrange="-1.1 1.1" kp="150"', "FL_roll", "<position"),
+    "timeconst": ('kp="150"', 'timeconst="20" kp="150"', "FL_roll", "<position"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", CAUSES)
+def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str) -> None:
+    old, new, element, line = CAUSES[cause]
+    pair = standing(tmp_path)
+    pair.mjcf.write_text(pair.mjcf.read_text().replace(old, new))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.published is not None
+    assert robot.published.differs
+    (found,) = robot.published.causes
+    assert (found.code, found.elements[0]) == (cause, element)
+    assert found.line is not None
+    assert line in pair.mjcf.read_text().splitlines()[found.line - 1]
+    assert found.remaining is not None
+    assert found.remaining < 0.01
+    verdict = study_stance(robot, pa.StandTask()).verdict
+    assert verdict.code is not VerdictCode.HOLDS
+    assert element in in_words(verdict)
+
+
+def slip_holds(folder: Path, name: str, seed: int) -> tuple[float, bool, str]:
+    """How far a file with a slip sinks by itself, whether it is said to hold, and what is said."""
+    pair = standing(folder)
+    text = pair.mjcf.read_text()
+    pair.mjcf.write_text(SLIPS[name](text, np.random.default_rng(seed)))
+    try:
+        lost = by_itself(pair.mjcf)
+    except ValueError:
+        lost = float("inf")  # no engine takes it
+    try:
+        verdict = verdict_of(pair)
+    except pa.PupperAnalysisError as error:
+        return lost, False, str(error)
+    return lost, verdict.passed, in_words(verdict)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_none_that_falls_is_said_to_hold(tmp_path: Path, seed: int) -> None:
+    name = str(np.random.default_rng(seed).choice(list(SLIPS)))
+    lost, holds, said = slip_holds(tmp_path, name, seed)
+    assert not (lost > FALLS and holds), (name, lost, said)
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("name", SLIPS)
+def test_no_slip_that_makes_it_fall_is_said_to_hold(tmp_path: Path, name: str) -> None:
+    for seed in range(3):
+        lost, holds, said = slip_holds(tmp_path, name, seed)
+        assert not (lost > FALLS and holds), (seed, lost, said)
