@@ -44,7 +44,7 @@ def made(instead_of: Drive) -> ServosUsed:
 
 
 def published(torque: float, *, collapses: bool = False) -> Published:
-    found = PublishedRun(True, 1.0, torque, -0.018, 0.1, collapses)
+    found = PublishedRun(True, 1.0, torque, -0.018, 0.1, collapses, True)
     return Published((found,), (Cause("exclude", ("foot and floor",), 17, 0.0),), True)
 
 

@@ -114,7 +114,8 @@ def convert_model(
     verification, failures = None, list(_disagreements(comparison, draft.repairs))
     agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
     if draft.failure is not None:
-        failures.append(f"it does not stand: {draft.failure}")
+        hint = "" if fixed_base is not None else HELD
+        failures.append(f"it does not stand: {draft.failure}{hint}")
     elif draft.stands:
         verification = _stood(urdf, mjcf, feet)
         failures += verification.failures
@@ -131,6 +132,9 @@ def convert_model(
         agree=agree,
         passed=not failures,
     )
+
+
+HELD = "; if it is a hand, an arm or a torso, --fixed-base keeps its base in the world"
 
 
 def _refuse_given(options: MjcfOptions, source: Path) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -35,15 +37,19 @@ from pupper_analysis.prepare.mimics import coupled
 from pupper_analysis.prepare.motors import one_at_each_joint, several
 from pupper_analysis.prepare.parts import with_parts
 from pupper_analysis.prepare.self_check import self_checked
+from pupper_analysis.prepare.simulable import check_simulable
 from pupper_analysis.prepare.solver import inexact, solvable
-from pupper_analysis.robot.build import build_robot, rebuilt
-from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.prepare.start_pose import started
+from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.floor import NO_GROUND, level_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 
 Array = NDArray[np.float64]
+
+_FREE_IN_PARTS = 4
+"""Joints of a base that is free by three slides and a ball joint, or more."""
 
 _APART = 2e-3
 """Joints whose axes are further apart are not rounded, but different (m)."""
@@ -98,21 +104,17 @@ def load_robot(
         UnknownNameError: If a foot, joint or keyframe is not there; the message lists what is.
     """
     files = read_urdf(urdf), read_mjcf(mjcf)
+    check_simulable(files[1])
     frames = None if feet is None else _frames(feet)
     if frames is not None and not joints and keyframe is None:
         robot = _as_it_is(*files, frames, fixed_base=fixed_base, name=name)
     else:
         robot = None
     if robot is None:
-        robot = _prepared(
-            *files,
-            frames,
-            fixed_base=fixed_base,
-            name=name,
-            joints=joints,
-            keyframe=keyframe,
-            as_is=as_is,
+        prepared = partial(
+            _prepared, *files, frames, name=name, joints=joints, keyframe=keyframe, as_is=as_is
         )
+        robot = prepared(fixed_base=True) if fixed_base else _free_if_it_stands(files[1], prepared)
     return self_checked(robot, files[1], keyframe) if self_check else robot
 
 
@@ -154,8 +156,10 @@ def _as_it_is(
     places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
     hinges = {j.name for j in spec.joints if j.type != mujoco.mjtJoint.mjJNT_FREE}
     known = all(one in links and other in places for one, other in feet.values())
-    free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints)
-    if moving != hinges or not known or (free and not fixed_base and _ground_to_mend(spec)):
+    free = sum(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints)
+    if moving != hinges or not known or free > 1:
+        return None  # beside the robot, something else lies in the scene
+    if free and not fixed_base and _ground_to_mend(spec):
         return None
     if urdf_mimics(urdf.root) and not fixed_base:
         return None  # which the MJCF may not state
@@ -181,6 +185,39 @@ def _as_it_is(
         return None
     said = (*words.bound(robot), *words.uncommanded(robot))
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *said, *robot.notes))
+
+
+def _free_if_it_stands(mjcf: MjcfFile, prepared: Callable[..., Robot]) -> Robot:
+    """Returns a robot with a free base; with its base as published where that is held, as a hand's.
+
+    Args:
+        mjcf: Its file.
+        prepared: Makes it, with ``fixed_base`` or without.
+
+    Raises:
+        ModelError: If it can be made neither way.
+    """
+    tops = [len(list(body.joints)) for body in mjcf.spec.worldbody.bodies]
+    kinds = {joint.type for joint in mjcf.spec.joints}
+    held = mujoco.mjtJoint.mjJNT_FREE not in kinds and max(tops, default=0) < _FREE_IN_PARTS
+    try:
+        robot = prepared(fixed_base=False)
+    except ModelError as error:
+        if not held:
+            raise
+        with contextlib.suppress(ModelError):
+            return _kept_in_the_world(prepared, error.problem)
+        raise
+    if held and robot.floating and start.first_stand(robot) is None:
+        return _kept_in_the_world(prepared, "it stands on no feet")
+    return robot
+
+
+def _kept_in_the_world(prepared: Callable[..., Robot], why: str) -> Robot:
+    """Returns a robot with its base where the MJCF has it, and says why."""
+    robot = prepared(fixed_base=True)
+    said = f"its base is kept in the world, as the MJCF has it (--fixed-base, fixed_base): {why}"
+    return replace(robot, notes=(*robot.notes, said))
 
 
 def _ground_to_mend(spec: mujoco.MjSpec) -> bool:
@@ -274,7 +311,7 @@ def _completed(
     if not as_is:
         robot = drives.with_motors(robot)
     notes += words.planar(robot)
-    robot = _started(robot, known, notes)
+    robot = started(robot, known, notes)
     if not as_is:
         robot = touching.apart(touching.on_feet_alone(robot, notes), notes)
         robot = solvable(robot, notes)
@@ -296,62 +333,6 @@ def _feet(
     if frames is None:
         return find_feet(robot, poses) if limb_ends(robot.mj_model) else ()
     return tuple(named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
-
-
-def _started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list[str]) -> Robot:
-    """Gives a robot a start pose: a keyframe's in which it stands, or one that is found.
-
-    What is on its feet's bodies beside the feet is not in the way: see ``touching``.
-    """
-    whole, robot = robot, touching.with_bare_feet(robot)
-    standing = {name: pose for name, pose in known.items() if start.stands_at(robot, pose)}
-    for name, pose in standing.items():
-        home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
-        at_home = _at(robot, home)
-        for nominal in (np.zeros(robot.nu), home):
-            tried = replace(at_home, nominal=nominal)
-            if start.first_stand(tried) is not None:
-                notes.append(f"start pose: keyframe {name!r} of the MJCF")
-                if nominal is home:
-                    notes.append("the feet's places are those of the start pose")
-                return _kept(tried)
-    poses = [*(start.inside(robot, pose) for pose in known.values()), start.inside(robot)]
-    bounded = np.isfinite(robot.lower_limits) & np.isfinite(robot.upper_limits)
-    low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
-    middle = (low + high) / 2
-    found = start.found_start(robot, [*poses, middle])
-    if found is None:
-        notes.append("no start pose was found in which the robot stands")
-        return whole
-    why = "no keyframe in which it stands" if known else "no keyframe"
-    notes.append(
-        f"the MJCF has {why}: a stand was found, {found.stand_height:.3f} m high, in the middle of "
-        "what the legs reach"
-    )
-    return _kept(found)
-
-
-def _at(robot: Robot, joints: Array) -> Robot:
-    """Returns the robot with a start pose whose lowest foot touches the ground."""
-    qpos = robot.posed(joints)
-    places = Configuration(robot, qpos).foot_positions()
-    height = max(robot.foot_radius[foot] - float(place[2]) for foot, place in places.items())
-    return replace(robot, home=qpos, stand_height=height)
-
-
-def _kept(robot: Robot) -> Robot:
-    """Returns the robot with its start pose in its description, so that it lasts."""
-    spec = robot.description.mjcf.copy()
-    for key in list(spec.keys):
-        spec.delete(key)
-    model = robot.mj_model
-    data = mujoco.MjData(model)
-    qpos = robot.home.copy()
-    qpos[:7] = (0.0, 0.0, robot.stand_height, 1.0, 0.0, 0.0, 0.0)
-    robot.mj_convention.set_state(data, qpos)
-    spec.add_key(name="home", qpos=data.qpos)
-    nominal = dict(zip(robot.joint_names, robot.nominal.tolist(), strict=True))
-    return rebuilt(robot, mjcf=spec, nominal=nominal)
 
 
 def _driven(robot: Robot, mjcf: MjcfFile, notes: list[str]) -> Robot:

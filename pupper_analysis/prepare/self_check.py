@@ -185,14 +185,13 @@ def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
     wanted = predictions(robot, stand)
     if not wanted:
         return None
-    height = float(stand.qpos[2])
     if not bare.floating:
         return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
     if bare.ground is None:
         return Published((), (Cause("ground", ()),), differs=True)
     found = [(one, run_as_published(bare, robot, one)) for one in wanted]
     runs = tuple(run for _, run in found if run is not None)
-    off = [(one, run) for one, run in found if run is not None and is_off(run, height)]
+    off = [(one, run) for one, run in found if run is not None and run.differs]
     causes: tuple[Cause, ...] = ()
     if off:
         causes = causes_of(bare, robot, *off[0])
@@ -211,8 +210,8 @@ def _diverged(model: mujoco.MjModel, data: mujoco.MjData, since: float, seconds:
 
 
 def _collapses(lost: float, height: float, lean: float) -> bool:
-    """Tells whether a robot has fallen or sunk."""
-    return not math.isfinite(lost) or lost > SUNKEN * height or lean > FALLEN_TILT
+    """Tells whether a robot has fallen or sunk, or was thrown up."""
+    return not abs(lost) <= SUNKEN * height or lean > FALLEN_TILT
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,24 +274,21 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     lean = _lean(up, data.xmat[bare.base])
     moved = data.qpos[places] - qpos[robot.nq - robot.nu :]
     height = start - (bare.ground or 0.0)
+    torque = float(off.max(initial=0.0)) / largest if largest else 0.0
+    collapses = _diverged(model, data, 0.0, SECONDS) or _collapses(lost, height, lean)
+    # Without feed-forward by the height alone: feet that are predicted pinned creep, and torques
+    # within the robot relax.
+    differs = not abs(lost) <= SAME_HEIGHT * height
+    differs |= wanted.feedforward and not torque <= SAME
     return PublishedRun(
         feedforward=wanted.feedforward,
         duration=SECONDS,
-        torque_error=float(off.max(initial=0.0)) / largest if largest else 0.0,
+        torque_error=torque,
         height_error=-lost,
         joint_error=float(np.abs(moved).max()),
-        collapses=_diverged(model, data, 0.0, SECONDS) or _collapses(lost, height, lean),
+        collapses=collapses,
+        differs=collapses or differs,
     )
-
-
-def is_off(run: PublishedRun, height: float) -> bool:
-    """Tells whether a run is not as predicted, of a robot whose base is so high (m).
-
-    Without feed-forward by the height alone: feet that are predicted pinned creep, and torques
-    within the robot relax.
-    """
-    moved = not abs(run.height_error) <= SAME_HEIGHT * height
-    return run.collapses or moved or (run.feedforward and not run.torque_error <= SAME)
 
 
 def causes_of(bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Cause, ...]:
@@ -301,7 +297,6 @@ def causes_of(bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun) ->
     One alone if that makes it as predicted; else, with all of them off, each that alone makes it
     differ again.
     """
-    height = float(wanted.qpos[2])
     known = candidates(bare, robot)
     without = {}
     for candidate in known:
@@ -309,20 +304,20 @@ def causes_of(bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun) ->
         candidate.switch_off(model)
         seen = run_as_published(replace(bare, model=model), robot, wanted)
         without[candidate] = math.inf if seen is None else seen.torque_error
-        if seen is not None and not is_off(seen, height):
+        if seen is not None and not seen.differs:
             return (candidate.cause(seen.torque_error),)
     all_off = copy.copy(bare.model)
     for candidate in known:
         candidate.switch_off(all_off)
     best = run_as_published(replace(bare, model=all_off), robot, wanted)
     found = []
-    for candidate in known if best is not None and not is_off(best, height) else ():
+    for candidate in known if best is not None and not best.differs else ():
         model = copy.copy(bare.model)
         for other in known:
             if other is not candidate:
                 other.switch_off(model)
         seen = run_as_published(replace(bare, model=model), robot, wanted)
-        if seen is None or is_off(seen, height):
+        if seen is None or seen.differs:
             found.append(candidate.cause(without[candidate]))
     if found:
         return tuple(found)

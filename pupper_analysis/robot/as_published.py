@@ -81,6 +81,7 @@ class PublishedRun:
         joint_error: Largest deviation of a joint (rad).
         collapses: Whether it has fallen, or sunk by ``simulation.monitor.SUNKEN`` of its height,
             or diverged.
+        differs: Whether it does, or is off by more than a verified stand may be.
     """
 
     feedforward: bool
@@ -89,6 +90,7 @@ class PublishedRun:
     height_error: float
     joint_error: float
     collapses: bool
+    differs: bool
 
 
 @dataclass(frozen=True)
@@ -125,5 +127,6 @@ class Published:
 
     @property
     def worst(self) -> PublishedRun | None:
-        """The run that is furthest off: one that collapses, else with feed-forward first."""
-        return max(self.runs, key=lambda run: (run.collapses, run.feedforward), default=None)
+        """The run that differs: one that collapses, else with feed-forward first."""
+        off = (run for run in self.runs if run.differs)
+        return max(off, key=lambda run: (run.collapses, run.feedforward), default=None)

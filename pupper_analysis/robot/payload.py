@@ -42,8 +42,6 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
         ModelError: If the MJCF's base is not where the URDF's is.
     """
     place = point_on_base(point)
-    if not robot.floating:
-        raise ConfigurationError("robot", f"{robot.name} has a fixed base: no motor carries it")
     try:
         weighed = float(mass)
     except (TypeError, ValueError):
@@ -53,6 +51,7 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
     mass = weighed
     if mass == 0.0:
         return robot
+    robot.check_floating()
     before = robot.description
     spec, urdf = before.mjcf.copy(), before.urdf
     name = _NAME

@@ -231,6 +231,20 @@ class Robot:
                 "pushes and gain sweeps are",
             )
 
+    def check_floating(self) -> None:
+        """Checks that the base is free, so that the robot can stand.
+
+        Raises:
+            ConfigurationError: If it is fixed.
+        """
+        if not self.floating:
+            raise ConfigurationError(
+                "robot",
+                f"{self.name} has a fixed base and cannot stand; what its motors hold at a "
+                "configuration says gravity_compensation, and crosscheck and convert take its "
+                "files",
+            )
+
     def check_foot(self, foot: str) -> str:
         """Returns the name of a foot, if it is one.
 

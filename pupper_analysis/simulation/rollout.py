@@ -215,6 +215,5 @@ def check_standing(robot: Robot, stand: Stand) -> None:
     Raises:
         ConfigurationError: If not.
     """
-    if not robot.floating:
-        raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
+    robot.check_floating()
     stand.check(robot)

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.errors import ModelError
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -111,7 +112,17 @@ def branches(
         {limb: its branches}, those that miss least first; a whole turn of a joint without limits
         makes no other one. A target that is out of reach has
         branches too: where the foot comes nearest to it.
+
+    Raises:
+        ModelError: If a joint's lower limit is above its upper one.
     """
+    for name, least, most in zip(robot.joint_names, lower, upper, strict=True):
+        if least > most:
+            raise ModelError(
+                robot.description.urdf_source,
+                f"joint {name!r}: its lower limit {least:g} is above its upper one, {most:g}: no "
+                "angle is between; exchange them",
+            )
     low = np.where(np.isfinite(lower), lower, -math.pi)
     high = np.where(np.isfinite(upper), upper, math.pi)
     if starts is None:

@@ -220,8 +220,7 @@ def _check_area(robot: Robot, contacts: Array, stance_feet: Sequence[str]) -> No
 
 def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> tuple[str, ...]:
     """Returns the contact points that carry, if the task is one for this robot; see ``goal_of``."""
-    if not robot.floating:
-        raise ConfigurationError("robot", f"{robot.name} has a fixed base and cannot stand")
+    robot.check_floating()
     if not robot.feet:
         raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
     if not robot.gravity[2] < 0:

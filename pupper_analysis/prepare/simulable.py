@@ -1,0 +1,58 @@
+"""Numbers of an MJCF with which no simulation means anything: refused, with their place."""
+
+from __future__ import annotations
+
+import math
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import Place, source_name
+from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
+
+_TIMESTEPS = 1e-5, 0.1
+"""s: a stand of 12 s is 1.2 million steps of the first; in one of the second a base falls 5 cm."""
+
+_GEARS = 1e-6, 1e6
+"""Screws of a millimetre's pitch have some thousand rad/m; beyond, squares leave a double's range
+of digits."""
+
+
+def check_simulable(mjcf: MjcfFile) -> None:
+    """Checks the options and gears on which all simulations rest.
+
+    Raises:
+        ModelError: If one is beyond what has a meaning; it names the file, the line and the value.
+    """
+    model = mjcf.compile()
+    for word, value, valid, good in (
+        (
+            "timestep",
+            float(model.opt.timestep),
+            "{:g} to {:g} s are simulated; 0.002 is MuJoCo's own".format(*_TIMESTEPS),
+            _TIMESTEPS[0] <= model.opt.timestep <= _TIMESTEPS[1],
+        ),
+        (
+            "impratio",
+            float(model.opt.impratio),
+            "it is a positive number; 1 is MuJoCo's own",
+            0 < model.opt.impratio < math.inf,
+        ),
+    ):
+        if not good:
+            stated = (place for words, place in mjcf.elements("option") if word in words)
+            place = next(stated, Place(mjcf.path))
+            raise ModelError(
+                source_name(place.file, place.line), f'<option {word}="{value:g}">: {valid}'
+            )
+    for motor in range(model.nactuator):
+        if not is_at_one_joint(model, motor):
+            continue
+        gear = float(actuator_gear(model, motor)[0])
+        if gear and not _GEARS[0] <= abs(gear) <= _GEARS[1]:
+            joint = str(model.joint(int(model.actuator_trnid[motor, 0])).name)
+            place = mjcf.place("actuator", model.actuator(motor).name or joint)
+            raise ModelError(
+                source_name(place.file, place.line),
+                f'the actuator of joint {joint!r} has gear="{gear:g}": no motor has less than '
+                f"{_GEARS[0]:g} or more than {_GEARS[1]:g}",
+            )

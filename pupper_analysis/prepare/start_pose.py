@@ -1,0 +1,78 @@
+"""Gives a robot its start pose, and keeps it in its description."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.prepare import start, touching
+from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+def started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list[str]) -> Robot:
+    """Gives a robot a start pose: a keyframe's in which it stands, or one that is found.
+
+    What is on its feet's bodies beside the feet is not in the way: see ``touching``.
+
+    Args:
+        robot: The robot with feet.
+        known: {keyframe: {joint: position}}, those to be tried first.
+        notes: Which it is is added.
+    """
+    whole, robot = robot, touching.with_bare_feet(robot)
+    standing = {name: pose for name, pose in known.items() if start.stands_at(robot, pose)}
+    for name, pose in standing.items():
+        home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
+        at_home = _at(robot, home)
+        for nominal in (np.zeros(robot.nu), home):
+            tried = replace(at_home, nominal=nominal)
+            if start.first_stand(tried) is not None:
+                notes.append(f"start pose: keyframe {name!r} of the MJCF")
+                if nominal is home:
+                    notes.append("the feet's places are those of the start pose")
+                return _kept(tried)
+    poses = [*(start.inside(robot, pose) for pose in known.values()), start.inside(robot)]
+    bounded = np.isfinite(robot.lower_limits) & np.isfinite(robot.upper_limits)
+    low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
+    middle = (low + high) / 2
+    found = start.found_start(robot, [*poses, middle])
+    if found is None:
+        notes.append("no start pose was found in which the robot stands")
+        return whole
+    why = "no keyframe in which it stands" if known else "no keyframe"
+    notes.append(
+        f"the MJCF has {why}: a stand was found, {found.stand_height:.3f} m high, in the middle of "
+        "what the legs reach"
+    )
+    return _kept(found)
+
+
+def _at(robot: Robot, joints: Array) -> Robot:
+    """Returns the robot with a start pose whose lowest foot touches the ground."""
+    qpos = robot.posed(joints)
+    places = Configuration(robot, qpos).foot_positions()
+    height = max(robot.foot_radius[foot] - float(place[2]) for foot, place in places.items())
+    return replace(robot, home=qpos, stand_height=height)
+
+
+def _kept(robot: Robot) -> Robot:
+    """Returns the robot with its start pose in its description, so that it lasts."""
+    spec = robot.description.mjcf.copy()
+    for key in list(spec.keys):
+        spec.delete(key)
+    model = robot.mj_model
+    data = mujoco.MjData(model)
+    qpos = robot.home.copy()
+    qpos[:7] = (0.0, 0.0, robot.stand_height, 1.0, 0.0, 0.0, 0.0)
+    robot.mj_convention.set_state(data, qpos)
+    spec.add_key(name="home", qpos=data.qpos)
+    nominal = dict(zip(robot.joint_names, robot.nominal.tolist(), strict=True))
+    return rebuilt(robot, mjcf=spec, nominal=nominal)
