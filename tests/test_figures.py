@@ -250,13 +250,13 @@ def test_height_figure_draws_task_and_runs_in_mm(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.slow
-def test_gain_figure_marks_what_fell_and_what_is_best(
+def test_gain_figure_marks_what_fell_and_what_is_not_stable(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     sweep = analysis_of("v3").sweep
     deviation = np.array([[1.5e-3, np.inf, 2e-3], [0.25e-3, 3e-3, np.inf]])
     fields = {**vars(sweep), "height_deviation": deviation, "fell": np.isinf(deviation)}
-    fields |= {"best_kp": sweep.kp[1], "best_kd": sweep.kd[0], "best_deviation": 0.25e-3}
+    fields["doubling_time"] = np.array([[np.inf, 1.0, 20.0], [0.3, np.inf, np.inf]])
     analysis = other(analysis_of("v3"), sweep=SimpleNamespace(**fields))
     gain_figure([analysis], tmp_path / "gains.png")
     check_picture(tmp_path / "gains.png")
@@ -269,9 +269,8 @@ def test_gain_figure_marks_what_fell_and_what_is_best(
 
 def test_gain_figure_where_all_fell(tmp_path: Path) -> None:
     sweep = analysis_of("v3").sweep
-    none = {"best_kp": None, "best_kd": None, "best_deviation": None}
     everywhere = np.full((2, 3), np.inf)
-    fields = {**vars(sweep), **none, "height_deviation": everywhere, "fell": np.isinf(everywhere)}
+    fields = {**vars(sweep), "height_deviation": everywhere, "fell": np.isinf(everywhere)}
     analysis = other(analysis_of("v3"), sweep=SimpleNamespace(**fields))
     gain_figure([analysis], tmp_path / "gains.png")
     check_picture(tmp_path / "gains.png")

@@ -62,8 +62,6 @@ class ComparisonRow(Result):
         contact_sag: With feed-forward (m).
         torque_error: Of the simulation against the prediction, relative.
         force_error: Likewise.
-        best_kp: Of the gain sweep (N m/rad).
-        best_kd: Of the gain sweep (N m s/rad).
         cross_check: Worst relative deviation.
         verified: The verdict.
     """
@@ -82,8 +80,6 @@ class ComparisonRow(Result):
     contact_sag: float
     torque_error: float
     force_error: float
-    best_kp: float | None
-    best_kd: float | None
     cross_check: float
     verified: bool
 
@@ -127,8 +123,6 @@ def compare(analysis: Analysis, base: str, reference: Reference) -> ComparisonRo
         contact_sag=analysis.verification.contact_sag,
         torque_error=analysis.verification.torque_error,
         force_error=analysis.verification.force_error,
-        best_kp=analysis.sweep.best_kp,
-        best_kd=analysis.sweep.best_kd,
         cross_check=max(quantity.relative for quantity in analysis.check.quantities),
         verified=analysis.verified,
     )
@@ -169,10 +163,6 @@ def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
         ("contact softness (mm)", [f"{1e3 * row.contact_sag:.3f}" for row in rows]),
         ("torque off prediction", [f"{row.torque_error:.3%}" for row in rows]),
         ("foot force off prediction", [f"{row.force_error:.3%}" for row in rows]),
-        (
-            "best Kp, Kd",
-            ["-" if row.best_kp is None else f"{row.best_kp:g}, {row.best_kd:g}" for row in rows],
-        ),
         ("cross-check, worst", [f"{row.cross_check:.1e}" for row in rows]),
         (
             "verdict",
@@ -198,8 +188,6 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
         ("contact softness", "mm", "contact_sag", ".3f", 1e3),
         ("torque off prediction", "%", "torque_error", ".3f", 100.0),
         ("foot force off prediction", "%", "force_error", ".3f", 100.0),
-        ("best kp", "N m/rad", "best_kp", "g", 1.0),
-        ("best kd", "N m s/rad", "best_kd", "g", 1.0),
         ("cross-check, worst", "1", "cross_check", ".1e", 1.0),
     )
     cells: list[tuple[Cell, ...]] = []

@@ -15,6 +15,8 @@ from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.report.console import escape, titled_table
 from pupper_analysis.report.verdict import print_verdict
 from pupper_analysis.robot.efforts import origins_in_words
+from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.simulation.gain_sweep import GainSweep
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -279,23 +281,31 @@ def _print_sweep(out: Console, analysis: Analysis) -> None:
     table = titled_table(
         out,
         f"Height deviation (mm) under {sweep.amplitude:g} N at {sweep.frequency:g} Hz "
-        f"({sweep.integrator}, {sweep.duration:g} s, last second)",
+        f"({sweep.integrator}, {sweep.duration:g} s, last second); damping ratio of the least "
+        "damped mode",
         "Kp (N m/rad) \\ Kd (N m s/rad)",
         *(f"{kd:g}" for kd in sweep.kd),
     )
-    for kp, row in zip(sweep.kp, sweep.height_deviation, strict=True):
-        cells = [f"{1e3 * value:.4f}" if np.isfinite(value) else "fell" for value in row]
-        if kp == sweep.best_kp:
-            best = list(sweep.kd).index(sweep.best_kd)
-            cells[best] = f"[bold green]{cells[best]}[/]"
+    for row, kp in enumerate(sweep.kp):
+        cells = [_gains_cell(sweep, row, column) for column in range(len(sweep.kd))]
         table.add_row(f"{kp:g}", *cells)
     out.print(table)
-    if sweep.at_edge:
-        ends = " and ".join(sweep.at_edge)
-        out.print(
-            f"The best lies on the edge of the grid ({ends}): better ones may be beyond.",
-            style="yellow",
-        )
+    out.print(
+        "stiffer servos move less, without end: delay, noise and torque, which end it, are not in "
+        "it",
+        style="dim",
+    )
+
+
+def _gains_cell(sweep: GainSweep, row: int, column: int) -> str:
+    """Returns what comes of a pair of gains."""
+    if sweep.fell[row, column]:
+        return "fell"
+    text = f"{1e3 * sweep.height_deviation[row, column]:.4f}"
+    doubling, damping = sweep.doubling_time[row, column], sweep.damping_ratio[row, column]
+    if doubling < LASTING:
+        return f"{text} [red]doubles in {doubling:.2g} s[/]"
+    return f"{text} {damping:.2f}" if np.isfinite(damping) else f"{text} -"
 
 
 def _print_check(out: Console, analysis: Analysis) -> None:

@@ -21,6 +21,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, gains, retuned, servos
+from pupper_analysis.robot.stability import Stability
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
@@ -30,17 +31,14 @@ from pupper_analysis.simulation.rollout import (
     place_on_ground,
     roll_out,
 )
+from pupper_analysis.simulation.stability import judged_at
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
 
-FACTORS = (0.5, 1.0, 2.0)
+FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """The gains that are tried by default, in parts of the model's own."""
-
-_WIDENINGS = 2
-"""How often the default grid is widened where the best lies on its edge: to an eighth of the
-model's gains, or to eight times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +51,10 @@ class GainSweep(Tabular):
         height_deviation: (n, m) standard deviation of the base's height in the last second (m);
             infinite where the robot fell or the simulation diverged.
         fell: (n, m) whether it did.
-        best_kp: Of the cell with the least deviation; None if the robot fell in all.
-        best_kd: Likewise.
-        best_deviation: Likewise (m).
-        at_edge: Where the best lies on the edge of the grid, so that a better one may be beyond:
-            ``"kp high"``, ``"kd low"`` ...; not of a gain with one value.
+        doubling_time: (n, m) in which what deviates from the undisturbed rest doubles (s); infinite
+            where nothing grows.
+        damping_ratio: (n, m) of the least damped mode there that swings and decays; not a number
+            where none swings, or where it fell.
         amplitude: Of the disturbance on the base (N).
         frequency: Of the disturbance (Hz).
         duration: s.
@@ -68,10 +65,8 @@ class GainSweep(Tabular):
     kd: Array
     height_deviation: Array
     fell: NDArray[np.bool_]
-    best_kp: float | None
-    best_kd: float | None
-    best_deviation: float | None
-    at_edge: tuple[str, ...]
+    doubling_time: Array
+    damping_ratio: Array
     amplitude: float
     frequency: float
     duration: float
@@ -84,6 +79,8 @@ class GainSweep(Tabular):
             "kd": kd.ravel(),
             "height_deviation": self.height_deviation.ravel(),
             "fell": self.fell.ravel(),
+            "doubling_time": self.doubling_time.ravel(),
+            "damping_ratio": self.damping_ratio.ravel(),
         }
 
 
@@ -106,11 +103,14 @@ def sweep_gains(
     amplitude sin(2 pi frequency t), from the first step. All cells run in parallel, on all cores.
     The default integrator takes kd implicitly: with Euler, high kd jitters.
 
+    No pair of gains is told to be the best: a disturbance moves stiffer servos less, without end,
+    and nothing here has the delay, noise and torque that end it on a robot. Where a pair is not
+    stable, or hardly damped, its mode says so.
+
     Args:
         robot: The robot.
         stand: How it stands.
-        kp: Stiffnesses (N m/rad); by default ``FACTORS`` of the model's (of the median joint's),
-            and beyond, if the best lies on the edge.
+        kp: Stiffnesses (N m/rad); by default ``FACTORS`` of the model's (of the median joint's).
         kd: Dampings (N m s/rad), likewise.
         amplitude: N.
         frequency: Hz.
@@ -138,15 +138,6 @@ def sweep_gains(
         raise ConfigurationError("kp, kd", "give at least one value of each")
     trial = _Trial(robot, stand, integrator, amplitude, frequency, duration, progress)
     trial.run(axes)
-    for _ in range(_WIDENINGS):
-        wider = [
-            _widened(values, end) if given is None else values
-            for values, given, end in zip(axes, (kp, kd), trial.ends(axes), strict=True)
-        ]
-        if wider == axes:
-            break
-        axes = wider
-        trial.run(axes)
     return trial.result(axes)
 
 
@@ -157,13 +148,6 @@ def _values(given: Sequence[float] | None, own: Array | None) -> list[float]:
     assert own is not None
     middle = float(np.median(own))
     return [factor * middle for factor in FACTORS]
-
-
-def _widened(values: list[float], end: str | None) -> list[float]:
-    """Returns the values with another beyond an end."""
-    if end == "low":
-        return [values[0] * FACTORS[0], *values]
-    return [*values, values[-1] * FACTORS[-1]] if end == "high" else values
 
 
 class _Drives:
@@ -211,14 +195,14 @@ class _Trial:
         balance = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
         self.torques = balance.joint_torques
         self.deviations: dict[tuple[float, float], float] = {}
+        self.stabilities: dict[tuple[float, float], Stability] = {}
         self._starts: dict[float, Array] = {}
 
     def run(self, axes: Sequence[Sequence[float]]) -> None:
-        """Simulates the cells of a grid that were not simulated yet."""
+        """Simulates the cells of a grid, and judges each at rest."""
         from rich.progress import Progress
 
-        pairs = itertools.product(axes[0], axes[1])
-        cells = [pair for pair in pairs if pair not in self.deviations]
+        cells = list(dict.fromkeys(itertools.product(axes[0], axes[1])))
         robot, stand = self.robot, self.stand
         # Refused before anything is simulated; nothing moves where a start is looked for, that kd
         # could damp.
@@ -237,11 +221,11 @@ class _Trial:
                 drive = retuned(robot, drive, soft[kp])
                 self._starts[kp] = place_on_ground(robot, drive, stand, self.torques)
 
-        def simulate(cell: tuple[float, float]) -> Array:
+        def simulate(cell: tuple[float, float]) -> tuple[Array, Stability]:
             with drives.one() as (drive, data):
-                own, start = retuned(robot, drive, tuned[cell]).model, self._starts[cell[0]]
-                states: Array = roll_out(own, data, start, control, control_spec=FORCED)[0]
-            return states
+                own, start = retuned(robot, drive, tuned[cell]), self._starts[cell[0]]
+                states: Array = roll_out(own.model, data, start, control, control_spec=FORCED)[0]
+                return states, judged_at(own, start, ctrl)
 
         watcher = monitor.Watcher(robot, model)  # gains change no shapes
         began = time.monotonic()
@@ -251,7 +235,8 @@ class _Trial:
         ):
             task = bar.add_task("gain sweep", total=len(cells), visible=False)
             list(pool.map(place, soft))
-            for cell, states in zip(cells, pool.map(simulate, cells), strict=True):
+            for cell, (states, stability) in zip(cells, pool.map(simulate, cells), strict=True):
+                self.stabilities[cell] = stability
                 self.deviations[cell] = self._deviation(watcher, states)
                 bar.update(task, advance=1, visible=time.monotonic() - began > 1.0)
                 bar.refresh()
@@ -265,44 +250,33 @@ class _Trial:
         last = round(1.0 / self.timestep)
         return float(monitor.base_heights(self.robot, states)[-last:].std())
 
-    def grid(self, axes: Sequence[Sequence[float]]) -> Array:
-        """Returns the deviations (n, m) of a grid."""
-        return np.array([[self.deviations[kp, kd] for kd in axes[1]] for kp in axes[0]])
-
-    def ends(self, axes: Sequence[Sequence[float]]) -> tuple[str | None, str | None]:
-        """Returns at which end of kp and of kd the best is: ``"low"``, ``"high"`` or none."""
-        grid = self.grid(axes)
-        if not np.isfinite(grid).any():
-            return None, None
-        places = np.unravel_index(int(np.argmin(grid)), grid.shape)
-
-        def end(place: int, size: int) -> str | None:
-            if size == 1:
-                return None
-            return "low" if place == 0 else "high" if place == size - 1 else None
-
-        return end(int(places[0]), len(axes[0])), end(int(places[1]), len(axes[1]))
-
     def result(self, axes: Sequence[Sequence[float]]) -> GainSweep:
         """Returns the result of a grid."""
-        grid = self.grid(axes)
-        row, column = divmod(int(np.argmin(grid)), len(axes[1]))
-        stands = bool(np.isfinite(grid).any())
-        ends = zip(("kp", "kd"), self.ends(axes), strict=True)
+        pairs = [[(kp, kd) for kd in axes[1]] for kp in axes[0]]
+        grid = np.array([[self.deviations[pair] for pair in row] for row in pairs])
+        fell = ~np.isfinite(grid)
+        found = [[self.stabilities[pair] for pair in row] for row in pairs]
+        damping = np.array([[_damping_ratio(one) for one in row] for row in found])
         return GainSweep(
             kp=np.array(axes[0]),
             kd=np.array(axes[1]),
             height_deviation=grid,
-            fell=~np.isfinite(grid),
-            best_kp=axes[0][row] if stands else None,
-            best_kd=axes[1][column] if stands else None,
-            best_deviation=float(grid[row, column]) if stands else None,
-            at_edge=tuple(f"{name} {end}" for name, end in ends if end is not None),
+            fell=fell,
+            doubling_time=np.array(
+                [[one.doubling_time or math.inf for one in row] for row in found]
+            ),
+            damping_ratio=np.where(fell, math.nan, damping),
             amplitude=self.amplitude,
             frequency=self.frequency,
             duration=self.steps * self.timestep,
             integrator=self.integrator,
         )
+
+
+def _damping_ratio(stability: Stability) -> float:
+    """Returns the damping ratio of the least damped mode; not a number where none swings."""
+    mode = stability.least_damped
+    return math.nan if mode is None else mode.damping_ratio
 
 
 def _lies(robot: Robot, watcher: monitor.Watcher, stand: Stand, state: Array) -> bool:

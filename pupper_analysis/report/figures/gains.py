@@ -14,6 +14,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogLocator, NullLocator
 
 from pupper_analysis.report.figures import style
+from pupper_analysis.robot.stability import LASTING
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis
@@ -72,7 +73,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     style.put_legend(
         figure,
         [
-            Patch(fill=False, edgecolor=style.RED, lw=2, label="steadiest"),
+            Patch(fill=False, edgecolor=style.RED, lw=2, label="not stable at rest"),
             Patch(facecolor="#F1F1F1", edgecolor=style.GREY, hatch="////", label="fell"),
             Line2D(
                 [],
@@ -86,7 +87,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
 
 
 def _write_values(axes: Axes, sweep: GainSweep, norm: LogNorm) -> None:
-    """Writes the deviation (mm) into each cell, or that the robot fell, and frames the best."""
+    """Writes the deviation (mm) into each cell, or that it fell; frames what is not stable."""
     for row, column in np.ndindex(sweep.height_deviation.shape):
         if sweep.fell[row, column]:
             axes.add_patch(
@@ -105,7 +106,6 @@ def _write_values(axes: Axes, sweep: GainSweep, norm: LogNorm) -> None:
             )
             continue
         value = 1e3 * sweep.height_deviation[row, column]
-        best = sweep.kp[row] == sweep.best_kp and sweep.kd[column] == sweep.best_kd
         axes.text(
             column,
             row,
@@ -115,7 +115,7 @@ def _write_values(axes: Axes, sweep: GainSweep, norm: LogNorm) -> None:
             va="center",
             color="white" if norm(value) < 0.5 else style.BLACK,
         )
-        if best:
+        if sweep.doubling_time[row, column] < LASTING:
             axes.add_patch(
                 Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, fill=False, ec=style.RED, lw=2.2)
             )

@@ -11,7 +11,6 @@ from pupper_analysis.report.html import document as doc
 from pupper_analysis.report.html.loads import load_blocks, view_block
 from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.simulated import (
-    edge_note,
     motions_of,
     simulation_blocks,
     sweep_blocks,
@@ -80,8 +79,6 @@ def _surprises(analysis: Analysis) -> Iterable[doc.Words]:
     else:
         yield text("Commanded the pose alone, without feed-forward, it does not stand:")
         yield from map(said, without.failures)
-    if analysis.sweep.at_edge:
-        yield edge_note(analysis.sweep)
     yield from map(said, analysis.notes)
 
 

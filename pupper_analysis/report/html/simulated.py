@@ -14,7 +14,8 @@ from pupper_analysis.report.html.loads import proof
 from pupper_analysis.report.html.scene import Motion
 from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.sources import page
-from pupper_analysis.report.html.words import joined, text, word
+from pupper_analysis.report.html.words import text
+from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.gain_sweep import GainSweep
 from pupper_analysis.simulation.verify import StandVerification
 
@@ -86,29 +87,32 @@ def _interval(values: doc.Array) -> str:
 def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
     """Returns how steady a stand is, by servo gains."""
     rows: list[tuple[doc.Cell, ...]] = []
-    for kp, row in zip(sweep.kp, sweep.height_deviation, strict=True):
-        cells: list[doc.Cell] = [doc.number(kp, "g")]
-        for kd, value in zip(sweep.kd, row, strict=True):
-            best = kp == sweep.best_kp and kd == sweep.best_kd
-            fell = text("fell")
-            cells.append(
-                doc.number(value, ".4f", "best" if best else "", 1e3)
-                if np.isfinite(value)
-                else fell
-            )
-        rows.append(tuple(cells))
+    damped: list[tuple[doc.Cell, ...]] = []
+    for index, kp in enumerate(sweep.kp):
+        deviations, ratios = sweep.height_deviation[index], sweep.damping_ratio[index]
+        rows.append((doc.number(kp, "g"), *(
+            doc.number(value, ".4f", scale=1e3) if np.isfinite(value) else text("fell")
+            for value in deviations
+        )))  # fmt: skip
+        damped.append((doc.number(kp, "g"), *(
+            text("doubles in {time} s", time=f"{time:.2g}") if time < LASTING
+            else doc.number(ratio if np.isfinite(ratio) else None, ".2f")
+            for time, ratio in zip(sweep.doubling_time[index], ratios, strict=True)
+        )))  # fmt: skip
     notes: list[doc.Words] = [
         text(
             "Standard deviation of the base's height in the last of {seconds} s, under {force} N "
-            "at {frequency} Hz ({integrator}); the least is marked.",
+            "at {frequency} Hz ({integrator}).",
             seconds=f"{sweep.duration:g}",
             force=f"{sweep.amplitude:g}",
             frequency=f"{sweep.frequency:g}",
             integrator=doc.Name(sweep.integrator),
-        )
+        ),
+        text(
+            "Stiffer servos move less, without end: delay, noise and torque, which end it, are not "
+            "in it."
+        ),
     ]
-    if sweep.at_edge:
-        notes.append(edge_note(sweep))
     yield doc.Table(
         text("Height deviation by servo gains"),
         (
@@ -118,6 +122,15 @@ def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
         tuple(rows),
         tuple(notes),
         (text("Each cell is a simulation of its own in MuJoCo."),),
+    )
+    yield doc.Table(
+        text("Damping ratio of the least damped mode by servo gains"),
+        (
+            doc.Column(text("kp \\ kd"), "N m/rad \\ N m s/rad", left=True),
+            *(doc.Column(doc.Name(f"kd {kd:g}"), "1") for kd in sweep.kd),
+        ),
+        tuple(damped),
+        (text("Of the undisturbed stand, by the eigenvalues of a step of MuJoCo."),),
     )
     finite = [
         (kp, row)
@@ -141,14 +154,6 @@ def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
 def _positive(values: doc.Array) -> doc.Array:
     """Returns values without those that a logarithmic axis has no place for."""
     return np.where(values > 0, values, np.nan)
-
-
-def edge_note(sweep: GainSweep) -> doc.Text:
-    """Says where the best gains lie on the edge of what was tried."""
-    return text(
-        "The best gains lie on the edge of the grid ({edges}): better ones may be beyond.",
-        edges=joined(word(edge) for edge in sweep.at_edge),
-    )
 
 
 def motions_of(runs: Sequence[StandVerification]) -> list[Motion]:
