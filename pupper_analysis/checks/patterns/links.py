@@ -88,6 +88,10 @@ def _slip(case: Case, name: str) -> _Slip | None:
             less = from_moments(moments(one if lacks == "MJCF" else two) - extra)
             if _is_it(case, name, less, two if lacks == "MJCF" else one, extra, apart):
                 return _Slip(name, chosen, lacks)
+    kinds = {kind for kind, element in case.open if element == name}
+    alone = len(case.urdf.get(name, ())) == len(case.mjcf.get(name, ())) == 1
+    if alone and not kinds & {"com", "inertia"} and not _power(two.mass / one.mass):
+        return None  # one number of one link: the difference says it all
     # What another cause explains of the inertia says nothing of the link's.
     both = (False,) if ("inertia", name) in case.taken else (True, False)
     for link, inertia in product(case.urdf.get(name, ()), both):
@@ -184,17 +188,22 @@ def _scaled(slips: Sequence[_Slip]) -> str:
     names = ", ".join(named[:_NAMED])
     if len(named) > _NAMED:
         names += f" and {len(named) - _NAMED} more"
-    power = math.log10(factor)
-    decimal = round(power) and math.isclose(power, round(power), abs_tol=1e-3)
-    guess = " (g for kg?)" if abs(round(power)) == _GRAMS else " (a decimal point?)"
+    power = _power(factor)
+    guess = " (g for kg?)" if abs(power) == _GRAMS else " (a decimal point?)"
     what = "mass and inertia of {} are" if slips[0].inertia else "the mass of {} is"
     return (
         f"{what.format(names)} {factor:.6g} times in the MJCF what the URDF has"
-        f"{guess if decimal else ''}"
+        f"{guess if power else ''}"
     )
 
 
 _GRAMS = 3  # powers of ten between g and kg
+
+
+def _power(factor: float) -> int:
+    """Returns which power of ten a factor is; 0 if it is none, or 1."""
+    power = math.log10(factor)
+    return round(power) if math.isclose(power, round(power), abs_tol=1e-3) else 0
 
 
 def by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
