@@ -89,6 +89,22 @@ CASES = [
     urdf("com-outside-shapes", "link 'FL_calf'", FL_CALF, "<origin", "-0.055", "0.055"),
     urdf("total-mass-unusual", "link 'base_link'", '<link name="base_link">', "", "1.506", "1506"),
     urdf(
+        "link-without-inertial",
+        "link 'body_imu_site'",
+        '<link name="body_imu_site">',
+        "",
+        r"(?s)<inertial>.*?</inertial>",
+        "",
+    ),
+    urdf(
+        "massless-link-collides",
+        "link 'body_imu_site'",
+        '<link name="body_imu_site">',
+        "",
+        "</inertial>",
+        '</inertial><collision><geometry><sphere radius="0.01"/></geometry></collision>',
+    ),
+    urdf(
         "density-implausible", "link 'base_link'", '<link name="base_link">', "<mass", "1.506", "90"
     ),
     urdf(
@@ -933,3 +949,52 @@ def test_inertias_of_a_urdf_are_turned_as_their_origin_says(tmp_path: Path) -> N
     stated = np.array([[0.01, 0.001, 0.002], [0.001, 0.02, -0.003], [0.002, -0.003, 0.025]])
     np.testing.assert_allclose(inertial.inertia, turn @ stated @ turn.T, atol=1e-15)
     assert np.abs(turn.T @ stated @ turn - inertial.inertia).max() > 1e-3
+
+
+def massless(tmp_path: Path, *shapes: str) -> Audit:
+    """An arm of 2 kg with links that weigh nothing, each with a shape for contacts."""
+    text = (
+        '<robot name="a"><link name="base"><inertial><mass value="2"/><inertia ixx="0.01" '
+        'ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>'
+    )
+    for number, shape in enumerate(shapes):
+        text += (
+            f'<link name="l{number}"><inertial><mass value="0"/><inertia ixx="0" ixy="0" ixz="0" '
+            f'iyy="0" iyz="0" izz="0"/></inertial><collision><geometry>{shape}</geometry>'
+            f'</collision></link><joint name="j{number}" type="fixed"><parent link="base"/>'
+            f'<child link="l{number}"/></joint>'
+        )
+    file = tmp_path / "arm.urdf"
+    file.write_text(text + "</robot>")
+    return audit_model(file)
+
+
+def test_water_in_shapes_is_what_mujoco_weighs(tmp_path: Path) -> None:
+    shapes = {
+        '<sphere radius="0.03"/>': 'type="sphere" size="0.03"',
+        '<box size="0.1 0.06 0.04"/>': 'type="box" size="0.05 0.03 0.02"',
+        '<cylinder radius="0.041" length="0.032"/>': 'type="cylinder" size="0.041 0.016"',
+    }
+    geoms = "".join(f"<geom {geom}/>" for geom in shapes.values())
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody><body><freejoint/>{geoms}</body></worldbody></mujoco>"
+    )
+    found = massless(tmp_path, *shapes)
+    (water,) = (each for each in found.findings if each.rule == "massless-link-collides")
+    assert water.element == "link 'l0'"
+    assert f"they add {model.body_mass[1]:.4g} kg to 2 kg" in water.message
+    assert "(likewise l1, l2)" in water.message
+
+
+def test_links_without_inertial_are_told_once(tmp_path: Path) -> None:
+    """PyBullet 3.2.7 makes 8.17 kg of a Pupper v3 whose five frames state nothing."""
+    text = (ROOT / "urdf/pupper_v3.urdf").read_text()
+    for site in re.findall(r'<link name="(\w+_site)">', text):
+        text = re.sub(rf'(<link name="{site}")>.*?</link>', r"\1/>", text)
+    file = tmp_path / "bare.urdf"
+    file.write_text(text)
+    (bare,) = (each for each in audit_model(file).findings if each.rule == "link-without-inertial")
+    assert "8.17 kg in place of 3.17 kg" in bare.message
+    assert bare.element == "link 'body_imu_site'"
+    rules = {each.rule for each in audit_model(ROOT / "urdf/pupper_v3.urdf").findings}
+    assert not rules & {"link-without-inertial", "massless-link-collides"}

@@ -2,6 +2,7 @@
 
 from pupper_analysis.checks.audit.rules import (  # noqa: F401, I001  (the order is that of the table)
     mass,
+    engines,
     inertia,
     scale,
     shapes,
