@@ -18,6 +18,7 @@ import pytest
 from rich.console import Console
 
 from pupper_analysis.models.efforts import EffortStatement
+from pupper_analysis.models.joint_drives import Drive, MadeServo
 from pupper_analysis.pupper import comparison
 from pupper_analysis.report import analysis as analysis_report
 from pupper_analysis.report import comparison as models_report
@@ -96,6 +97,7 @@ def run(shift: float, *, passed: bool) -> Stub:
         force_error=0.02356 + shift,
         mujoco_foot_error=3.1e-10,
         mujoco_residual=4.2e-5,
+        stability=Stub(doubling_time=None),
     )
 
 
@@ -393,7 +395,7 @@ def pushes(shift: float) -> Stub:
 
 def pushed(shift: float, depth: float) -> Stub:
     stand = Stub(task=f"yaw {shift:.1f} deg", depths={"FR": depth / 2, "RL": depth})
-    return Stub(stand=stand, recovery=pushes(shift))
+    return Stub(stand=stand, recovery=pushes(shift), servos=SERVOS)
 
 
 def test_pushes() -> None:
@@ -412,7 +414,7 @@ def test_pushes() -> None:
             0.75 N s)
         two (2.15 kg): weakest at 240 deg, 0.53 N s = 0.25 m/s; then it falls (a rigid robot tips at
             0.85 N s)
-        simulated with its legs longer by what the feet sink into MuJoCo's soft ground (at most 3.11
+        all this is on MuJoCo's soft ground, with legs longer by what the feet sink in (at most 3.11
             mm)
         note: the feet of two, sunk into MuJoCo's soft ground, would be out of reach; simulated with
             joints for rigid ground
@@ -478,10 +480,10 @@ def test_a_stance() -> None:
             support polygon
         lowest part but the feet: calf, 11.1 mm
         nearest links: thigh and base, 22.2 mm apart
-        without feed-forward it settles at 0.11223 m: servos give 7.89 mm, the ground 4.21 mm; but
-            foot FR slides
+        commanded these joints alone it settles at 0.11223 m: servos give 7.89 mm, the ground 4.21
+            mm; but foot FR slides
         minimum stiffness of servos that carry it without feed-forward: 4.57 N m/rad
-        simulated with its legs longer by what the feet sink into MuJoCo's soft ground (at most 4.22
+        all this is on MuJoCo's soft ground, with legs longer by what the feet sink in (at most 4.22
             mm)
         the MJCF's loops and couplings are open in it by up to 2.3e-05 m or rad, as their softness
             has it
@@ -515,7 +517,7 @@ def loaded(*unlimited: str) -> Stub:
         unlimited=unlimited,
     )
     trial = Stub(mass=1.177, duration=12.0, failure=Failure.TIPPING, time=3.456, where=("FL",))
-    return Stub(name="stub", stand=STAND, payload=payload, trial=trial)
+    return Stub(name="stub", stand=STAND, payload=payload, trial=trial, servos=SERVOS)
 
 
 def test_a_payload() -> None:
@@ -524,11 +526,14 @@ def test_a_payload() -> None:
         payload at (11, -22, 83) mm of the base: 1.23 kg, then the servos are too soft: it buckles
             (knee); motors 4.56 kg, servos' stiffness 1.23 kg, contacts no limit; 1 motor has no
             effort limit, and sets no payload
+        that is static, at the motors' peak torque as the files state it
         simulated with 1.17 kg on it, 12 s, nudged: at 3.46 s the robot tips (FL)
     """)
     text = " ".join(printed(stance_report.print_payload, loaded("hip", "knee")))
-    assert "no limit; 2 motors have no effort limit, and set no payload simulated" in text
-    assert "contacts no limit simulated" in " ".join(printed(stance_report.print_payload, loaded()))
+    assert "no limit; 2 motors have no effort limit, and set no payload that is static" in text
+    assert "contacts no limit that is static" in " ".join(
+        printed(stance_report.print_payload, loaded())
+    )
 
 
 def test_the_best() -> None:
@@ -707,3 +712,16 @@ def test_two_models() -> None:
         note: only in a.urdf, fixed at zero or taken off to compare the rest: tail
         note: only in b.xml, fixed at zero or taken off to compare the rest: head
     """)
+
+
+def test_limits_say_that_their_servos_were_made_up() -> None:
+    """Of a robot without servos nobody stated what it can carry, or be pushed by."""
+    made = MadeServo("knee", 320.0, 16.0, Drive.MOTOR)
+    own = ServosUsed(ServoSource.MADE_UP, (320.0, 320.0), (16.0, 16.0), (made,))
+    one = loaded()
+    one.servos = own
+    said = "on servos that were made up at 1 joints (kp 320 N m/rad, kd 16 N m s/rad)"
+    assert f"as the files state it, {said}" in " ".join(printed(stance_report.print_payload, one))
+    push = pushed(0.0, 0.00311)
+    push.servos = own
+    assert said in " ".join(printed(push_report.print_pushes, {"one": push}))

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from pupper_analysis.results import Result
+from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.payload import PayloadTrial, payload_trial
 from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
 from pupper_analysis.stance.stand import Stand, solve_stand
@@ -29,12 +31,14 @@ class LoadedStance(Result):
         payload: The greatest mass.
         trial: The simulation with ``TRIED`` of that mass on the robot; None where that is nothing,
             or without limit.
+        servos: The servos that both are of.
     """
 
     name: str
     stand: Stand
     payload: PayloadLimit
     trial: PayloadTrial | None
+    servos: ServosUsed
 
     @property
     def passed(self) -> bool:
@@ -82,4 +86,4 @@ def try_payload(
     if 0 < payload.mass < math.inf:
         point = payload.point.tolist()
         trial = payload_trial(robot, stand, TRIED * payload.mass, point, kp=kp, kd=kd)
-    return LoadedStance(robot.name, stand, payload, trial)
+    return LoadedStance(robot.name, stand, payload, trial, servos_used(robot, kp, kd))

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from pupper_analysis.results import Result
+from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.push import PushRecovery, push_recovery
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.sunk import held_stand
@@ -24,11 +26,13 @@ class PushedStance(Result):
         stand: What is pushed: the stand with its feet sunk into MuJoCo's soft ground; the one on
             rigid ground where that is out of reach.
         recovery: The largest pushes.
+        servos: The servos that hold it.
     """
 
     name: str
     stand: Stand
     recovery: PushRecovery
+    servos: ServosUsed
 
     @property
     def passed(self) -> bool:
@@ -67,6 +71,7 @@ def study_pushes(
             robot.name,
             stand,
             push_recovery(robot, stand, kp=kp, kd=kd, directions=directions, resolution=resolution),
+            servos_used(robot, kp, kd),
         )
         for robot, stand in zip(robots, stands, strict=True)
     }

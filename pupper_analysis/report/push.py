@@ -10,6 +10,8 @@ from rich.console import Console
 
 from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.report.console import escape, titled_table
+from pupper_analysis.report.verdict import on_servos
+from pupper_analysis.robot.as_published import ServosUsed
 
 
 def print_pushes(out: Console, stances: Mapping[str, PushedStance]) -> None:
@@ -35,7 +37,8 @@ def print_pushes(out: Console, stances: Mapping[str, PushedStance]) -> None:
             f"[bold]{escape(name)}[/] ({result.mass:.2f} kg): weakest at "
             f"{_direction(result.weakest_direction)}, {result.weakest_impulse:.2f} N s = "
             f"{result.weakest_impulse / result.mass:.2f} m/s; then "
-            f"{escape(result.weakest_failure)} (a rigid robot tips at {tipping:.2f} N s)",
+            f"{escape(result.weakest_failure)} (a rigid robot tips at {tipping:.2f} N s)"
+            + made_up(stances[name].servos),
             soft_wrap=True,
         )
     stands = {name: stance.stand for name, stance in stances.items()}
@@ -47,10 +50,15 @@ def print_pushes(out: Console, stances: Mapping[str, PushedStance]) -> None:
         out.print(rigid_note(*rigid), soft_wrap=True)
 
 
+def made_up(servos: ServosUsed) -> str:
+    """Says that a limit rests on servos that were made up; nothing where the file has them."""
+    return f", {escape(str(on_servos(servos, good=True)))}" if servos.made else ""
+
+
 def sunk_note(depths: Iterable[float]) -> str:
     """Says that a robot was simulated as its feet sink in, by ``depths`` (m)."""
     return (
-        "simulated with its legs longer by what the feet sink into MuJoCo's soft ground "
+        "all this is on MuJoCo's soft ground, with legs longer by what the feet sink in "
         f"(at most {1e3 * max(depths):.2f} mm)"
     )
 

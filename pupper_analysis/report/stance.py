@@ -14,7 +14,7 @@ from pupper_analysis.analysis.payload import LoadedStance
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.report.analysis import print_loads
 from pupper_analysis.report.console import escape, titled_table
-from pupper_analysis.report.push import rigid_note, sunk_note
+from pupper_analysis.report.push import made_up, rigid_note, sunk_note
 from pupper_analysis.report.verdict import print_verdict
 from pupper_analysis.simulation.tracking import PathTracking
 from pupper_analysis.stance.optimize.best import BestStance
@@ -133,6 +133,8 @@ def _print_limit(out: Console, loaded: LoadedStance) -> None:
         motors = "1 motor has" if count == 1 else f"{count} motors have"
         text += f"; {motors} no effort limit, and set{'s' if count == 1 else ''} no payload"
     out.print(escape(text), soft_wrap=True)
+    rests = "static, at the motors' peak torque as the files state it"
+    out.print(f"that is {rests}{made_up(loaded.servos)}", soft_wrap=True)
     if trial is not None:
         text = f"simulated with {kilograms(trial.mass)} on it, {trial.duration:g} s, nudged: "
         text += (
@@ -207,7 +209,7 @@ def _print_settled(out: Console, stance: Stance) -> None:
         )
         return
     text = (
-        f"without feed-forward it settles at {settled.base_height:.5f} m: servos give "
+        f"commanded these joints alone it settles at {settled.base_height:.5f} m: servos give "
         f"{1e3 * settled.servo_sag:.2f} mm, the ground {1e3 * settled.contact_sag:.2f} mm"
     )
     if settled.release_margin < RELEASE_MARGIN and not settled.failures:

@@ -21,7 +21,7 @@ def print_summary(out: Console, analysis: Analysis) -> None:
     )
     held, let_go = analysis.verification, analysis.sagging
     stand = f"   stands {1e3 * analysis.stand.qpos[2]:.1f} mm high, in MuJoCo {_millimetres(held)}"
-    sag = f"without feed-forward {_millimetres(let_go)}"
+    sag = f"commanded the same joints without feed-forward {_millimetres(let_go)}"
     if let_go.failures:
         sag += f" ({let_go.failures[0]})"
     check = analysis.check

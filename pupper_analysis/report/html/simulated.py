@@ -86,19 +86,13 @@ def _interval(values: doc.Array) -> str:
 
 def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
     """Returns how steady a stand is, by servo gains."""
-    rows: list[tuple[doc.Cell, ...]] = []
-    damped: list[tuple[doc.Cell, ...]] = []
-    for index, kp in enumerate(sweep.kp):
-        deviations, ratios = sweep.height_deviation[index], sweep.damping_ratio[index]
-        rows.append((doc.number(kp, "g"), *(
+    deviations = [
+        [
             doc.number(value, ".4f", scale=1e3) if np.isfinite(value) else text("fell")
-            for value in deviations
-        )))  # fmt: skip
-        damped.append((doc.number(kp, "g"), *(
-            text("doubles in {time} s", time=f"{time:.2g}") if time < LASTING
-            else doc.number(ratio if np.isfinite(ratio) else None, ".2f")
-            for time, ratio in zip(sweep.doubling_time[index], ratios, strict=True)
-        )))  # fmt: skip
+            for value in row
+        ]
+        for row in sweep.height_deviation
+    ]
     notes: list[doc.Words] = [
         text(
             "Standard deviation of the base's height in the last of {seconds} s, under {force} N "
@@ -112,26 +106,44 @@ def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
             "Stiffer servos move less, without end: delay, noise and torque, which end it, are not "
             "in it."
         ),
+        text("Each cell is a simulation of its own in MuJoCo."),
     ]
-    yield doc.Table(
-        text("Height deviation by servo gains"),
+    yield _by_gains(sweep, text("Height deviation by servo gains"), "mm", deviations, notes)
+    damping = [
+        [
+            text("doubles in {time} s", time=f"{time:.2g}")
+            if time < LASTING
+            else doc.number(ratio if np.isfinite(ratio) else None, ".2f")
+            for time, ratio in zip(*row, strict=True)
+        ]
+        for row in zip(sweep.doubling_time, sweep.damping_ratio, strict=True)
+    ]
+    title = text("Damping ratio of the least damped mode by servo gains")
+    how = text("Of the undisturbed stand, by the eigenvalues of a step of MuJoCo.")
+    yield _by_gains(sweep, title, "1", damping, [how])
+    yield from _sweep_plot(sweep)
+
+
+def _by_gains(
+    sweep: GainSweep,
+    title: doc.Words,
+    unit: str,
+    cells: Sequence[Sequence[doc.Cell]],
+    notes: Sequence[doc.Words],
+) -> doc.Table:
+    """Returns a table with a row for each kp and a column for each kd."""
+    return doc.Table(
+        title,
         (
             doc.Column(text("kp \\ kd"), "N m/rad \\ N m s/rad", left=True),
-            *(doc.Column(doc.Name(f"kd {kd:g}"), "mm") for kd in sweep.kd),
+            *(doc.Column(doc.Name(f"kd {kd:g}"), unit) for kd in sweep.kd),
         ),
-        tuple(rows),
+        tuple((doc.number(kp, "g"), *row) for kp, row in zip(sweep.kp, cells, strict=True)),
         tuple(notes),
-        (text("Each cell is a simulation of its own in MuJoCo."),),
     )
-    yield doc.Table(
-        text("Damping ratio of the least damped mode by servo gains"),
-        (
-            doc.Column(text("kp \\ kd"), "N m/rad \\ N m s/rad", left=True),
-            *(doc.Column(doc.Name(f"kd {kd:g}"), "1") for kd in sweep.kd),
-        ),
-        tuple(damped),
-        (text("Of the undisturbed stand, by the eigenvalues of a step of MuJoCo."),),
-    )
+
+
+def _sweep_plot(sweep: GainSweep) -> Iterable[doc.Block]:
     finite = [
         (kp, row)
         for kp, row in zip(sweep.kp, sweep.height_deviation, strict=True)

@@ -18,6 +18,8 @@ from pupper_analysis.report.html.sources import page, source_of
 from pupper_analysis.report.html.tasks import task_text
 from pupper_analysis.report.html.verdict import verdict_lines, verdict_word
 from pupper_analysis.report.html.words import text
+from pupper_analysis.report.verdict import on_servos
+from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
 
 
@@ -156,8 +158,15 @@ def push_section(pushed: PushedStance, robot: Robot | None) -> doc.Section:
         ),
         pushed.passed,
         text("LASTS") if pushed.passed else text("FAILS"),
-        (weakest, said(recovery.weakest_failure)),
+        (weakest, said(recovery.weakest_failure), *_made_up(pushed.servos)),
     )
+
+
+def _made_up(servos: ServosUsed) -> Iterable[doc.Words]:
+    """Says that a limit rests on servos that were made up."""
+    if servos.made:
+        clause = on_servos(servos, good=True)
+        yield text(clause.sentence, **clause.values)
 
 
 def push_plot(pushes: Sequence[PushedStance]) -> doc.Plot:
