@@ -389,6 +389,7 @@ CASES = [
     # ---- simulation
     mjcf("gravity-unusual", "option", "<option", "-9.81", "-1.62"),
     mjcf("gravity-unusual", "option", "<option", "-9.81", "9.81"),
+    mjcf("gravity-unusual", "option", "<option", "-9.81", "-9.75"),
     Case(
         "armature-zero",
         "mjcf",

@@ -141,3 +141,16 @@ def test_other_percent_signs_pass(tmp_path: Path, word: str) -> None:
     file = tmp_path / "robot.xml"
     file.write_text(mjcf_text(quadruped()).replace("foot0", word))
     assert read_mjcf(file).refusal is None
+
+
+@pytest.mark.parametrize("gravity", ["0 0 1e300", "1e300 0 -9.81", "0 nan -9.81"])
+def test_a_gravity_that_no_number_can_be_is_refused(gravity: str, tmp_path: Path) -> None:
+    """Each of the three counts, not one of them."""
+    path = tmp_path / "robot.xml"
+    path.write_text(
+        mjcf_text(quadruped()).replace(
+            "<worldbody>", f'<option gravity="{gravity}"/><worldbody>', 1
+        )
+    )
+    with pytest.raises(ModelError, match=r"gravity|number"):
+        read_mjcf(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from robots import (
     Files,
     all_changed,
@@ -20,7 +21,10 @@ from test_comparison_report import lines
 from pupper_analysis.checks.audit import audit_model
 from pupper_analysis.checks.compare import compare_models
 from pupper_analysis.checks.engines import URDF_MUJOCO
+from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_checks import MAX_DEPTH
+from pupper_analysis.models.urdf_file import read_urdf
 
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
 INCLUDED = '<mujocoinclude><option timestep="0.003"/></mujocoinclude>'
@@ -155,3 +159,24 @@ def test_gravity_that_is_rounding_is_no_deviation(tmp_path: Path) -> None:
     comparison = compared(write(tmp_path, urdf_text(parts), mjcf_text(mjcf, free=False)))
     assert comparison.deviations["gravity"] < 1e-3
     assert all(q.relative < 1e-3 for q in comparison.check.quantities if q.name == "gravity")
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.5, 0.99])
+def test_the_longest_chain_is_read_in_any_order(begin: float, tmp_path: Path) -> None:
+    """250 joints in a row are; one more is not, wherever in the file it stands."""
+    for count in (MAX_DEPTH, MAX_DEPTH + 1):
+        links = [f'<link name="l{number}"/>' for number in range(count + 1)]
+        joints = [
+            f'<joint name="j{number}" type="fixed"><parent link="l{number}"/>'
+            f'<child link="l{number + 1}"/></joint>'
+            for number in range(count)
+        ]
+        first = int(begin * count)  # chains that are looked at later end at those looked at before
+        path = tmp_path / f"{count}.urdf"
+        turned = "".join([*links[first:], *links[:first], *joints])
+        path.write_text(f'<robot name="r">{turned}</robot>')
+        if count == MAX_DEPTH:
+            assert len(read_urdf(path).root.findall("link")) == count + 1
+        else:
+            with pytest.raises(ModelError, match="more than 250 joints"):
+                read_urdf(path)

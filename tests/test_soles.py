@@ -225,3 +225,14 @@ def test_an_ellipsoid_touches_where_it_is_lowest(size: str, tmp_path: Path) -> N
     if len(set(size.split())) == 1:
         assert set(robot.foot_radius.values()) == {0.02}
         assert pa.verify_stand(robot, pa.sunk_stand(robot)).torque_error < 1e-5
+
+
+@pytest.mark.slow
+def test_a_round_sole_touches_on_its_rim(tmp_path: Path) -> None:
+    """At the cylinder's radius, 90 mm from its axis, and not at its half length."""
+    robot = load(biped(tmp_path, BIPED_FEET["cylinder"]))
+    for points in robot.soles.values():
+        places = np.array([robot.foot_places[point][1] for point in points])
+        assert len(points) >= 3
+        from_axis = np.linalg.norm(places[:, :2] - (0.03, 0.0), axis=1)
+        np.testing.assert_allclose(from_axis, 0.09, rtol=0.02)

@@ -26,7 +26,7 @@ from pupper_analysis import (
     sunk_stand,
 )
 from pupper_analysis.analysis.path import way_to
-from pupper_analysis.cli.stance_options import RobotAndTask
+from pupper_analysis.cli.stance_options import RobotAndTask, derived_variant
 from pupper_analysis.report.figures.pose import pose_figure
 from pupper_analysis.report.figures.workspace import workspace_figure
 
@@ -228,3 +228,18 @@ def test_bad_input_is_one_line_and_exit_status_2(
     arguments, message = BAD[case]
     monkeypatch.chdir(tmp_path)
     check_refusal(capfd, tmp_path, [*arguments, "--json", "all.json"], message)
+
+
+def test_a_derived_variant_keeps_what_is_not_given() -> None:
+    for given, legs, torso in (
+        (("v3", None, None), 1.0, 1.0),
+        (("v3", 1.2, None), 1.2, 1.0),
+        (("v3", None, 1.5), 1.0, 1.5),
+    ):
+        found = derived_variant(*given)
+        assert found is not None
+        assert (found.base, found.leg_scale, found.torso_mass_scale) == ("v3", legs, torso)
+    skeleton = derived_variant(None, 1.5, None)
+    assert skeleton is not None
+    assert (skeleton.base, skeleton.torso_mass_scale) == ("skeleton", 1.0)
+    assert derived_variant(None, None, None) is None

@@ -466,3 +466,22 @@ def test_an_offset_may_vary_where_no_com_is_asked_for(tmp_path: Path) -> None:
         assert margin == pytest.approx(stand.com_margin, abs=1e-9)
     with pytest.raises(pa.ConfigurationError, match="not both"):
         study({"offset_x": [0.0, 0.01]}, "com_margin", stand=pa.StandTask(com="inside"))
+
+
+def test_offsets_are_forward_and_to_the_left(tmp_path: Path) -> None:
+    """v3 is longer than wide: the same offset leaves less to the left than forward."""
+    vary = {"offset_x": [0.0, 0.01], "offset_y": [0.0, 0.02]}
+    with ThreadPoolExecutor(1) as executor:
+        table = study(vary, "com_margin", robot="v3").run(tmp_path, executor=executor)
+    assert len(table) == 4
+    for _, row in table.iterrows():
+        task = pa.StandTask(offset=(row["offset_x"], row["offset_y"]))
+        margin = pa.solve_stand(load("v3"), task).com_margin
+        assert row["com_margin"] == pytest.approx(margin, abs=1e-9)
+    alone = study(
+        {"offset_y": [0.02]}, "com_margin", robot="v3", stand=pa.StandTask(offset=(0.01, 0))
+    )
+    with ThreadPoolExecutor(1) as executor:
+        (margin,) = alone.run(tmp_path / "alone", executor=executor)["com_margin"]
+    both = table[(table["offset_x"] == 0.01) & (table["offset_y"] == 0.02)]["com_margin"]
+    assert margin == pytest.approx(float(both.iloc[0]), abs=1e-9)

@@ -18,6 +18,7 @@ from robots import Files, Parts, changed, mjcf_text, quadruped, urdf_text, write
 
 import pupper_analysis as pa
 from pupper_analysis.sync.digits import Digits
+from pupper_analysis.sync.inertia import Mass, same
 from pupper_analysis.sync.plan import Cause
 from pupper_analysis.sync.xml_bytes import read_document
 
@@ -110,12 +111,26 @@ def test_choices(tmp_path: Path, take: list[str], expected: dict[str, str]) -> N
         ("urdf:", "'urdf:' is not of the form"),
         ("urdf:tail", "no difference is called 'tail'; there are: body of base: mass; joint hip1"),
         ("urdf:4", "'4': the differences are numbered from 1 to 3"),
+        ("urdf:0", "'0': the differences are numbered from 1 to 3"),
+        ("urdf:0-1", "'0-1': the differences are numbered from 1 to 3"),
         ("urdf:2-1", "'2-1': the differences are numbered from 1 to 3"),
     ],
 )
 def test_choices_that_mean_nothing_are_refused(tmp_path: Path, take: str, said: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=re.escape(said)):
         sync(pair(tmp_path, DIFFERENT), take)
+
+
+def test_the_tenth_digit_of_an_inertial_tells_two_bodies_apart() -> None:
+    """Rounding is in the fifteenth: what differs before it is written, and not passed over."""
+    one = Mass(2.0, np.array([0.1, 0.0, 0.0]), np.diag([1e-4, 2e-4, 2.5e-4]))
+    for factor, alike in ((1e-15, True), (1e-9, False), (1e-4, False)):
+        others = (
+            Mass(2.0 * (1 + factor), one.com, one.inertia),
+            Mass(2.0, one.com + factor, one.inertia),
+            Mass(2.0, one.com, one.inertia * (1 + factor)),
+        )
+        assert [same(one, other) for other in others] == [alike] * 3
 
 
 def test_values_can_go_both_ways_at_once(tmp_path: Path) -> None:

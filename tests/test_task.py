@@ -95,3 +95,10 @@ def test_a_task_says_what_it_asks() -> None:
         "com inside by 10 mm",
     ):
         assert words in str(task)
+
+
+def test_an_offset_goes_with_the_centre_and_with_no_other_com() -> None:
+    assert pa.StandTask(offset=(0.01, 0.0), com="centre").com == "centre"
+    for com in ("inside", (0.0, 0.0)):
+        with pytest.raises(pa.ConfigurationError, match="not both"):
+            pa.StandTask(offset=(0.01, 0.0), com=com)
