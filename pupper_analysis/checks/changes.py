@@ -23,6 +23,7 @@ from pupper_analysis.checks.words import (
     vector,
 )
 from pupper_analysis.models.parameters import Body, Joint, Parameters
+from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,6 +269,9 @@ def _joint_numbers(
             continue
         if field == "effort" and a == 0 and math.isinf(b) and not sides.alike:
             continue  # neither states one
+        endless = field in ("lower", "upper") and one.slides and abs(a) >= ENDLESS_SLIDE
+        if endless and math.isinf(b) and not sides.alike:
+            continue  # a URDF cannot state a slide without
         if one.slides:
             unit = unit.replace("N m", "N").replace("rad", "m").replace("kg m^2", "kg")
         message = f"joint {name}: {kind} {sides.pair(a, b, unit)}{in_degrees(a, b)}"

@@ -17,7 +17,6 @@ from pupper_analysis.checks.conventions import Conventions, conventions, pose_in
 from pupper_analysis.checks.matching_loops import ball_joints, open_loops
 from pupper_analysis.checks.matching_mjcf import (
     bodies_of,
-    delete_joint,
     drop_other_objects,
     hinges,
     is_fused,
@@ -44,6 +43,7 @@ from pupper_analysis.checks.trees import base_pose, trees
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.free_base import delete_joint, join_free_base
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -144,7 +144,9 @@ def match(
     notes = [*urdf.notes, *mjcf.notes]
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
     spec = mjcf.spec.copy()
-    name_all(spec, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
+    urdf_joints = {str(joint.get("name")) for joint in root.findall("joint")}
+    name_all(spec, urdf_joints, notes)
+    joined = join_free_base(spec, mjcf.path, notes, stated=urdf_joints)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
     drop_other_objects(spec, mjcf.path, root, notes)
     at_bodies = ball_joints(spec)
@@ -190,7 +192,7 @@ def match(
         opened=opened,
         notes=tuple(notes),
         reference=Reference(
-            robot.mj_model if only_mjcf else mjcf.compile(),
+            robot.mj_model if only_mjcf else whole if joined else mjcf.compile(),
             robot.mj_model if only_mjcf else whole,
             robot.joint_names,
             robot.mj_base,

@@ -15,6 +15,7 @@ from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.models.free_base import delete_joint
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.robot.robot import Robot
 
@@ -133,28 +134,6 @@ def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
     """Tells whether the world is the base: whether one of some joints is between it and a body."""
     there = (joint for body in spec.worldbody.bodies for joint in body.joints)
     return any(j.name in joints and j.type != mujoco.mjtJoint.mjJNT_FREE for j in there)
-
-
-def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-    """Deletes a joint with all that refers to it."""
-    name = joint.name
-    for actuator in list(spec.actuators):
-        if actuator.target == name:
-            _delete_sensors(spec, actuator.name)
-            spec.delete(actuator)
-    for equality in list(spec.equalities):
-        # A connect or weld names bodies, which may be called like joints.
-        joints = equality.type == mujoco.mjtEq.mjEQ_JOINT
-        if joints and name in (equality.name1, equality.name2):
-            spec.delete(equality)
-    _delete_sensors(spec, name)
-    spec.delete(joint)
-
-
-def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
-    for sensor in list(spec.sensors):
-        if name and name in (sensor.objname, sensor.refname):
-            spec.delete(sensor)
 
 
 def bodies_of(robot: Robot) -> dict[str, str]:

@@ -10,8 +10,9 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.checks.matching_mjcf import delete_joint, mjcf_tree
+from pupper_analysis.checks.matching_mjcf import mjcf_tree
 from pupper_analysis.checks.matching_urdf import end_link, urdf_tree
+from pupper_analysis.models.free_base import delete_joint
 
 _KINDS = (
     ("gripper", re.compile(r"finger|grip|jaw|claw|pinch", re.IGNORECASE)),

@@ -15,23 +15,21 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, rotation_from_quaternion
 from pupper_analysis.convert.conversion import Draft
 from pupper_analysis.convert.tidy import to_text
+from pupper_analysis.convert.unsaid import others, surroundings
 from pupper_analysis.convert.urdf_shapes import Shapes, put_placement
 from pupper_analysis.convert.xml_text import element, free_name, words
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.models.free_base import join_free_base
+from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
+from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 
 Array = NDArray[np.float64]
 
 _UNKNOWN_VELOCITY = 100.0
 """Velocity limit of joints (rad/s): no MJCF states one, and every URDF must; beyond any motor's."""
-
-_NAMED = 3
-"""Names in a row that are listed."""
-
-_GRAVITY = (0.0, 0.0, -9.81)
-"""That of Pinocchio, and whoever else loads a URDF (m/s^2)."""
 
 _FREE = mujoco.mjtJoint.mjJNT_FREE.value
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE.value
@@ -160,7 +158,12 @@ class UrdfLinks:
             limit.set("lower", words(low))
             limit.set("upper", words(high))
         elif kind == "prismatic":
-            self.left.append(f"joint {name!r} slides without limits; its URDF's are 0")
+            limit.set("lower", words(-ENDLESS_SLIDE))
+            limit.set("upper", words(ENDLESS_SLIDE))
+            self.left.append(
+                f"joint {name!r} slides without limits; a URDF's must have some: "
+                f"{ENDLESS_SLIDE:g} m"
+            )
         dof = int(model.jnt_dofadr[joint])
         damping, friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
         if damping or friction:
@@ -224,20 +227,22 @@ def urdf_draft(file: MjcfFile, output: Path) -> Draft:
     Raises:
         ModelError: If a URDF cannot have the robot.
     """
-    model = file.compile()
+    notes = [*file.notes]
+    spec = file.spec.copy()
+    joined = join_free_base(spec, file.path, notes)
+    model = compile_spec(spec, file.path) if joined else file.compile()
     base = _base(file, model)
     root = etree.Element("robot", {"name": _robot_name(file)})
     shapes = Shapes(file, model, output.resolve().parent)
     links = UrdfLinks(file, model, shapes)
     links.add(root, base)
     links.add_sites(root)
-    left = [*links.left, *shapes.left, *_couplings(root, model), *_others(model)]
-    left += _surroundings(model, set(links.links))
+    left = [*links.left, *shapes.left, *_couplings(root, model), *others(model)]
+    left += surroundings(model, set(links.links))
     if links.unlimited:
         left.append(f"{links.unlimited} joints have no effort limit; in a URDF that is 0")
     _add_transmissions(root, model)
     floating = bool((model.jnt_type == _FREE).any())
-    notes = [*file.notes]
     if floating:
         notes.append("the base is free, which a URDF leaves to whoever loads it")
     header = f"Converted from {file.path.name} by pupper-analysis."
@@ -305,74 +310,6 @@ def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[str]:
                 continue
         left.append(f"equality constraint {index + 1} ({name})")
     return left
-
-
-def _others(model: mujoco.MjModel) -> list[str]:
-    """Says what else a URDF cannot say."""
-    moving = model.jnt_type != _FREE
-    dofs = model.jnt_dofadr[moving]
-    some = []
-    if model.dof_armature[dofs].any():
-        low, high = (float(f(model.dof_armature[dofs])) for f in (np.min, np.max))
-        some.append(f"armature ({low:g} to {high:g} kg m^2): crosscheck takes it from the MJCF")
-    fixed = np.setdiff1d(np.arange(model.nv), dofs)
-    for values, what, unit in (
-        (model.dof_damping, "damping", "N s/m"),
-        (model.dof_frictionloss, "friction", "N"),
-        (model.dof_armature, "armature", "kg"),
-    ):
-        if values[fixed].any():
-            some.append(f"{what} of the free joint ({float(values[fixed].max()):g} {unit})")
-    if model.jnt_stiffness[moving].any():
-        some.append(f"springs of {int((model.jnt_stiffness[moving] != 0).sum())} joints")
-    if model.body_gravcomp.any():
-        some.append(f"gravity compensation of {int((model.body_gravcomp != 0).sum())} bodies")
-    elsewhere = sum(not is_at_one_joint(model, number) for number in range(model.nactuator))
-    for count, what in (
-        (model.ntendon, "tendons"),
-        (model.nkey, "keyframes"),
-        (model.nsensor, "sensors"),
-        (model.nexclude, "excluded contacts"),
-        (model.npair, "pairs of geoms that touch"),
-        (elsewhere, "actuators that are not at a joint"),
-    ):
-        if count:
-            some.append(f"{what}: {count}")
-    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
-    servos = int((model.actuator_biastype == affine).sum())
-    if servos:
-        some.append(f"the gains of {servos} servos; their joints have transmissions")
-    return some
-
-
-def _surroundings(model: mujoco.MjModel, robot: set[int]) -> list[str]:
-    """Says what is around the robot, and on it, that no URDF has.
-
-    Args:
-        model: The model.
-        robot: The bodies that are links.
-    """
-    others = [body for body in range(1, model.nbody) if body not in robot]
-    away = [*others] if 0 in robot else [0, *others]
-    some = []
-    if others:
-        names = [model.body(body).name or f"{body}" for body in others]
-        shown = ", ".join(map(repr, names[:_NAMED])) + (", ..." if len(names) > _NAMED else "")
-        some.append(f"{len(others)} bodies that the robot does not carry: {shown}")
-    for count, what in (
-        (int(np.isin(model.geom_bodyid, away).sum()), "geoms of the world and of such bodies"),
-        (int(np.isin(model.site_bodyid, away).sum()), "sites there"),
-        (model.ncam, "cameras"),
-        (model.nlight, "lights"),
-    ):
-        if count:
-            some.append(f"{what}: {count}")
-    gravity = model.opt.gravity
-    if not np.allclose(gravity, _GRAVITY):
-        some.append(f"gravity ({', '.join(f'{value:g}' for value in gravity)}) m/s^2")
-    if model.opt.density or model.opt.viscosity:
-        some.append("the fluid around the robot")
-    return some
 
 
 def _add_transmissions(root: etree._Element, model: mujoco.MjModel) -> None:

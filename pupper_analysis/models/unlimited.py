@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from lxml import etree
 
+ENDLESS_SLIDE = 1e3
+"""Limit of a slide that has none (m): a URDF's must have two, which are 0 where left out. No robot
+slides so far, and a number with 12 digits is a nanometre still."""
+
 _TOLD = 3  # joints that a note tells
 
 _DEMANDED = ("effort", "velocity")

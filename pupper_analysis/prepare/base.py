@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES
-from pupper_analysis.checks.matching_mjcf import delete_joint, limbs_on_the_world, mjcf_tree
+from pupper_analysis.checks.matching_mjcf import limbs_on_the_world, mjcf_tree
 from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.checks.matching_places import at_zero
 from pupper_analysis.checks.matching_urdf import root_link, urdf_tree
+from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.parameters import Body, Parameters
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -28,15 +29,16 @@ def free_base(urdf: UrdfFile, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.M
         spec: The MJCF's; it is changed.
         notes: What was done is added.
     """
+    stated = {str(joint.get("name")) for joint in urdf.root.findall("joint")}
     if any(joint.type == _FREE for joint in spec.joints):
+        return spec
+    if join_free_base(spec, urdf.path, notes, stated=stated):
         return spec
     if len(limbs_on_the_world(spec, urdf.root)) >= 2:
         return _unfused(urdf, spec, notes)
     bodies = list(spec.worldbody.bodies)
     size = {body.name: len(body.find_all(mujoco.mjtObj.mjOBJ_JOINT)) for body in bodies}
     base = max(bodies, key=lambda body: size[body.name], default=None)
-    if base is not None and _is_free_in_parts(base):
-        return _in_one(spec, base, notes)
     if base is None or list(base.joints):
         return spec
     limbs = [
@@ -45,36 +47,6 @@ def free_base(urdf: UrdfFile, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.M
     if len(limbs) >= 2:
         base.add_freejoint()
         notes.append(f"the MJCF holds {base.name!r} in the world: a free joint was added")
-    return spec
-
-
-def _is_free_in_parts(body: mujoco.MjsBody) -> bool:
-    """Tells whether slides along x, y and z, then a ball joint, leave a body free in the world."""
-    kinds = mujoco.mjtJoint
-    wanted = [kinds.mjJNT_SLIDE] * 3 + [kinds.mjJNT_BALL]
-    joints = list(body.joints)
-    return (
-        [joint.type for joint in joints] == wanted
-        and np.allclose([joint.axis for joint in joints[:3]], np.eye(3), atol=1e-9)
-        and not any(np.any(joint.stiffness) or np.any(joint.pos) for joint in joints)
-        and np.allclose(body.quat, (1, 0, 0, 0), atol=1e-9)
-    )
-
-
-def _in_one(spec: mujoco.MjSpec, base: mujoco.MjsBody, notes: list[str]) -> mujoco.MjSpec:
-    """Gives a base that is free by slides and a ball joint a free joint instead."""
-    for joint in list(base.joints):
-        delete_joint(spec, joint)
-    base.add_freejoint()
-    for key in spec.keys:  # of the same size: slides count from where the body stands
-        qpos = np.array(list(key.qpos))
-        if len(qpos):
-            qpos[:3] += base.pos
-            key.qpos = qpos
-    notes.append(
-        f"the MJCF's {base.name!r} is free by three slides and a ball joint: a free joint was put "
-        "in their place"
-    )
     return spec
 
 

@@ -22,6 +22,7 @@ from pupper_analysis.checks.passive.find import extras
 from pupper_analysis.checks.passive.mimics import urdf_mimics
 from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.passive.scene import Scene
+from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.parameters import Parameters
@@ -89,6 +90,7 @@ def _of_urdf(file: UrdfFile) -> Version:
 def _of_mjcf(file: MjcfFile) -> Version:
     notes, spec = list(file.notes), file.spec.copy()
     name_all(spec, set(), notes)
+    joined = join_free_base(spec, file.path, notes)
     whole = compile_spec(spec.copy(), file.path)
     drop_other_objects(spec, file.path, None, notes)
     hinges(spec, file.path, notes)
@@ -105,7 +107,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
     ]
     carriers = {name: model.body(int(model.joint(name).bodyid[0])).name for name in names}
     base = _base(model, names)
-    reference = Reference(file.compile(), whole, names, base)
+    reference = Reference(whole if joined else file.compile(), whole, names, base)
     others: dict[tuple[str, str], Any] = {
         (extra.kind, extra.element): extra.value for extra in extras(reference)
     }
