@@ -50,6 +50,9 @@ from pupper_analysis.errors import ConfigurationError, OutputError
     is_flag=True,
     help="Give moving links the nearest inertia that a body can have; 1 g to those without mass.",
 )
+@click.option(
+    "--copy-meshes", is_flag=True, help="Copy all meshes to NAME_meshes/ beside the new file."
+)
 @package_option
 @shared.json_option
 def convert_command(
@@ -63,6 +66,7 @@ def convert_command(
     sag: float | None,
     damping_ratio: float | None,
     repair_inertia: bool,
+    copy_meshes: bool,
     packages: tuple[str, ...],
     json_path: Path | None,
 ) -> None:
@@ -109,6 +113,7 @@ def convert_command(
             sag=sag,
             damping_ratio=damping_ratio,
             repair_inertia=repair_inertia,
+            copy_meshes=copy_meshes,
             packages=folders,
             force=force,
         )

@@ -16,23 +16,27 @@ from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
 
+_MISSING = "for there is no such file"
+
 
 class Meshes:
     """The meshes of a new MJCF, each file with each scale once.
 
     Attributes:
         notes: What was left out, in plain words.
-        made: {path that the MJCF names: content} of meshes in formats that MuJoCo cannot read,
-            written anew beside the MJCF.
+        copied: Whether all meshes are copied to a folder beside the MJCF.
+        made: {path that the MJCF names: content} of meshes that are written beside the MJCF: in
+            formats that MuJoCo cannot read, or copied.
     """
 
-    def __init__(self, urdf: UrdfFile, output: Path) -> None:
-        self.urdf, self.output = urdf, output
+    def __init__(self, urdf: UrdfFile, output: Path, *, copied: bool = False) -> None:
+        self.urdf, self.output, self.copied = urdf, output, copied
         self.made: dict[Path, bytes] = {}
         self._left: dict[str, list[str]] = {}
         self._names: dict[tuple[Path, str], str] = {}
         self._taken: set[str] = set()
         self._places: dict[Path, Path] = {}
+        self._named: dict[Path, Path] = {}
         self._stems: set[str] = set()
         self._touching: set[tuple[Path, str]] = set()
         self._shells: set[Path] = set()
@@ -46,6 +50,16 @@ class Meshes:
             texts.append(f"{len(files)} mesh file(s) left out, {why}: {some}")
         return texts
 
+    @property
+    def missing(self) -> str:
+        """Says how many files are not there, and what helps; empty if all are."""
+        files = self._left.get(_MISSING, [])
+        if not files:
+            return ""
+        packages = any("://" in file for file in files)
+        helps = "--package NAME=FOLDER tells where a package is" if packages else "bring them"
+        return f"{len(files)} mesh files are missing, and feet may be among them ({helps})"
+
     def name(self, mesh: etree._Element, *, touches: bool) -> str | None:
         """Returns the name of a URDF's <mesh> in the MJCF; None if it is left out.
 
@@ -57,9 +71,10 @@ class Meshes:
         scale = mesh.get("scale") or "1 1 1"
         path = self.urdf.resolve_mesh(file)
         if path is None:
-            self._leave("for there is no such file", file)
+            self._leave(_MISSING, file)
             return None
-        path = path.resolve()
+        named, path = path, path.resolve()
+        self._named.setdefault(path, named.absolute())
         if (path, scale) in self._names and (not touches or (path, scale) in self._touching):
             return self._names[path, scale]
         try:
@@ -101,7 +116,8 @@ class Meshes:
             if used is not None and name not in used:
                 continue
             place = self._place(path)
-            file = os.path.relpath(place, self.output.parent.resolve())
+            named = self._named[path] if place == path else place
+            file = _relative(named, place, self.output)
             if trial is not None:
                 file = str(place)
                 if place in self.made:
@@ -118,13 +134,33 @@ class Meshes:
                 inertia="shell" if path in self._shells else None,
             )
 
+    @property
+    def elsewhere(self) -> str:
+        """Says where meshes are that do not move with the MJCF's folder; empty if all do."""
+        outside = {
+            Path(_relative(self._named.get(path, path), path, self.output)).parent
+            for path, _ in self._names
+            if self._place(path) == path
+        }
+        outside = {folder for folder in outside if ".." in folder.parts or folder.is_absolute()}
+        if not outside:
+            return ""
+        first = min(folder.as_posix() for folder in outside)
+        more = f" and {len(outside) - 1} more" if len(outside) > 1 else ""
+        return (
+            f"meshes are read from {first}{more}, seen from the new file: move these folders "
+            "together, or add --copy-meshes"
+        )
+
     def _place(self, path: Path) -> Path:
         """Returns the file that the MJCF names for a file of the URDF."""
-        if path.suffix.lower() in READABLE:
+        ending = path.suffix.lower()
+        if ending in READABLE and not self.copied:
             return path
         if path not in self._places:  # two of one name may come from different folders
             folder = self.output.resolve().with_name(f"{self.output.stem}_meshes")
-            self._places[path] = folder / f"{free_name(path.stem, self._stems)}.obj"
+            name = f"{free_name(path.stem, self._stems)}{ending if ending in READABLE else '.obj'}"
+            self._places[path] = folder / name
         return self._places[path]
 
     def _take(self, path: Path) -> None:
@@ -134,13 +170,27 @@ class Meshes:
             UnreadableError: If it cannot be, or is too large.
         """
         check_size(path)
-        if path.suffix.lower() not in READABLE and self._place(path) not in self.made:
-            self.made[self._place(path)] = obj_of(path)
+        place, readable = self._place(path), path.suffix.lower() in READABLE
+        if place != path and place not in self.made:
+            self.made[place] = path.read_bytes() if readable else obj_of(path)
 
     def _leave(self, why: str, file: str) -> None:
         files = self._left.setdefault(why, [])
         if file not in files:
             files.append(file)
+
+
+def _relative(named: Path, path: Path, output: Path) -> str:
+    """Returns a file's path from the folder of another, as it is named if that leads there.
+
+    A name that goes through links stays one: what is linked together is moved together.
+    """
+    folder = output.parent.absolute()
+    lexical = os.path.relpath(named, folder)
+    there = folder / lexical
+    if named != path and there.exists() and there.samefile(path):
+        return lexical
+    return os.path.relpath(path, output.parent.resolve())
 
 
 def _compile(content: bytes | None, path: Path, scale: str, *, touches: bool, shell: bool) -> None:
@@ -153,7 +203,7 @@ def _compile(content: bytes | None, path: Path, scale: str, *, touches: bool, sh
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     name = path.name
     if content is not None:
-        name = f"{path.stem}.obj"
+        name = f"{path.stem}{path.suffix if path.suffix.lower() in READABLE else '.obj'}"
         spec.assets = {name: content}
     mesh = spec.add_mesh(
         name="mesh",

@@ -42,6 +42,7 @@ def convert_model(
     sag: float | None = None,
     damping_ratio: float | None = None,
     repair_inertia: bool = False,
+    copy_meshes: bool = False,
     packages: Mapping[str, Path] | None = None,
     force: bool = False,
 ) -> Conversion:
@@ -71,6 +72,8 @@ def convert_model(
             default it is found by trial.
         repair_inertia: Give links that move, and whose inertia no body can have, the nearest that
             one can, and a gram to those without mass; by default they are refused.
+        copy_meshes: Copy all meshes to a folder ``NAME_meshes`` beside the new file; by default it
+            names them where they are, relative to itself.
         packages: {ROS package: its folder}, for ``package://`` paths.
         force: Replace the output if it exists.
 
@@ -99,7 +102,7 @@ def convert_model(
         kind = {".xml": "an MJCF", ".urdf": "a URDF"}[wanted]
         raise OutputError(output, f"{source} becomes {kind}: end its name in {wanted}")
     options = MjcfOptions(
-        feet, fixed_base, merge_fixed, armature, sag, damping_ratio, repair_inertia
+        feet, fixed_base, merge_fixed, armature, sag, damping_ratio, repair_inertia, copy_meshes
     )
     if isinstance(file, UrdfFile):
         check_joints(file, dict(armature or {}))

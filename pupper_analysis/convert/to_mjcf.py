@@ -7,7 +7,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -37,8 +37,14 @@ _LIMBS = 2
 """A base that carries so many limbs or more is free, as in ``load_robot``."""
 
 
+_MOUNTED = "; an arm, a hand or a torso that is mounted: --fixed-base"
+
 _READ = ("link", "joint", "material")
 """What is read of a <robot>: <transmission>, <gazebo>, <mujoco> ... are other programs'."""
+
+
+class _LeglessError(Exception):
+    """A robot has fewer feet than legs make; the message says what was found."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,7 @@ class MjcfOptions:
         sag: What the joint that holds most gives way (rad); None: it is found by trial.
         damping_ratio: Of the base's bounce on its servos; None: it is found by trial.
         repair_inertia: Whether inertials of moving links that no body can have are repaired.
+        copy_meshes: Whether all meshes are copied to a folder beside the MJCF.
     """
 
     feet: Feet | None = None
@@ -62,6 +69,7 @@ class MjcfOptions:
     sag: float | None = None
     damping_ratio: float | None = None
     repair_inertia: bool = False
+    copy_meshes: bool = False
 
 
 def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
@@ -75,7 +83,7 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     Raises:
         ModelError: If MuJoCo cannot have the robot, or it does not stand.
     """
-    meshes = Meshes(urdf, output)
+    meshes = Meshes(urdf, output, copied=options.copy_meshes)
     bodies = UrdfBodies(urdf, meshes, dict(options.armature or {}))
     free = _is_free(urdf, bodies) if options.fixed_base is None else not options.fixed_base
     root = _skeleton(str(urdf.root.get("name")))
@@ -100,15 +108,29 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     if free:
         equip.add_scene(root)
         notes.append("a floor and a free joint were added")
+        notes.append(
+            "contacts hold by an elliptic cone and an impratio of 100: by MuJoCo's defaults, feet "
+            "creep on slopes"
+        )
     equip.add_mimics(root, bodies)
     failure = None
     if free:
-        found, failure = _put_stand(root, urdf, meshes, bodies, options)
+        try:
+            found, failure = _put_stand(root, urdf, meshes, bodies, options)
+        except _LeglessError as error:
+            # Nothing says that it is free but its number of limbs: a hand or a torso has as many.
+            held = mjcf_draft(urdf, output, replace(options, fixed_base=True))
+            said = (
+                f"its base has several limbs, but it does not stand on them ({error}): it is fixed "
+                "in the world, as in the URDF; --free-base frees it, --foot names its feet"
+            )
+            return replace(held, notes=(*held.notes, said))
         notes += [note for note in found if note not in notes]
         notes.append(equip.add_imu(root, bodies))
     else:
         notes.append("the base is fixed in the world")
         notes += _put_held(root, _trial(root, urdf, meshes), bodies, options)
+    notes += [*_unstated(root), *filter(None, [meshes.elsewhere])]
     meshes.write(asset)
     _leave_out_empty(root)
     put_defaults(root)
@@ -187,14 +209,23 @@ def _put_stand(
     Returns:
         Its notes, and why the robot does not stand, if so.
     """
+    # Without shapes nothing can stand, which is no sign of a hand.
+    sure = not any(geom.get("class") == "collision" for geom in root.iter("geom"))
+    sure |= bodies.floats or options.feet is not None or options.fixed_base is False
     try:
         robot = _loaded(root, urdf, meshes, options.feet)
     except ModelError as error:
         if options.feet is not None:
             raise
+        problem = f"{meshes.missing}; {error.problem}" if meshes.missing else error.problem
+        if not (meshes.missing or sure):
+            raise _LeglessError(problem) from error
         model = _trial(root, urdf, meshes)
         _put_held(root, model, bodies, options)
-        return [], error.problem
+        equip.lift_base(root, bodies, model)
+        return [], f"{problem}{_MOUNTED}"
+    if len(robot.feet) < _LIMBS and not sure:
+        raise _LeglessError(f"its limbs' ends that are lowest: {', '.join(robot.feet) or 'none'}")
     notes = [note for note in robot.notes if not note.startswith("armature is the MJCF's")]
     failure = None
     try:
@@ -206,10 +237,10 @@ def _put_stand(
             notes = [note for note in notes if "no position servos" not in note]
             notes.append(_said(kp, kd))
     except PupperAnalysisError as error:
-        failure = str(error)
+        failure = f"{error}{_MOUNTED}"
         kp, kd = held_gains(robot.mj_model, options.sag, options.damping_ratio)
-    option = {"timestep": words(robot.mj_model.opt.timestep), "integrator": "implicitfast"}
-    root.insert(1, etree.Element("option", option))
+    equip.lift_base(root, bodies, robot.mj_model)
+    _put_option(root, timestep=words(robot.mj_model.opt.timestep))
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
     equip.add_servos(root, bodies, dict(zip(robot.joint_names, gains, strict=True)))
     return notes, failure
@@ -219,7 +250,7 @@ def _put_held(
     root: etree._Element, model: mujoco.MjModel, bodies: UrdfBodies, options: MjcfOptions
 ) -> list[str]:
     """Adds the servos of a robot that is held; returns what was added, in words."""
-    root.insert(1, etree.Element("option", {"integrator": "implicitfast"}))
+    _put_option(root)
     moving = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE.value)
     if not len(moving):
         return ["it has no joints that move"]
@@ -228,6 +259,30 @@ def _put_held(
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
     equip.add_servos(root, bodies, dict(zip(names, gains, strict=True)))
     return [_said(kp, kd)]
+
+
+def _put_option(root: etree._Element, **attributes: str) -> None:
+    """Says how MuJoCo steps: the integrator that takes servos' damping as implicit."""
+    option = root.find("option")
+    if option is None:
+        option = etree.Element("option")
+        root.insert(1, option)
+    option.attrib.update({**attributes, "integrator": "implicitfast", **option.attrib})
+
+
+def _unstated(root: etree._Element) -> list[str]:
+    """Says which joints have neither armature nor damping: a URDF states no armature."""
+    joints = list(root.iter("joint"))
+    joints = [joint for joint in joints if joint.get("name") and joint.getparent().tag == "body"]
+    some = []
+    for word, why in (
+        ("armature", "no URDF states one; real rotors have some: --armature"),
+        ("damping", "the URDF states none"),
+    ):
+        bare = [joint for joint in joints if joint.get(word) is None]
+        if bare:
+            some.append(f"{word} is 0 at {len(bare)} of {len(joints)} joints: {why}")
+    return some
 
 
 def _said(kp: Array, kd: Array) -> str:
