@@ -143,10 +143,7 @@ def match(
     """
     notes = [*urdf.notes, *mjcf.notes]
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
-    spec = mjcf.spec.copy()
-    urdf_joints = {str(joint.get("name")) for joint in root.findall("joint")}
-    name_all(spec, urdf_joints, notes)
-    joined = join_free_base(spec, mjcf.path, notes, stated=urdf_joints)
+    spec, joined = _named(mjcf, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
     drop_other_objects(spec, mjcf.path, root, notes)
     at_bodies = ball_joints(spec)
@@ -202,6 +199,13 @@ def match(
         parts=tuple(parts),
         unstated=unstated,
     )
+
+
+def _named(mjcf: MjcfFile, taken: set[str], notes: list[str]) -> tuple[mujoco.MjSpec, bool]:
+    """Returns the spec with all names and one free base; and whether that was in parts."""
+    spec = mjcf.spec.copy()
+    name_all(spec, taken, notes)
+    return spec, join_free_base(spec, mjcf.path, notes, stated=taken)
 
 
 def _described(

@@ -83,6 +83,20 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     Raises:
         ModelError: If MuJoCo cannot have the robot, or it does not stand.
     """
+    try:
+        return _made(urdf, output, options)
+    except _LeglessError as error:
+        # Nothing said that it is free but its number of limbs: a hand or a torso has as many.
+        held = _made(urdf, output, replace(options, fixed_base=True))
+        said = (
+            f"its base has several limbs, but it does not stand on them ({error}): it is fixed in "
+            "the world, as in the URDF; --free-base frees it, --foot names its feet"
+        )
+        return replace(held, notes=(*held.notes, said))
+
+
+def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
+    """Makes the MJCF of a URDF, whose base may turn out to have no legs."""
     meshes = Meshes(urdf, output, copied=options.copy_meshes)
     bodies = UrdfBodies(urdf, meshes, dict(options.armature or {}))
     free = _is_free(urdf, bodies) if options.fixed_base is None else not options.fixed_base
@@ -115,16 +129,7 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     equip.add_mimics(root, bodies)
     failure = None
     if free:
-        try:
-            found, failure = _put_stand(root, urdf, meshes, bodies, options)
-        except _LeglessError as error:
-            # Nothing says that it is free but its number of limbs: a hand or a torso has as many.
-            held = mjcf_draft(urdf, output, replace(options, fixed_base=True))
-            said = (
-                f"its base has several limbs, but it does not stand on them ({error}): it is fixed "
-                "in the world, as in the URDF; --free-base frees it, --foot names its feet"
-            )
-            return replace(held, notes=(*held.notes, said))
+        found, failure = _put_stand(root, urdf, meshes, bodies, options)
         notes += [note for note in found if note not in notes]
         notes.append(equip.add_imu(root, bodies))
     else:
