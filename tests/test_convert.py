@@ -603,3 +603,11 @@ def test_a_urdf_is_not_called_xml(tmp_path: Path) -> None:
     with pytest.raises(pa.OutputError, match=r"becomes a URDF: end its name in \.urdf"):
         pa.convert_model(source, tmp_path / "new.xml")
     assert [path.name for path in tmp_path.iterdir()] == ["robot.xml"]
+
+
+def test_frames_state_that_they_weigh_nothing(tmp_path: Path) -> None:
+    """PyBullet gives each link without an <inertial> 1 kg: v3's five sites made 8.17 kg of it."""
+    written = tmp_path / "v3.urdf"
+    pa.convert_model(ROOT / "mjcf/pupper_v3.xml", written)
+    found = {finding.rule for finding in pa.audit_model(written).findings}
+    assert "link-without-inertial" not in found

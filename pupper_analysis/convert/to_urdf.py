@@ -133,7 +133,7 @@ class UrdfLinks:
             self._movable(root, joint, parent, child, placed)
             placement, parent = pin.SE3(np.eye(3), -anchor), child
             if not last:
-                element(root, "link", name=child)
+                _weightless(element(root, "link", name=child))
         self._link(root, body, name, placement)
 
     def _movable(
@@ -187,6 +187,8 @@ class UrdfLinks:
             element(inertial, "mass", value=words(mass))
             entries = words(inertia_entries(np.array(moved.inertia)))
             element(inertial, "inertia", **dict(zip(INERTIA_ENTRIES, entries.split(), strict=True)))
+        else:
+            _weightless(link)
         self.shapes.add(link, body, inside)
 
     def add_sites(self, root: etree._Element) -> None:
@@ -204,7 +206,7 @@ class UrdfLinks:
             placed = inside * pin.SE3(
                 rotation_from_quaternion(model.site_quat[site]), np.array(model.site_pos[site])
             )
-            element(root, "link", name=name)
+            _weightless(element(root, "link", name=name))
             _joint(root, self._joint_name(f"{name}_fixed"), "fixed", link, name, placed)
 
     def _link_name(self, body: int) -> str:
@@ -268,6 +270,13 @@ def _base(file: MjcfFile, model: mujoco.MjModel) -> int:
         what = "no joints" if not tops else "several robots"
         raise ModelError(file.path, f"it has {what}; give a file with one robot")
     return tops.pop()
+
+
+def _weightless(link: etree._Element) -> None:
+    """Says that a link has no mass: PyBullet would give it 1 kg."""
+    inertial = element(link, "inertial")
+    element(inertial, "mass", value="0")
+    element(inertial, "inertia", **dict.fromkeys(INERTIA_ENTRIES, "0"))
 
 
 def _joint(
