@@ -126,8 +126,8 @@ def _left(
 
     Accelerations are forces divided by inertias, and what rounding does to them grows with the mass
     matrix's condition number (a link of 1e-6 kg at the end of an arm: 1e8). A solver is as good as
-    its backward error: so they deviate by no more than the forces that make them do, M (a1 - a2),
-    relative to the greatest of those. A force that was overlooked is one in full.
+    its backward error: where the forces that make them, M (a1 - a2), deviate by rounding, relative
+    to the greatest of those, that is how far they do. A force that was overlooked is one in full.
     """
     left = {name: judge.relative(name, patched[name], stripped[name]) for name in patched}
     mass, name = patched["mass matrix"], "forward dynamics"
@@ -136,7 +136,7 @@ def _left(
         return left
     between = np.abs(np.einsum("nij,nj->ni", mass, accelerations - stripped[name])).max()
     forces = np.abs(np.einsum("nij,nj->ni", mass, accelerations)).max()
-    if np.isfinite(between):
+    if between <= EXPLAINED * forces:
         left[name] = min(left[name], float(between / max(forces, 1e-300)))
     return left
 
