@@ -294,3 +294,68 @@ def _order(robot: Robot) -> list[Link]:
         return found
 
     return below("base")
+
+
+def irregular_biped(seed: int, axes: str = "xyyyx", tilt: float = 0.05) -> Robot:
+    """Draws a biped with box soles of which no two links are alike, nor any axis exact."""
+    random = np.random.default_rng(seed)
+    size = float(random.uniform(0.12, 0.3))
+    robot = Robot(
+        links=[],
+        base_mass=float(random.uniform(2, 12)) * (size / 0.2) ** 2,
+        offset=(0.0, 0.0, 0.0),
+        motors="position",
+        height=0.07 + 2 * size * math.cos(0.6),
+        said=[axes],
+    )
+    random.choice(4)
+    effort = 40 * robot.base_mass * size
+    for leg, side in enumerate((-1, 1)):
+        robot.links += _irregular_leg(random, leg, side, axes, size, effort, tilt)
+    return robot
+
+
+def _irregular_leg(
+    random: np.random.Generator,
+    leg: int,
+    side: int,
+    axes: str,
+    size: float,
+    effort: float,
+    tilt: float,
+) -> list[Link]:
+    links: list[Link] = []
+    lengths = [size * random.uniform(0.9, 1.1) for _ in "ab"]
+    pitched = 0
+    for number, letter in enumerate(axes):
+        axis = np.array([float(letter == word) for word in "xyz"]) + random.normal(0, tilt, 3)
+        place, home, limits = np.zeros(3), 0.0, (-1.0, 1.0)
+        if number == 0:
+            wide = side * (0.06 + 0.3 * size) * random.uniform(0.8, 1.2)
+            place = np.array([random.uniform(-0.02, 0.02), wide, 0.0])
+        if letter == "y":
+            below = np.array([0.0, 0.0, -lengths[min(pitched, 2) - 1]])
+            place = place if pitched == 0 else below
+            home, limits = [(-0.6, (-1.8, 1.8)), (1.2, (0.05, 2.5)), (-0.6, (-1.4, 1.4))][pitched]
+            pitched += 1
+        if number:
+            place = place + random.normal(0, 0.05 * size, 3)
+        last = number == len(axes) - 1
+        links.append(
+            Link(
+                f"sole_{leg}" if last else f"part_{leg}_{number}",
+                links[-1].name if links else "base",
+                f"j_{leg}_{number}",
+                tuple((axis / np.linalg.norm(axis)).tolist()),
+                tuple(place.tolist()),
+                float(random.uniform(0.3, 1.5)) * size,
+                tuple(random.uniform(-0.02, 0.02, 3).tolist()),
+                limits,
+                effort,
+                home=home,
+            )
+        )
+    long, wide = random.uniform(0.2, 0.4) * size, random.uniform(0.1, 0.2) * size
+    place = random.uniform(0, 0.03)
+    links[-1].shape = f'<geom type="box" size="{long} {wide} 0.01" pos="{place} 0 -0.04"/>'
+    return links

@@ -14,6 +14,7 @@ from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.sag import equilibrium
 from pupper_analysis.stance.sag import steady_state as settle
 from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
+from pupper_analysis.stance.sag.slip import slipping
 from pupper_analysis.stance.sag.solution import Solution, goes_round, move
 from pupper_analysis.stance.sag.steady_state import minimum_stiffness, steady_state
 from pupper_analysis.stance.sag.way import Way
@@ -360,7 +361,7 @@ def test_friction_of_a_slipping_foot_is_at_its_limit_against_the_slip() -> None:
     way = Way(Equilibrium(robot, stand, 12.0, "pinned"))
     way.follow(1.0)
     system, solution = way.system, way.solution
-    assert system.slipping(solution) == ("FL",)
+    assert slipping(system, solution) == ("FL",)
     force = solution.forces["FL"]
     mu = robot.contacts["FL"].sliding_friction
     assert np.linalg.norm(force[:2]) == pytest.approx(mu * force[2], rel=1e-9)

@@ -18,6 +18,7 @@ from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import check_stand, full_state, roll_out
+from pupper_analysis.stance.payload.nudge import nudges
 from pupper_analysis.stance.payload.servo_limit import (
     LASTING,
     Bound,
@@ -30,11 +31,6 @@ from pupper_analysis.stance.payload.servo_limit import (
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
-
-NUDGE = 0.01
-"""Speed with which the base begins, in each of the directions tried (m/s; at the height of the base
-for a turn). An equilibrium that is not stable needs a reason to be left; one that is, even by a few
-percent, survives this."""
 
 LEFT = 0.1
 """A joint that is further from where it began has left it (rad): robots that buckle go on to 0.3
@@ -183,12 +179,8 @@ def _rollouts(
 ) -> Array:
     """Returns the states (8, n, size) of the simulations, one per nudge."""
     data = mujoco.MjData(model)
-    speeds = np.zeros((8, robot.nv))
-    for axis, column in enumerate((0, 1, 2, 5)):
-        size = NUDGE if column < 3 else NUDGE / float(qpos[2])
-        speeds[2 * axis : 2 * axis + 2, column] = size, -size
     starts = []
-    for qvel in speeds:
+    for qvel in nudges(robot, float(qpos[2])):
         robot.mj_convention.set_state(data, qpos, qvel)
         starts.append(full_state(model, data))
     steps = max(2, round(duration / float(model.opt.timestep)))
@@ -200,27 +192,35 @@ def _rollouts(
 def _first_event(
     robot: Robot, model: mujoco.MjModel, stand: Stand, qpos: Array, states: Array, ctrl: Array
 ) -> tuple[float, Failure, tuple[str, ...]] | None:
-    """Returns when, what and where something happened that shall not, if it did."""
+    """Returns when, what and where something happened that shall not, if it did.
+
+    A motor may saturate for a moment, in the swing of a nudge, if the robot then stands.
+    """
     timestep = float(model.opt.timestep)
     if monitor.diverged(states, timestep):
         return 0.0, Failure.BUCKLING, ()
     watcher = monitor.Watcher(robot, model)
     data = watcher.data
-    strong, names = robot.effort_limits, np.array(robot.joint_names)
+    most, names = robot.effort_ranges * (1 - 1e-9), np.array(robot.joint_names)
+    saturated: tuple[float, Failure, tuple[str, ...]] | None = None
+    recovered = True
     lower, upper = robot.lower_limits, robot.upper_limits
     places: dict[str, Array] = {}
     carrying = set(robot.feet_with(stand.stance_feet))
     for state in states[:: max(1, round(_SAMPLE / timestep))]:
         seen = watcher.look(state, ctrl)
         angles = data.qpos[robot.mj_convention.qpos_index[7:]]
-        torques = np.abs(data.qfrc_actuator[robot.mj_convention.qvel_index[6:]])
+        torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
+        weak = names[(torques < most[:, 0]) | (torques > most[:, 1])].tolist()
+        recovered = not weak
+        if weak and saturated is None:
+            saturated = seen.time, Failure.MOTOR, tuple(weak)
         feet = watcher.foot_centres()
         places = places or feet
         moved = {
             foot: np.linalg.norm((feet[foot] - places[foot])[:2]) for foot in stand.stance_feet
         }
         found = {
-            Failure.MOTOR: names[torques > strong * (1 - 1e-9)].tolist(),
             Failure.GROUND: sorted(seen.bodies | (set(seen.forces) - carrying)),
             Failure.JOINT: names[(angles < lower) | (angles > upper)].tolist(),
             Failure.TIPPING: [
@@ -234,5 +234,5 @@ def _first_event(
         }
         for failure, where in found.items():
             if where:
-                return seen.time, failure, tuple(where)
-    return None
+                return saturated or (seen.time, failure, tuple(where))
+    return None if recovered else saturated

@@ -95,6 +95,7 @@ def payload_limit(
     *,
     command: Command = Command.LOADED,
     kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
 ) -> PayloadLimit:
     """Finds the greatest point mass that a robot can carry in a stand.
 
@@ -113,6 +114,8 @@ def payload_limit(
         point: (3,) where the mass is, in the base's frame (m).
         command: What the servos are commanded.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default, none where its
+            motors are no servos. It takes part of what a nudge asks of them.
 
     Returns:
         The limit. ``payload_trial`` simulates it.
@@ -133,7 +136,7 @@ def payload_limit(
     contacts = contact_limit(robot, stand, place)
     motors = motor_limit(robot, stand, place, most=contacts.mass)
     most = min(motors.mass, contacts.mass)
-    servos = servo_limit(robot, stand, place, command=command, kp=kp, most=most)
+    servos = servo_limit(robot, stand, place, command=command, kp=kp, kd=kd, most=most)
     bounds = {"motors": motors, "servos": servos, "contacts": contacts}
     binding = min(bounds, key=lambda name: bounds[name].mass)
     mass = bounds[binding].mass

@@ -20,11 +20,12 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import lead, servos
+from pupper_analysis.robot.servos import lead, own_servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.payload.first_order import FirstOrder
+from pupper_analysis.stance.payload.nudge import lost
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
-from pupper_analysis.stance.sag.steady_state import SteadyState, pose_at, steady_state
+from pupper_analysis.stance.sag.steady_state import SteadyState, check_request, pose_at, settle
 from pupper_analysis.stance.sag.way import Way
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.sunk import loaded_stand
@@ -124,6 +125,7 @@ def servo_limit(
     *,
     command: Command = Command.LOADED,
     kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
     most: float = math.inf,
 ) -> Bound:
     """Finds the greatest payload with which a servo-driven robot still stands.
@@ -140,6 +142,7 @@ def servo_limit(
         point: Likewise.
         command: Likewise.
         kp: Likewise.
+        kd: Likewise.
         most: What motors and contacts bear (kg): where it still stands with that, on soft ground it
             may stand with a little more.
 
@@ -152,7 +155,7 @@ def servo_limit(
     """
 
     def judge(mass: float) -> LoadedPose | Bound:
-        return loaded_pose(robot, stand, mass, point, command=command, kp=kp)
+        return loaded_pose(robot, stand, mass, point, command=command, kp=kp, kd=kd)
 
     def fails(mass: float) -> bool:
         found = judge(mass)
@@ -208,6 +211,7 @@ def loaded_pose(
     *,
     command: Command = Command.LOADED,
     kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
 ) -> LoadedPose | Bound:
     """Finds where a loaded robot comes to rest under a command, and whether it stands so.
 
@@ -218,6 +222,8 @@ def loaded_pose(
         point: (3,) where the mass is, in the base's frame (m).
         command: What the servos are commanded.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default, none where its
+            motors are no servos.
 
     Returns:
         The pose; or, where there is no balance to begin with, why, as a bound of that mass.
@@ -240,7 +246,8 @@ def loaded_pose(
         return Bound(mass, failure, error.feet)
     except NoEquilibriumError:
         return Bound(mass, Failure.BUCKLING, ())
-    drive = servos(loaded, kp, None if kp is None else 0.0)
+    drive = servos(loaded, kp, _damping(loaded, kp, kd))
+    damping = drive.kd
     target = sunk.joint_positions(loaded) + lead(balance.joint_torques, drive.kp)
     if command is Command.UNLOADED:
         empty = loaded_stand(robot, stand)
@@ -250,10 +257,12 @@ def loaded_pose(
         target = empty.joint_positions(robot) + lead(torques, drive.kp)
     try:
         if command is Command.LOADED:
-            pose = steady_state(loaded, sunk, kp=kp, feedforward=True)
+            way = _way(loaded, sunk, kp)
+            pose = settle(way, feedforward=True)
             start = pose.qpos
         else:
-            start, pose = _settled_at(loaded, sunk, target, kp)
+            way = _way(loaded, sunk, kp, target)
+            start, pose = _crept(way)
     except NoEquilibriumError:
         # With feed-forward for the load the only thing that can be missing is torque.
         if command is Command.LOADED:
@@ -263,18 +272,20 @@ def loaded_pose(
                 return LoadedPose(loaded, sunk, target, sunk.qpos, None, Failure.MOTOR, names)
         return LoadedPose(loaded, sunk, target, sunk.qpos, None, Failure.BUCKLING, ())
     why, where = _judge(loaded, sunk, pose, target)
+    if why is None and (weak := lost(way, damping)):
+        why, where = Failure.MOTOR, weak
     return LoadedPose(loaded, sunk, target, start, pose, why, where)
 
 
-def _settled_at(
-    robot: Robot, stand: Stand, target: Array, kp: ArrayLike | None
-) -> tuple[Array, SteadyState]:
-    """Follows the equilibrium from the stand, which full feed-forward holds, to another command.
-
-    Returns the qpos (nq,) there, and the equilibrium after ``LASTING`` of creep.
-    """
+def _way(robot: Robot, stand: Stand, kp: ArrayLike | None, target: Array | None = None) -> Way:
+    """Begins the way from a stand, which full feed-forward holds, to another command (nu,)."""
+    check_request(robot, stand, "pinned", 0.0)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    way = Way(Equilibrium(robot, stand, kp, "pinned"), target)
+    return Way(Equilibrium(robot, stand, kp, "pinned"), target)
+
+
+def _crept(way: Way) -> tuple[Array, SteadyState]:
+    """Returns the qpos (nq,) at a way's end, and the equilibrium after ``LASTING`` of creep."""
     way.follow(1.0)
     start = way.solution.qpos
     way.creep(LASTING)
@@ -301,23 +312,29 @@ def _judge(
     angles = pose.qpos[7:]
     if (beyond := (angles < robot.lower_limits) | (angles > robot.upper_limits)).any():
         return Failure.JOINT, joints(beyond)
-    pulling, sliding = [], []
-    for foot in stand.stance_feet:
-        force = pose.contact_forces[foot]
-        normal = float(force @ stand.normals[foot])
-        tangential = float(np.linalg.norm(force - normal * stand.normals[foot]))
-        if normal <= 0:
-            pulling.append(foot)
-        elif tangential > robot.contacts[foot].sliding_friction * normal:
-            sliding.append(foot)
-    if pulling or sliding:
-        return (Failure.TIPPING, tuple(pulling)) if pulling else (Failure.SLIDING, tuple(sliding))
+    pressed = {
+        robot.foot_of(foot)
+        for foot in stand.stance_feet
+        if pose.contact_forces[foot] @ stand.normals[foot] > 0
+    }
+    if idle := tuple(set(robot.feet_with(stand.stance_feet)) - pressed):
+        return Failure.TIPPING, tuple(sorted(idle))
+    if pose.sliding_feet:
+        return Failure.SLIDING, pose.sliding_feet
     others = others_on_ground(robot, stand, pose.qpos)
     if others:
         return Failure.GROUND, others
     if not pose.stable or pose.base_height < COLLAPSED * stand.qpos[2]:
         return Failure.BUCKLING, ()
     return None, ()
+
+
+def _damping(robot: Robot, kp: ArrayLike | None, kd: ArrayLike | None) -> ArrayLike | None:
+    """Returns a kd to go with a kp: the model's own, or none where that is of no servo."""
+    if kd is not None or kp is None:
+        return kd
+    own = own_servos(robot)
+    return np.array([own.get(name, (0.0, 0.0))[1] for name in robot.joint_names])
 
 
 def others_on_ground(robot: Robot, stand: Stand, qpos: Array) -> tuple[str, ...]:

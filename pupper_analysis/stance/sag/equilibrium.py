@@ -16,6 +16,7 @@ from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import gains
 from pupper_analysis.stance.sag.pliancy import foot_pliancy, sole_pliancy
+from pupper_analysis.stance.sag.rigid import RigidSoles
 from pupper_analysis.stance.sag.solution import Anchor, Solution, goes_round, move
 from pupper_analysis.stance.sag.touch import Touch
 from pupper_analysis.stance.stand import Stand
@@ -30,6 +31,9 @@ _ROUNDING = 1e-14
 
 TOUCHING = 1e-9
 """A foot this deep in the ground, or less, does not touch it yet (m): 1e-6 N on soft ground."""
+
+_SOFTER = (1e3, 1e2, 1e1, 1.0)
+"""Parts of what a sole gives, by which it is solved where Newton's iteration fails at once."""
 
 _MAX_ITERATIONS = 25
 _TRUST = 0.5  # rad, m: a longer Newton step has left the branch
@@ -81,8 +85,9 @@ class Equilibrium:
             for foot in stand.stance_feet
         }
         self._pliancy, self._give = sole_pliancy(robot), foot_pliancy(robot)
-        self._giving = any(self._give.values())
+        self._giving, self._softer = any(self._give.values()), 1.0
         self._touch: tuple[object, Touch] | None = None
+        self._rigid = RigidSoles(self._sole, self.frame)
         self._sunk: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
         self.yielding: dict[str, float] = {}  # m/N: creep in this step per force
@@ -137,8 +142,13 @@ class Equilibrium:
         places: Array = self.touch(qpos).places.copy()
         if self.feet == "pinned" and (self.crept or self.yielding or self._giving):
             begun = [self.crept.get(foot, _NOWHERE) for foot in self.anchors]
-            places[:, :2] += self._yields()[:, None] * forces[:, :2] - begun
+            places[:, :2] = self.as_one(places[:, :2] - begun)
+            places[:, :2] += self._yields()[:, None] * forces[:, :2]
         return places
+
+    def as_one(self, slips: Array) -> Array:
+        """Returns the slips (n, 2, ...) of the feet that touch, those of each sole as one body."""
+        return self._rigid.slips(self.anchors, slips)
 
     def _turning(self) -> Array | None:
         """Returns the moments (n, 3) on the feet that touch; None if there are none."""
@@ -156,7 +166,7 @@ class Equilibrium:
             balance[6:] -= self.robot.closure.springs(qpos)
         if self.feet == "sliding":
             places[:, :2] = forces[:, :2] + _WEAK * places[:, :2]
-        for row, mu, tried in self._slipping(forces, places):
+        for row, mu, tried in self.slipping_rows(forces, places):
             along = tried / np.linalg.norm(tried)
             places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
         sole, depths = self._in_sole(), places[:, 2].copy()
@@ -200,6 +210,8 @@ class Equilibrium:
         rates[:] = touch.place_rates()
         if self.feet == "sliding":
             rates[:, :2] *= _WEAK
+        else:
+            rates[:, :2] = self.as_one(rates[:, :2])
         diagonal = np.zeros((size, 3))
         diagonal[:, :2] = 1.0 if self.feet == "sliding" else self._yields()[:, None]
         diagonal[:, 2] = [
@@ -211,7 +223,7 @@ class Equilibrium:
             rates[sole, 2] *= (harder / scales)[sole, None]
             diagonal[sole, 2] = -1 / scales[sole]
         whole.reshape(-1)[n * (len(whole) + 1) :: len(whole) + 1] = diagonal.ravel()
-        for row, mu, tried in self._slipping(forces, self.slips(qpos, forces)):
+        for row, mu, tried in self.slipping_rows(forces, self.slips(qpos, forces)):
             length = float(np.linalg.norm(tried))
             along, tangents = tried / length, slice(3 * row, 3 * row + 2)
             turn = mu * forces[row, 2] / length * (np.eye(2) - np.outer(along, along))
@@ -222,9 +234,14 @@ class Equilibrium:
         return whole
 
     def _yields(self) -> Array:
-        return np.array([self.yielding.get(foot, 0.0) + self._give[foot] for foot in self.anchors])
+        return np.array(
+            [
+                self.yielding.get(foot, 0.0) + self._softer * self._give[foot]
+                for foot in self.anchors
+            ]
+        )
 
-    def _slipping(self, forces: Array, places: Array) -> list[tuple[int, float, Array]]:
+    def slipping_rows(self, forces: Array, places: Array) -> list[tuple[int, float, Array]]:
         """Returns number, mu and f_t - rho s (2,) of the pinned feet that slip.
 
         Args:
@@ -252,6 +269,8 @@ class Equilibrium:
             exact: To rounding, where that takes one step more; else to ``RESIDUAL_TOLERANCE``.
         """
         found = self._newton(guess, _ROUNDING if exact else RESIDUAL_TOLERANCE / 4)
+        if found is None and self._in_sole().any() and self.feet == "pinned":
+            found = self._by_softer_soles(guess)
         if not self.lift:
             return found
         height, change, share = math.inf, math.inf, 1.0
@@ -268,6 +287,22 @@ class Equilibrium:
                 return None
             found = self._newton(found)
         return None
+
+    def _by_softer_soles(self, guess: Solution) -> Solution | None:
+        """Solves with soles that give more than they do, and then less and less.
+
+        Where all points of a sole slip, which way each does depends on the others', and Newton's
+        iteration may go to and fro between two ways; on what gives they change little by little.
+        """
+        try:
+            for self._softer in _SOFTER:
+                found = self._newton(guess)
+                if found is None:
+                    return None
+                guess = found
+        finally:
+            self._softer = 1.0
+        return guess
 
     def _rub(self, solution: Solution, share: float) -> bool:
         """Moves friction, by a share, to what lifts the base most, or least; tells if it can."""
@@ -349,12 +384,6 @@ class Equilibrium:
             kept.pop(foot, None)
         return Solution(solution.qpos, forces, solution.residuals)
 
-    def slipping(self, solution: Solution) -> tuple[str, ...]:
-        """Returns the pinned feet that slip."""
-        forces, names = self.stacked(solution), tuple(self.anchors)
-        places = self.slips(solution.qpos, forces)
-        return tuple(names[row] for row, *_ in self._slipping(forces, places))
-
     def begin_creep(self, solution: Solution, seconds: float) -> None:
         """Begins a step of creep, with the viscosities of where it begins."""
         places = self.touch(solution.qpos).places
@@ -368,11 +397,3 @@ class Equilibrium:
         """Returns tangential force per velocity (N s/m); infinite where a foot pulls."""
         law = self.laws[foot]
         return law.viscosity(depth) if depth > -law.margin else math.inf
-
-    def idle(self, depths: Array) -> set[str]:
-        """Returns the points of soles that touch, but are not pressed at depths (n,) (m)."""
-        return {
-            foot
-            for foot, depth in zip(self.anchors, depths, strict=True)
-            if self._pliancy[foot] and depth <= -self.laws[foot].margin
-        }

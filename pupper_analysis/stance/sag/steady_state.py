@@ -18,6 +18,7 @@ from pupper_analysis.robot import contact
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
+from pupper_analysis.stance.sag.slip import sliding
 from pupper_analysis.stance.sag.solution import Solution
 from pupper_analysis.stance.sag.way import Way
 from pupper_analysis.stance.stand import Stand
@@ -67,6 +68,8 @@ class SteadyState(Result):
             elsewhere, by up to millimetres. Let down slowly they stay; but then dry friction, which
             is left out, holds the robot above the equilibrium: v3 by 1.8 mm
             (``steady_state_band``).
+        sliding_feet: The feet that slide: of one point that slips, or soles that slip as a whole,
+            and further than they do on their way to a rest (``SMALL_SLIP``).
         failures: Why the robot will not stand so; empty if it will.
     """
 
@@ -88,6 +91,7 @@ class SteadyState(Result):
     stiffness: float
     stable: bool
     release_margin: float
+    sliding_feet: tuple[str, ...]
     failures: tuple[str, ...]
 
 
@@ -286,6 +290,7 @@ def pose_at(way: Way, margin: float) -> SteadyState:
         stiffness=stiffness,
         stable=stiffness > 0,
         release_margin=margin,
+        sliding_feet=sliding(system, solution),
         failures=_failures(system, solution, stiffness),
     )
 
@@ -297,16 +302,13 @@ def _data_of(robot: Robot, _thread: int) -> mujoco.MjData:
 
 
 def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tuple[str, ...]:
-    robot, stand, slipping = system.robot, system.stand, system.slipping(solution)
+    robot, stand = system.robot, system.stand
     failures = [] if stiffness > 0 else [f"the equilibrium is not stable ({stiffness:.3g} 1/s^2)"]
     for foot, force in solution.forces.items():
         if foot not in stand.stance_feet:
             failures.append(f"foot {foot}, lifted, touches the ground, with {force[2]:.2f} N")
     touching = {foot for foot, force in solution.forces.items() if force[2] > 0}
-    for foot in robot.feet_with(stand.stance_feet):
-        points = [point for point in robot.soles[foot] if point in touching]
-        if points and all(point in slipping for point in points):
-            failures.append(f"foot {foot} slides")
+    failures += [f"foot {foot} slides" for foot in sliding(system, solution)]
     idle = [f for f in robot.feet_with(stand.stance_feet) if touching.isdisjoint(robot.soles[f])]
     failures += [f"foot {foot} carries nothing" for foot in idle]
     qpos = solution.qpos
