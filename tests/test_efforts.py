@@ -77,7 +77,7 @@ def test_what_stands_or_falls_does_not_hang_on_where_the_limit_stands() -> None:
     """The payload of the same motors, said in three ways, and once by the URDF alone."""
     stand, masses = stand_of("v3"), []
     for way in WAYS:
-        found = pa.payload_limit(limited(way, 0.8), stand, (0, 0, 0.05), kp=40.0)
+        found = pa.payload_limit(limited(way, 0.8), stand, (0, 0, 0.05), kp=40.0, kd=0.8)
         masses.append((found.mass, found.motors.mass, found.servos.mass))
     np.testing.assert_allclose(masses, np.tile(masses[0], (3, 1)), rtol=1e-9)
     assert 0 < masses[0][0] < 10

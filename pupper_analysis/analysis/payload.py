@@ -70,7 +70,7 @@ def study_payload(
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     stand = solve_stand(robot, task)
-    return try_payload(robot, stand, payload_limit(robot, stand, point, kp=kp), kp=kp, kd=kd)
+    return try_payload(robot, stand, payload_limit(robot, stand, point, kp=kp, kd=kd), kp=kp, kd=kd)
 
 
 def try_payload(
