@@ -61,6 +61,9 @@ def test_nobody_beats_the_front_and_the_front_beats_all_others() -> None:
         pareto_front(table, {"d": "min"})
     with pytest.raises(pa.ConfigurationError, match="'least'"):
         pareto_front(table, {"a": "least"})
+    for odd in (["x", "y", "z"], [object()] * 3, [10**400] * 3):
+        with pytest.raises(pa.ConfigurationError, match="column 'o'"):
+            pareto_front(pd.DataFrame({"o": odd}), {"o": "min"})
 
 
 # ----------------------------------------------------------------------------- figures

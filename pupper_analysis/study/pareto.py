@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_type
+from pupper_analysis.arguments import check_type, real_array
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -44,7 +44,10 @@ def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataF
     if not objectives:
         raise ConfigurationError("objectives", "there are none: say what counts")
     whole = table.dropna(subset=list(objectives))
-    costs = np.column_stack([SENSES[s] * whole[n].to_numpy(float) for n, s in objectives.items()])
+    columns = []
+    for name, sense in objectives.items():
+        columns.append(SENSES[sense] * real_array(f"column {name!r}", whole[name].to_numpy()))
+    costs = np.column_stack(columns)
     best = whole[_unbeaten(costs)]
     first, sense = next(iter(objectives.items()))
     front: pd.DataFrame = best.sort_values(first, ascending=sense == "min", kind="stable")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type
+from pupper_analysis.errors import ConfigurationError, StudyError
 from pupper_analysis.study.design import ENDS
 from pupper_analysis.study.sampling import Sampling
 from pupper_analysis.study.store import Store, needed
@@ -66,11 +67,17 @@ def read_study(folder: str | Path, *, everything: bool = False) -> pd.DataFrame:
     stored = store.asked()
     if everything:
         return store.table()
-    study = stored["study"]
-    variables = {name: variable(name, given) for name, given in study["vary"].items()}
-    sampling = Sampling(variables, study.get("samples"), study["seed"])
+    try:
+        study, digest = stored["study"], str(stored["digest"])
+        variables = {name: variable(name, given) for name, given in study["vary"].items()}
+        check_type("seed", study["seed"], int)
+        sampling = Sampling(variables, study.get("samples"), study["seed"])
+    except (AttributeError, KeyError, TypeError, ValueError, ConfigurationError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        problem = f"study.json does not say what was asked ({what}); run the study again"
+        raise StudyError(folder, problem) from error
     order: dict[str, int] = {}
     for block in sampling.blocks():
-        for name in names_of(stored["digest"], tuple(variables), block):
+        for name in names_of(digest, tuple(variables), block):
             order.setdefault(name, len(order))
     return ordered(store.table(), order)
