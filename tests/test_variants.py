@@ -188,3 +188,10 @@ def test_variants_cannot_be_changed() -> None:
         pa.VARIANTS["v3"] = pa.VARIANTS["original"]  # type: ignore[index]
     with pytest.raises(AttributeError):
         pa.VARIANTS["v3"].leg_scale = 2.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("field", ["leg_scale", "torso_mass_scale"])
+def test_scales_that_nobody_builds_are_refused(field: str) -> None:
+    assert getattr(pa.VariantSpec("v3", **{field: 1000.0}), field) == 1000.0
+    with pytest.raises(pa.VariantError, match="at most 1000"):
+        pa.VariantSpec("v3", **{field: 1e8})

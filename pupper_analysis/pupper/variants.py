@@ -121,6 +121,8 @@ class VariantSpec:
                 number = 0.0
             if number <= 0:
                 raise VariantError(what, value, "it must be a finite number greater than 0")
+            if number > LARGEST_SCALE:
+                raise VariantError(what, value, f"it must be at most {LARGEST_SCALE:g}")
             object.__setattr__(self, what, number)
         _check_name(self.name)
         if not self.name:
@@ -132,6 +134,9 @@ class VariantSpec:
         """The box that shows on its back that the torso is heavier than the base model's."""
         return BASES[self.base].ballast if self.torso_mass_scale > 1.01 else None
 
+
+LARGEST_SCALE = 1000.0
+"""Legs of 100 m, a torso of a tonne: beyond, engines compute nonsense, and nobody builds it."""
 
 VARIANTS: Mapping[str, VariantSpec] = MappingProxyType(
     {
