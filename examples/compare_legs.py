@@ -1,7 +1,7 @@
 """How long may the legs be: one robot with legs of five lengths.
 
 One sees that longer legs cost torque faster than they gain height: from the shortest to the longest
-the base rises by 82 %, and the greatest motor torque by 107 %.
+the base rises by 82 %, and the greatest motor torque by 109 %.
 """
 
 import pupper_analysis as pa
@@ -14,7 +14,7 @@ def main() -> None:
     print("leg scale   height (m)   peak torque (N m)   utilisation")
     for scale in SCALES:
         robot = pa.load_variant(pa.VariantSpec(base="v3", leg_scale=scale))
-        held = pa.stand_statics(robot, pa.solve_stand(robot))
+        held = pa.stand_statics(robot, pa.held_stand(robot))
         peak, used = abs(held.joint_torques).max(), held.motor_utilisation.max()
         print(f"{scale:9.1f}   {robot.stand_height:10.3f}   {peak:17.3f}   {used:11.1%}")
 

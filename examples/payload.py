@@ -20,7 +20,7 @@ def main() -> None:
     print(f"limit     {limit.mass:6.2f} kg, by the {limit.binding}")
 
     loaded = pa.with_payload(robot, limit.mass / 2, BACK)
-    held = pa.stand_statics(loaded, pa.solve_stand(loaded))
+    held = pa.stand_statics(loaded, pa.held_stand(loaded))
     print(f"half of it takes {held.motor_utilisation.max():.0%} of the motors")
 
 

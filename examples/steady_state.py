@@ -10,9 +10,9 @@ import pupper_analysis as pa
 def main() -> None:
     """Predicts the steady state under the servos, simulates it, and softens the servos."""
     robot = pa.load_variant("v3")
-    stand = pa.solve_stand(robot)
+    stand = pa.held_stand(robot)
     print(f"commanded {1e3 * robot.stand_height:.2f} mm")
-    sag = pa.steady_state(robot, stand, seconds=12.0)
+    sag = pa.steady_state(robot, stand, seconds=5.0)
     print(f"predicted {1e3 * sag.base_height:.2f} mm")
     print(f"  lost in the servos {1e3 * sag.servo_sag:.2f} mm")
     print(f"  lost in the ground {1e3 * sag.contact_sag:.2f} mm")

@@ -18,6 +18,7 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.checks.audit import Severity
 from pupper_analysis.guard.baseline import Entry, judged, read_baseline, same, write_baseline
+from pupper_analysis.guard.config import read_config
 from pupper_analysis.guard.remarks import Remark, State, plain
 from pupper_analysis.report import formats
 
@@ -224,6 +225,79 @@ def test_a_file_of_several_pairs_is_audited_once(folder: Path) -> None:
     assert [(pair.name, pair.agree) for pair in check.pairs] == [("hopper", False), ("alone", None)]
 
 
+def test_each_model_has_its_verdict(folder: Path) -> None:
+    with (folder / "pupper-analysis.toml").open("a") as file:
+        file.write('[[pair]]\nname = "alone"\nurdf = "hopper.urdf"\n')
+    change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.3"')
+    shown = run(folder).stdout
+    assert "FAILS hopper: hopper.urdf, hopper.xml: 1 to mend, they differ" in shown
+    assert "OK alone: hopper.urdf\n" in shown
+    assert "not compared" not in shown
+    check = pa.check_repository(folder / "pupper-analysis.toml")
+    assert [(pair.failures, pair.known) for pair in check.pairs] == [(1, 0), (0, 0)]
+
+
+def test_a_difference_is_told_in_the_file_that_changed(folder: Path) -> None:
+    (folder / BASELINE).unlink()
+    line = change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.3"')
+    places = re.findall(r"::error file=([\w.]+),line=(\d+),title=mass of knee",
+                        run(folder, "--format", "github").stdout)  # fmt: skip
+    assert sorted(places) == [("hopper.urdf", "20"), ("hopper.xml", str(line))]  # who knows which
+    run(folder, "--update-baseline")
+    change(folder / "hopper.xml", 'mass="0.3"', 'mass="0.4"')
+    places = re.findall(r"::error file=([\w.]+),line=(\d+),title=mass of knee",
+                        run(folder, "--format", "github").stdout)  # fmt: skip
+    assert places == [("hopper.xml", str(line))]
+    sarif = json.loads(run(folder, "--format", "sarif").stdout)["runs"][0]["results"]
+    assert len([one for one in sarif if one["ruleId"] == "crosscheck/mass"]) == 1
+
+
+def test_patterns_name_many_models(folder: Path) -> None:
+    for kind, suffix in (("urdf", "urdf"), ("mjcf", "xml")):
+        (folder / kind).mkdir()
+        for name in ("one", "two"):
+            text = (folder / f"hopper.{suffix}").read_text()
+            (folder / kind / f"{name}.{suffix}").write_text(text)
+    (folder / "mjcf" / "part.xml").write_text("<mujocoinclude/>")
+    (folder / "urdf" / "three.urdf").write_text((folder / "hopper.urdf").read_text())
+    config = folder / "pupper-analysis.toml"
+    config.write_text('[[pair]]\nname = "all"\nurdf = "urdf/*.urdf"\nmjcf = "mjcf/*.xml"\n')
+    check = pa.check_repository(config)
+    assert {(pair.name, pair.agree) for pair in check.pairs} == {
+        ("all/one", False), ("all/two", False), ("all/three", None)
+    }  # fmt: skip
+    config.write_text('[[pair]]\nname = "all"\nurdf = "**/*.urdf"\n')
+    names = [pair.name for pair in pa.check_repository(config).pairs]
+    assert names == ["all/hopper.urdf", *(f"all/urdf/{n}.urdf" for n in ("one", "three", "two"))]
+    for wrong in ('urdf = "no/*.urdf"', 'urdf = "urdf/*.urdf"\nmjcf = "mjcf/?.xml"', 'urdf = "/*"'):
+        config.write_text(f'[[pair]]\nname = "all"\n{wrong}\n')
+        with pytest.raises(pa.ModelError, match=r"pupper-analysis\.toml:3"):
+            pa.check_repository(config)
+
+
+def test_init_names_all_models_and_does_not_write_over_one(folder: Path) -> None:
+    config = folder / "pupper-analysis.toml"
+    assert "is there already" in run(folder, "--init").stderr
+    config.unlink()
+    (folder / "pupper-analysis-baseline.toml").unlink()
+    (folder / "scene.xml").write_text('<mujoco><include file="hopper.xml"/><worldbody/></mujoco>')
+    (folder / "package.xml").write_text("<package/>")
+    (folder / ".hidden").mkdir()
+    (folder / ".hidden" / "old.urdf").write_text("<robot/>")
+    shown = run(folder, "--init")
+    assert shown.returncode == 0, shown.stderr
+    assert "with 1 models: hopper" in shown.stdout
+    (pair,) = read_config(config).pairs
+    assert (pair.name, pair.urdf, pair.mjcf) == (
+        "hopper", folder / "hopper.urdf", folder / "hopper.xml"
+    )  # fmt: skip
+    assert run(folder, "--update-baseline").returncode == 0
+    assert run(folder).returncode == 0
+    empty = folder / "empty"
+    empty.mkdir()
+    assert "no URDF and no MJCF" in run(empty, "--init").stderr
+
+
 def test_from_a_folder_below_and_by_its_path(folder: Path) -> None:
     below = folder / "src"
     below.mkdir()
@@ -232,7 +306,7 @@ def test_from_a_folder_below_and_by_its_path(folder: Path) -> None:
     elsewhere = folder.parent
     config = "repository/pupper-analysis.toml"
     shown = run(elsewhere, "--config", config, "--format", "github").stdout
-    assert "::error file=repository/hopper.urdf,line=20,title=mass of knee::" in shown
+    assert "::error file=repository/hopper.xml,line=16,title=mass of knee::" in shown
 
 
 def test_paths_are_those_of_the_checkout(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,7 +314,7 @@ def test_paths_are_those_of_the_checkout(folder: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv("GITHUB_WORKSPACE", str(folder.parent))
     change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.25"')
     shown = run(folder, "--format", "github").stdout
-    assert "::error file=repository/hopper.urdf,line=20," in shown
+    assert "::error file=repository/hopper.xml,line=16," in shown
     log = json.loads(run(folder, "--format", "sarif").stdout)
     place = log["runs"][0]["results"][0]["locations"][0]["physicalLocation"]
     assert place["artifactLocation"]["uri"] == "repository/hopper.urdf"

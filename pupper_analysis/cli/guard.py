@@ -23,12 +23,19 @@ from pupper_analysis.cli import models, shared
     is_flag=True,
     help="Take all that is found as known: write the baseline. Only what is new fails from then.",
 )
+@click.option(
+    "--init",
+    "first",
+    is_flag=True,
+    help="Write a pupper-analysis.toml that names all models in this folder, and end.",
+)
 @click.option("--all", "everything", is_flag=True, help="Print what does not fail, too.")
 @shared.json_option
 @shared.format_option
 def check_command(
     config: Path | None,
     update_baseline: bool,
+    first: bool,
     everything: bool,
     json_path: Path | None,
     style: str,
@@ -47,7 +54,15 @@ def check_command(
       mjcf = "mjcf/go1.xml"
 
     \b
+    Many models, by patterns; * stands for the same in both:
+      [[pair]]
+      name = "robots"
+      urdf = "urdf/*.urdf"
+      mjcf = "mjcf/*.xml"
+
+    \b
     Examples:
+      pupper-analysis check --init
       pupper-analysis check
       pupper-analysis check --update-baseline
       pupper-analysis check --config robots/pupper-analysis.toml --format github
@@ -62,11 +77,14 @@ def check_command(
     from pupper_analysis.report.console import console
 
     shared.check_outputs(json_path)
+    if first:
+        _begin(config)
+        return
     result = check_repository(config, update_baseline=update_baseline)
     if style == "text":
         report.print_check(console(), result, everything=everything)
     else:
-        found = report.remarks(result)
+        found = report.remarks(result, in_a_change=style == "github")
         if style == "github":
             found = report.unknown(found)
         suite = f"check of {Path(result.config).name}"
@@ -75,6 +93,18 @@ def check_command(
         if style == "github":
             click.echo(f"{'passed' if result.passed else 'failed'}: {report.summary(result)}")
     shared.finish(json_path, result, passed=result.passed)
+
+
+def _begin(config: Path | None) -> None:
+    """Writes the first configuration, and says what comes next."""
+    from pupper_analysis.errors import ConfigurationError
+    from pupper_analysis.guard.init import write_config
+
+    if config is not None:
+        raise ConfigurationError("--config", "--init writes the one of this folder")
+    path, names = write_config(Path())
+    click.echo(f"written: {path}, with {len(names)} models: {', '.join(names)}")
+    click.echo("look at which belong together; then: pupper-analysis check --update-baseline")
 
 
 @click.command(

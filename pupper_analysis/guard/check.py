@@ -38,7 +38,10 @@ class PairCheck(Result):
     Attributes:
         name: The pair's name.
         files: The files that were audited for it, and compared if there are two.
-        agree: Whether they agree within the tolerances; None where they were not compared.
+        agree: Whether they agree within the tolerances; None of one file, or where one cannot be
+            read.
+        failures: How many remarks on it fail: differences, and findings in its files.
+        known: How many the baseline knows.
         disabled: {rule of the audit that was not run: the reason}.
         notes: What was assumed or left out, in plain words.
     """
@@ -46,6 +49,8 @@ class PairCheck(Result):
     name: str
     files: tuple[str, ...]
     agree: bool | None
+    failures: int
+    known: int
     disabled: Mapping[str, str]
     notes: tuple[str, ...]
 
@@ -121,13 +126,21 @@ def check_repository(
     return RepositoryCheck(
         config=str(settings.path),
         baseline=str(settings.baseline) if settings.baseline.exists() else None,
-        pairs=tuple(pairs),
+        pairs=tuple(_counted(pair, ordered) for pair in pairs),
         remarks=tuple(ordered),
         failures=failures,
         stale=tuple(entry for entry in left if entry not in unseen),
         updated=update_baseline,
         passed=not failures,
     )
+
+
+def _counted(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
+    """Returns what was checked of a pair, with what came of it."""
+    own = [one for one in remarks if one.pair == pair.name
+           or (not one.pair and one.file in pair.files)]  # fmt: skip
+    known = sum(one.state is State.KNOWN for one in own)
+    return replace(pair, failures=sum(one.fails for one in own), known=known)
 
 
 def _fails(remark: Remark, config: GuardConfig) -> bool:
@@ -165,7 +178,7 @@ def _check_pair(pair: Pair, folder: Path) -> tuple[PairCheck, list[Remark]]:
             agree, notes = comparison.agree, comparison.notes
             remarks = [*of_comparison(comparison, pair, folder), *remarks]
     names = tuple(relative(file, folder) for file in files)
-    return PairCheck(pair.name, names, agree, pair.disabled, notes), remarks
+    return PairCheck(pair.name, names, agree, 0, 0, pair.disabled, notes), remarks
 
 
 def _refused(remarks: Iterable[Remark]) -> bool:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final
+
+from lxml import etree
 
 from pupper_analysis.checks.audit import RULES
 from pupper_analysis.checks.audit.result import Severity
@@ -82,8 +84,20 @@ def find_config(start: Path | None = None) -> Path:
         if (each / CONFIG).is_file():
             return each / CONFIG
     raise ConfigurationError(
-        "config", f"no {CONFIG} in {folder}, nor in a folder above it; write one, or name its path"
+        "config",
+        f"no {CONFIG} in {folder}, nor in a folder above it; check --init writes one, or name its "
+        "path",
     )
+
+
+def is_part(path: Path) -> bool:
+    """Whether a file is a part that other MJCFs include, and no model."""
+    try:
+        # Neither entities nor the network: what stands in a repository may be anybody's.
+        parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
+        return bool(etree.parse(path, parser).getroot().tag == "mujocoinclude")
+    except (etree.XMLSyntaxError, OSError):
+        return False  # what is wrong with it is said when it is checked
 
 
 def read_config(path: Path) -> GuardConfig:
@@ -96,6 +110,7 @@ def read_config(path: Path) -> GuardConfig:
     return _Reader(read_toml(path)).config()
 
 
+_WILD: Final = "*?["
 _SHARED: Final = ("strict", "tolerances", "packages", "disable")
 _TOP: Final = ("baseline", "fail-on", *_SHARED, "pair")
 _PAIR: Final = ("name", "urdf", "mjcf", "map", "map-file", "feet", "base", *_SHARED)
@@ -120,12 +135,51 @@ class _Reader:
             raise self.invalid(("pair",), entries, "tables that begin with [[pair]]")
         if not entries:
             raise ModelError(self.file.path, "it has no [[pair]]; give name, urdf and mjcf of one")
-        pairs = tuple(self.pair(entry, ("pair", number)) for number, entry in enumerate(entries))
-        for number, pair in enumerate(pairs):
-            if pair.name in [other.name for other in pairs[:number]]:
-                raise self.file.error(("pair", number, "name"), f"{pair.name!r} is there twice")
+        pairs: tuple[Pair, ...] = ()
+        for number, entry in enumerate(entries):
+            for pair in self.pairs(entry, ("pair", number)):
+                if pair.name in [other.name for other in pairs]:
+                    raise self.file.error(("pair", number, "name"), f"{pair.name!r} is there twice")
+                pairs = (*pairs, pair)
         baseline = self.folder / (self.text(top, (), "baseline") or BASELINE)
         return GuardConfig(self.file.path, pairs, Severity(fail_on), baseline, self.file)
+
+    def pairs(self, entry: dict[str, Any], key: Key) -> Iterator[Pair]:
+        """Yields the robots of an entry: one, or one for each file that its pattern matches."""
+        self.check_keys(entry, key, _PAIR)
+        given = {kind: self.text(entry, key, kind) for kind in ("urdf", "mjcf")}
+        patterns = {kind: text for kind, text in given.items() if text is not None}
+        if not any(char in text for text in patterns.values() for char in _WILD):
+            yield self.pair(entry, key)
+            return
+        stars = [text.count("*") for text in patterns.values()]
+        if len(patterns) == 2 and (stars != [1, 1] or any(c in t for t in patterns.values()
+                                                          for c in "?[")):  # fmt: skip
+            valid = "one * in each, which stands for the same in both"
+            raise self.invalid((*key, "urdf"), patterns["urdf"], valid)
+        found: dict[str, dict[str, str]] = {}
+        for kind, pattern in patterns.items():
+            for file in self.matches(pattern, (*key, kind)):
+                part = file
+                if len(patterns) == 2:
+                    head, tail = pattern.split("*")
+                    part = file[len(head) : len(file) - len(tail)]
+                found.setdefault(part, {})[kind] = file
+        for part, files in found.items():
+            others = {name: value for name, value in entry.items() if name not in patterns}
+            name = f"{entry.get('name', '')}/{part}" if entry.get("name") else ""
+            yield self.pair({**others, "name": name, **files}, key)
+
+    def matches(self, pattern: str, key: Key) -> list[str]:
+        """Returns the files that a pattern matches, relative to the configuration."""
+        try:
+            files = (path for path in self.folder.glob(pattern) if path.is_file())
+            paths = sorted(path for path in files if not is_part(path))
+        except (NotImplementedError, ValueError) as error:
+            raise self.invalid(key, pattern, "a pattern relative to this file") from error
+        if not paths:
+            raise self.file.error(key, f"{key[-1]} = {pattern!r}: no file matches")
+        return [path.relative_to(self.folder).as_posix() for path in paths]
 
     def pair(self, entry: dict[str, Any], key: Key) -> Pair:
         self.check_keys(entry, key, _PAIR)

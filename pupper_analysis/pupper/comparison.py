@@ -139,6 +139,10 @@ def _ratio(length: float | None, reference: float | None) -> float | None:
     return length / reference if length is not None and reference else None
 
 
+def _millimetres(length: float) -> str:
+    return f"{round(1e3 * length, 3) + 0.0:.3f}"  # + 0.0: no minus before a zero
+
+
 def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
     """Prints the table that compares robots."""
     table = titled_table(
@@ -159,8 +163,8 @@ def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
             "without feed-forward",
             ["stands" if row.stands_without else "[red]FAILS[/]" for row in rows],
         ),
-        ("  servo sag (mm)", [f"{1e3 * row.servo_sag:.3f}" for row in rows]),
-        ("contact softness (mm)", [f"{1e3 * row.contact_sag:.3f}" for row in rows]),
+        ("  servo sag (mm)", [_millimetres(row.servo_sag) for row in rows]),
+        ("contact softness (mm)", [_millimetres(row.contact_sag) for row in rows]),
         ("torque off prediction", [f"{row.torque_error:.3%}" for row in rows]),
         ("foot force off prediction", [f"{row.force_error:.3%}" for row in rows]),
         ("cross-check, worst", [f"{row.cross_check:.1e}" for row in rows]),

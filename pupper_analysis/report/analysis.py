@@ -245,9 +245,9 @@ def _print_verification(out: Console, analysis: Analysis) -> None:
     both = (analysis.verification, analysis.sagging)
     rows: list[tuple[str, list[str]]] = [
         ("base height", [f"{run.base_height:.5f} m" for run in both]),
-        ("loss of height", [f"{1e3 * run.height_loss:.3f} mm" for run in both]),
+        ("loss of height", [f"{_number(1e3 * run.height_loss, 3, '-')} mm" for run in both]),
         ("  servo sag", [f"{_number(1e3 * run.servo_sag, 3, '-')} mm" for run in both]),
-        ("  contact softness", [f"{1e3 * run.contact_sag:.3f} mm" for run in both]),
+        ("  contact softness", [f"{_number(1e3 * run.contact_sag, 3, '-')} mm" for run in both]),
         (
             "deviation, last second (< 5 mm = stable)",
             [f"{1e3 * run.height_deviation:.5f} mm" for run in both],

@@ -29,8 +29,12 @@ def print_check(out: Console, check: RepositoryCheck, *, everything: bool = Fals
         text = f"stale: {entry}: it does not occur any more"
         out.print(escape(text + _what_of_stale(check)), style="yellow", soft_wrap=True)
     for pair in check.pairs:
-        agree = {True: "they agree", False: "they differ", None: "not compared"}[pair.agree]
-        out.print(escape(f"{pair.name}: {', '.join(pair.files)}: {agree}"), soft_wrap=True)
+        told = "[red]FAILS[/]" if pair.failures else "[green]OK[/]"
+        parts = [f"{pair.failures} to mend"] * bool(pair.failures)
+        parts += [f"{pair.known} known"] * bool(pair.known)
+        parts += {True: ["they agree"], False: ["they differ"], None: []}[pair.agree]
+        files = escape(f"{pair.name}: {', '.join(pair.files)}")
+        out.print(f"{told} {files}{': ' * bool(parts)}{', '.join(parts)}", soft_wrap=True)
         for rule, reason in pair.disabled.items():
             out.print(escape(f"  {rule} is switched off: {reason}"), style="dim", soft_wrap=True)
     verdict = "[bold green]PASSED[/]" if check.passed else "[bold red]FAILED[/]"
@@ -95,9 +99,20 @@ def _from_root(place: str | None) -> str:
     return from_root(file) if line is None else f"{from_root(file)}:{line}"
 
 
-def remarks(check: RepositoryCheck) -> list[Annotation]:
-    """Returns the remarks as annotations; what fails is an error, whatever its severity."""
-    found = [_annotation(remark) for remark in check.remarks]
+def remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[Annotation]:
+    """Returns the remarks as annotations; what fails is an error, whatever its severity.
+
+    Args:
+        check: The check.
+        in_a_change: For the page of a change, where what is told of the lines that it touches alone
+            is seen: a difference is told where its value is another one than the baseline's, or in
+            both files.
+    """
+    found = [
+        _annotation(remark, place)
+        for remark in check.remarks
+        for place in (_places(remark) if in_a_change else [remark.place])
+    ]
     found += [
         Annotation(
             "notice",
@@ -113,14 +128,26 @@ def remarks(check: RepositoryCheck) -> list[Annotation]:
     return found
 
 
-def _annotation(remark: Remark) -> Annotation:
-    other = f" [{_from_root(remark.other_place)}]" if remark.other_place else ""
+def _places(remark: Remark) -> list[str | None]:
+    """Returns where a change may have brought a remark in."""
+    places = [place for place in (remark.place, remark.other_place) if place]
+    before, now = remark.before or {}, remark.values
+    moved = [side for side in ("urdf", "mjcf") if before and before.get(side) != now.get(side)]
+    if len(places) == 2 and len(moved) == 1:
+        return [places[0] if moved == ["urdf"] else places[1]]
+    return [*places] or [None]
+
+
+def _annotation(remark: Remark, place: str | None) -> Annotation:
+    both = (remark.place, remark.other_place)
+    others = [_from_root(one) for one in both if one and one != place]
+    other = f" [{others[0]}]" if others else ""
     before = f"; {_before(remark)}" if remark.before is not None else ""
     return Annotation(
         "error" if remark.fails else LEVELS[remark.severity],
         remark.subject,
         f"{remark.message}{other}{before}",
-        remark.place,
+        place,
         rule=f"{remark.check}/{remark.kind}",
         about=remark.about,
         known=remark.state is State.KNOWN,

@@ -31,7 +31,7 @@ def print_summary(out: Console, analysis: Analysis) -> None:
     if analysis.notes:
         count = len(analysis.notes)
         out.print(f"   {count} note{'s' if count > 1 else ''} on what was assumed: -v", style="dim")
-    print_verdict(out, analysis.verdict, "  ")
+    print_verdict(out, analysis.verdict)
     for failure in analysis.failures:
         out.print(f"   [red]failed:[/] {escape(failure)}", soft_wrap=True)
 
