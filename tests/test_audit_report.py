@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -99,6 +100,26 @@ def test_equal_findings_are_printed_once() -> None:
     messages = {(finding.rule, finding.message) for finding in audit.findings}
     for _, message in messages:
         assert out.file.getvalue().count(message) == 1
+
+
+def test_what_to_do_is_said_once_for_the_findings_of_a_rule(tmp_path: Path) -> None:
+    """Four calves of another mass each: four findings, and one remedy."""
+    text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
+    for number, leg in enumerate(("front_r", "front_l", "back_r", "back_l"), start=1):
+        before, after = text.split(f'<link name="leg_{leg}_2">')
+        after = re.sub(r'<mass value="[^"]*"/>', f'<mass value="-{number}"/>', after, count=1)
+        text = f'{before}<link name="leg_{leg}_2">{after}'
+    file = tmp_path / "robot.urdf"
+    file.write_text(text)
+    audit = audit_model(file)
+    found = [finding for finding in audit.findings if finding.rule == "mass-not-positive"]
+    assert len({finding.message for finding in found}) == 4
+    out = Console(file=io.StringIO(), width=120)
+    audit_report.print_audit(out, audit)
+    assert isinstance(out.file, io.StringIO)
+    printed = out.file.getvalue()
+    assert all(finding.message in printed for finding in found)
+    assert printed.count(found[0].todo) == 1
 
 
 @pytest.mark.parametrize(

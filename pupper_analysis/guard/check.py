@@ -171,6 +171,7 @@ def _check_pair(pair: Pair, folder: Path) -> tuple[PairCheck, list[Remark]]:
                 feet=pair.feet,
                 tolerances=pair.tolerances,
                 strict_names=pair.strict,
+                same_mount=pair.strict,
             )
         except PupperAnalysisError as error:
             remarks.append(of_error(error, "crosscheck", pair, pair.urdf, folder))

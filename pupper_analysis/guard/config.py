@@ -36,7 +36,7 @@ class Pair:
         packages: {ROS package: its folder}.
         base: What the base is called, by the comparison; None if any will do.
         tolerances: Of the comparison.
-        strict: Whether names, and damping that a URDF does not state, are differences.
+        strict: Whether names, damping that a URDF does not state, and tilts are differences.
         disabled: {rule of the audit that is not run: the reason}.
     """
 

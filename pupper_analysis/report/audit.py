@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich.console import Console
 
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
@@ -24,20 +26,19 @@ def print_rules(out: Console) -> None:
 
 
 def print_audit(out: Console, audit: Audit) -> None:
-    """Prints the findings, the worst first, each with its place and what to do."""
+    """Prints the findings, the worst first; what to do, once for those of a rule."""
     print_notes(out, audit.notes)
-    groups: dict[tuple[str, str], list[Finding]] = {}
+    rules: dict[tuple[str, Severity, str, str], list[Finding]] = {}
     for finding in audit.findings:
-        groups.setdefault((finding.rule, finding.message), []).append(finding)
-    for finding, *others in groups.values():
-        style = STYLES[finding.severity]
-        out.print(
-            f"[{style}]{finding.severity}[/] {escape(_place(finding))} [dim]{finding.rule}[/]",
-            soft_wrap=True,
-        )
-        more = f"; likewise {', '.join(other.element for other in others)}" if others else ""
-        out.print(f"  {escape(f'{finding.element}: {finding.message}{more}')}", soft_wrap=True)
-        out.print(f"  {escape(f'{finding.why} {finding.todo}')}", style="dim", soft_wrap=True)
+        key = finding.rule, finding.severity, finding.why, finding.todo
+        rules.setdefault(key, []).append(finding)
+    for (_, _, why, todo), findings in rules.items():
+        alike: dict[str, list[Finding]] = {}
+        for finding in findings:
+            alike.setdefault(finding.message, []).append(finding)
+        for group in alike.values():
+            _print_alike(out, group)
+        out.print(f"  {escape(f'{why} {todo}')}", style="dim", soft_wrap=True)
     counts = ", ".join(
         f"{number} {severity}{'' if severity == 'info' or number == 1 else 's'}"
         for severity, number in audit.counts.items()
@@ -50,6 +51,18 @@ def print_audit(out: Console, audit: Audit) -> None:
     out.print(
         f"{verdict} {escape(audit.file)}: {counts}, by {len(audit.rules_run)} rules", soft_wrap=True
     )
+
+
+def _print_alike(out: Console, findings: Sequence[Finding]) -> None:
+    """Prints findings of which only the element is another, with the place of the first."""
+    first, *others = findings
+    style = STYLES[first.severity]
+    out.print(
+        f"[{style}]{first.severity}[/] {escape(_place(first))} [dim]{first.rule}[/]",
+        soft_wrap=True,
+    )
+    more = f"; likewise {', '.join(other.element for other in others)}" if others else ""
+    out.print(f"  {escape(f'{first.element}: {first.message}{more}')}", soft_wrap=True)
 
 
 def _place(finding: Finding) -> str:
