@@ -39,6 +39,10 @@ def test_what_stands_by_itself_holds(tmp_path: Path) -> None:
     assert not robot.own_run.collapses
     assert robot.published is not None
     assert not robot.published.differs
+    assert [run.feedforward for run in robot.published.runs] == [True, False]
+    for run in robot.published.runs:  # predicted to nine digits of the height, feet creep and all
+        assert abs(run.height_error) < 1e-8
+        assert run.torque_error < 1e-4
     assert not of_the_file(robot)
     verdict = study_stance(robot, pa.StandTask()).verdict
     assert verdict.code is VerdictCode.HOLDS
