@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import mujoco
 import pytest
 from conftest import ROOT, answer
@@ -256,3 +257,27 @@ def test_the_shell_completes() -> None:
         check=True,
     )
     assert done.stdout == "plain,crosscheck\n"
+
+
+def test_every_command_that_reads_a_urdf_takes_packages() -> None:
+    """By the same option; `check` and `study` read files in which it is said."""
+    from pupper_analysis.cli import group
+
+    context = click.Context(group)
+    reading = {"urdf", "source", "file", "old"}
+    found = set()
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
+        names = {str(parameter.name) for parameter in command.params}
+        if names & reading and name not in ("study", "check"):
+            found.add(name)
+            assert "packages" in names, name
+    assert {"audit", "crosscheck", "sync", "convert", "diff", "stand", "push", "live"} <= found
+
+
+def test_a_stand_is_told_where_a_package_is(tmp_path: Path) -> None:
+    files = ("--urdf", "x.urdf", "--mjcf", "x.xml")
+    done = answer("stand", *files, "--package", "p=nowhere", folder=tmp_path)
+    assert done.returncode == 2
+    assert "p: nowhere is not a folder" in done.stderr

@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.models import package_folders, package_option
 from pupper_analysis.errors import ConfigurationError, OutputError
 
 
@@ -53,7 +52,7 @@ from pupper_analysis.errors import ConfigurationError, OutputError
 @click.option(
     "--copy-meshes", is_flag=True, help="Copy all meshes to NAME_meshes/ beside the new file."
 )
-@package_option
+@shared.package_option
 @shared.json_option
 def convert_command(
     source: Path,
@@ -93,7 +92,7 @@ def convert_command(
 
     if str(output) == "-":
         raise OutputError(output, "the new file names meshes beside it; give it a name")
-    folders = package_folders(packages)
+    folders = shared.package_folders(packages)
     shared.check_outputs(output, json_path)
     named = dict(shared.assignment("foot", foot) for foot in feet if "=" in foot)
     named |= {foot: foot for foot in feet if "=" not in foot}

@@ -121,7 +121,7 @@ def _begin(config: Path | None) -> None:
     metavar="OLD=NEW",
     help="A joint's old and new name, if neither name nor place tells. May be repeated.",
 )
-@models.package_option
+@shared.package_option
 @models.fine_tolerance_option
 @shared.json_option
 def diff_command(
@@ -157,7 +157,7 @@ def diff_command(
     tolerances = models.with_changes(Tolerances.strict(), changes)
     shared.check_outputs(json_path)
     result = diff_models(
-        old, new, names=names, packages=models.package_folders(packages), tolerances=tolerances
+        old, new, names=names, packages=shared.package_folders(packages), tolerances=tolerances
     )
     print_diff(console(), result)
     shared.finish(json_path, result, passed=result.same)

@@ -45,6 +45,7 @@ def live_command(
     feet: tuple[str, ...],
     pairs: tuple[str, ...],
     keyframe: str | None,
+    packages: tuple[str, ...],
     base: str | None,
     leg_scale: float | None,
     torso_mass_scale: float | None,
@@ -80,7 +81,7 @@ def live_command(
     begin = parse(state)
     derived = derived_variant(base, leg_scale, torso_mass_scale)
     source: Source
-    if urdf or mjcf or feet or pairs or keyframe:
+    if urdf or mjcf or feet or pairs or keyframe or packages:
         if name is not None or derived is not None:
             raise ConfigurationError(
                 "NAME", "give a variant's name, or --base and its scales, or --urdf and --mjcf"
@@ -88,7 +89,7 @@ def live_command(
         from pupper_analysis.live.source import Pair
 
         with shared.working("preparing the robot: feet, start pose, servos"):
-            source = Pair.of(files_given(urdf, mjcf, feet, pairs, keyframe))
+            source = Pair.of(files_given(urdf, mjcf, feet, pairs, keyframe, packages))
         print_notes(source.robot({}))
     else:
         from pupper_analysis.pupper.live import Variants

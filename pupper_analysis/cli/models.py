@@ -13,16 +13,6 @@ from pupper_analysis.errors import ConfigurationError
 if TYPE_CHECKING:
     from pupper_analysis.checks.tolerances import Tolerances
 
-package_option = click.option(
-    "--package",
-    "packages",
-    multiple=True,
-    metavar="NAME=DIR",
-    help="Where package://NAME/ is; else ROS_PACKAGE_PATH, then the folders above the URDF. "
-    "May be repeated.",
-)
-
-
 map_option = click.option(
     "--map",
     "pairs",
@@ -66,7 +56,7 @@ def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances
 @click.argument("mjcf", type=shared.MODEL_FILE)
 @map_option
 @map_file_option
-@package_option
+@shared.package_option
 @frame_option
 @click.option(
     "--tolerance",
@@ -140,7 +130,7 @@ def crosscheck(
     from pupper_analysis.report.console import console
 
     names = mapped_names(pairs, map_file)
-    folders = package_folders(packages)
+    folders = shared.package_folders(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()
     tolerances = with_changes(tolerances, changes)
     shared.check_outputs(json_path, report_path)
@@ -169,7 +159,7 @@ def crosscheck(
     "audit", context_settings=shared.CONTEXT, short_help="Find what is wrong in one URDF or MJCF."
 )
 @click.argument("file", required=False, type=shared.MODEL_FILE)
-@package_option
+@shared.package_option
 @click.option(
     "--disable", "disabled", multiple=True, metavar="RULE", help="Do not run this rule. Repeatable."
 )
@@ -220,7 +210,7 @@ def audit_command(
         return
     if file is None:
         raise ConfigurationError("FILE", "give the URDF or MJCF to audit")
-    folders = package_folders(packages)
+    folders = shared.package_folders(packages)
     shared.check_outputs(json_path, report_path)
     result = audit_model(file, packages=folders, disabled=disabled)
     if style == "text":
@@ -244,14 +234,3 @@ def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str
         if names.setdefault(old, new) != new:
             raise ConfigurationError("map", f"{old!r} is mapped to both {names[old]!r} and {new!r}")
     return names
-
-
-def package_folders(packages: tuple[str, ...]) -> dict[str, Path]:
-    """Returns {package: folder} of NAME=DIR."""
-    folders = {
-        name: Path(value) for name, value in (shared.assignment("package", p) for p in packages)
-    }
-    for name, folder in folders.items():
-        if not folder.is_dir():
-            raise ConfigurationError("package", f"{name}: {folder} is not a folder")
-    return folders

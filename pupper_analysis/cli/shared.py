@@ -24,6 +24,15 @@ VERIFIED, FAILED, BAD_INPUT, INTERNAL = 0, 1, 2, 3
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
+package_option = click.option(
+    "--package",
+    "packages",
+    multiple=True,
+    metavar="NAME=DIR",
+    help="Where package://NAME/ is; else ROS_PACKAGE_PATH, then the folders above the URDF. "
+    "May be repeated.",
+)
+
 
 def file_option(*names: str, help: str, required: bool = False) -> Callable[[F], F]:
     """Returns an option whose value is the path of a file or folder."""
@@ -206,3 +215,12 @@ def point(option: str, text: str, size: int = 2) -> tuple[float, ...]:
         form = ",".join("XYZ"[:size])
         raise ConfigurationError(option, f"{text!r} is not of the form {form} (m)")
     return numbers
+
+
+def package_folders(packages: tuple[str, ...]) -> dict[str, Path]:
+    """Returns {package: folder} of NAME=DIR."""
+    folders = {name: Path(value) for name, value in (assignment("package", p) for p in packages)}
+    for name, folder in folders.items():
+        if not folder.is_dir():
+            raise ConfigurationError("package", f"{name}: {folder} is not a folder")
+    return folders

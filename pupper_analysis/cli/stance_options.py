@@ -47,6 +47,7 @@ OWN = (
         help="A joint's names. Repeatable.",
     ),
     click.option("--keyframe", metavar="NAME", help="The MJCF's keyframe to start from."),
+    shared.package_option,
 )
 AS_PUBLISHED = (
     click.option("--as-is", is_flag=True, help="Add no servos to the MJCF, and alter no shapes."),
@@ -131,6 +132,7 @@ class RobotAndTask:
     feet: tuple[str, ...]
     pairs: tuple[str, ...]
     keyframe: str | None
+    packages: tuple[str, ...]
     as_is: bool
     self_check: bool
     base: str | None
@@ -192,7 +194,9 @@ class RobotAndTask:
             )
         from pupper_analysis.prepare.load import load_robot
 
-        given = files_given(self.urdf, self.mjcf, self.feet, self.pairs, self.keyframe)
+        given = files_given(
+            self.urdf, self.mjcf, self.feet, self.pairs, self.keyframe, self.packages
+        )
         with shared.working("preparing the robot: feet, start pose, servos"):
             robot = load_robot(**given, as_is=self.as_is, self_check=self.self_check)
         print_notes(robot)
@@ -201,7 +205,8 @@ class RobotAndTask:
     @property
     def own(self) -> bool:
         """Whether the robot is given by files."""
-        return bool(self.urdf or self.mjcf or self.feet or self.pairs or self.keyframe)
+        given = (self.urdf, self.mjcf, self.feet, self.pairs, self.keyframe, self.packages)
+        return any(given)
 
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
         """Returns the servos' stiffness and damping at a robot's joints; None: the model's own."""
@@ -240,6 +245,7 @@ def files_given(
     feet: tuple[str, ...],
     pairs: tuple[str, ...],
     keyframe: str | None,
+    packages: tuple[str, ...],
 ) -> dict[str, Any]:
     """Returns what ``load_robot`` is given for the robot of two files.
 
@@ -259,6 +265,7 @@ def files_given(
         "feet": frames or None,
         "joints": dict(shared.assignment("map", text) for text in pairs),
         "keyframe": keyframe,
+        "packages": {name: str(path) for name, path in shared.package_folders(packages).items()},
     }
 
 

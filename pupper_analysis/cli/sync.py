@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 @click.option("--force", is_flag=True, help="Write to files with changes that are not committed.")
 @models.map_option
 @models.map_file_option
-@models.package_option
+@shared.package_option
 @models.frame_option
 @click.option(
     "--fine", is_flag=True, help="Mend rounding, too: all that differs by more than 1e-9."
@@ -82,7 +82,7 @@ def sync_command(
     from pupper_analysis.report.console import console
     from pupper_analysis.sync.models import FINE, sync_models
 
-    names, folders = models.mapped_names(pairs, map_file), models.package_folders(packages)
+    names, folders = models.mapped_names(pairs, map_file), shared.package_folders(packages)
     tolerances = models.with_changes(FINE if fine else Tolerances(), changes)
     shared.check_outputs(json_path)
 

@@ -81,12 +81,12 @@ class UrdfLinks:
             )
             if not free and not placed.isIdentity(1e-12):
                 world = free_name("world", self._names)
-                element(root, "link", name=world)
+                _frame(root, world)
                 _joint(root, f"{world}_to_{name}", "fixed", world, name, placed)
             self._link(root, base, name, pin.SE3.Identity())
         else:
             world = free_name("world", self._names)
-            element(root, "link", name=world)
+            _frame(root, world)
             self._moved(root, base, name, world, pin.SE3.Identity())
         for body in range(base + 1, model.nbody):
             parent = int(model.body_parentid[body])
@@ -133,7 +133,7 @@ class UrdfLinks:
             self._movable(root, joint, parent, child, placed)
             placement, parent = pin.SE3(np.eye(3), -anchor), child
             if not last:
-                _weightless(element(root, "link", name=child))
+                _frame(root, child)
         self._link(root, body, name, placement)
 
     def _movable(
@@ -206,7 +206,7 @@ class UrdfLinks:
             placed = inside * pin.SE3(
                 rotation_from_quaternion(model.site_quat[site]), np.array(model.site_pos[site])
             )
-            _weightless(element(root, "link", name=name))
+            _frame(root, name)
             _joint(root, self._joint_name(f"{name}_fixed"), "fixed", link, name, placed)
 
     def _link_name(self, body: int) -> str:
@@ -272,8 +272,13 @@ def _base(file: MjcfFile, model: mujoco.MjModel) -> int:
     return tops.pop()
 
 
+def _frame(root: etree._Element, name: str) -> None:
+    """Adds a link that is a frame alone."""
+    _weightless(element(root, "link", name=name))
+
+
 def _weightless(link: etree._Element) -> None:
-    """Says that a link has no mass: PyBullet would give it 1 kg."""
+    """States a mass of 0: PyBullet gives 1 kg to a link that states none."""
     inertial = element(link, "inertial")
     element(inertial, "mass", value="0")
     element(inertial, "inertia", **dict.fromkeys(INERTIA_ENTRIES, "0"))

@@ -96,6 +96,8 @@ class Pair:
             words += ["--foot", f"{foot}={frame if isinstance(frame, str) else ':'.join(frame)}"]
         for one, other in self.options.get("joints", {}).items():
             words += ["--map", f"{one}={other}"]
+        for package, folder in self.options.get("packages", {}).items():
+            words += ["--package", f"{package}={folder}"]
         if "keyframe" in self.options:
             words += ["--keyframe", self.options["keyframe"]]
         return words

@@ -68,6 +68,7 @@ def load_robot(
     name: str | None = None,
     joints: Mapping[str, str] | None = None,
     keyframe: str | None = None,
+    packages: Mapping[str, str | Path] | None = None,
     self_check: bool = True,
     as_is: bool = False,
 ) -> Robot:
@@ -89,6 +90,7 @@ def load_robot(
         joints: {joint in the URDF: joint in the MJCF}, of those that are not matched by name.
         keyframe: The MJCF's keyframe to start from; by default ``home``, or another in which the
             robot stands.
+        packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
         self_check: Simulate the MJCF as it was published, too: from its own keyframe on its own
             actuators (``own_run``), and from the nominal stand, against the prediction
             (``published``). It takes less than the rest.
@@ -103,7 +105,8 @@ def load_robot(
             found.
         UnknownNameError: If a foot, joint or keyframe is not there; the message lists what is.
     """
-    files = read_urdf(urdf), read_mjcf(mjcf)
+    folders = {name: Path(folder) for name, folder in (packages or {}).items()}
+    files = read_urdf(urdf, folders), read_mjcf(mjcf)
     check_simulable(files[1])
     frames = None if feet is None else _frames(feet)
     if frames is not None and not joints and keyframe is None:

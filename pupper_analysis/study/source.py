@@ -64,7 +64,7 @@ class Pair:
             ConfigurationError: If an option is not ``load_robot``'s, or the robot cannot stand.
             ModelError: As ``load_robot``.
         """
-        known = ("urdf", "mjcf", "feet", "name", "joints", "keyframe")
+        known = ("urdf", "mjcf", "feet", "name", "joints", "keyframe", "packages")
         unknown = [name for name in options if name not in known]
         if unknown or not {"urdf", "mjcf"} <= set(options):
             problem = (
