@@ -91,12 +91,12 @@ if TYPE_CHECKING:
     from pupper_analysis.statics.states import GravityCompensations, gravity_compensations
     from pupper_analysis.study.outcome import StudyOutcome, study_outcome
     from pupper_analysis.study.pareto import pareto_front
+    from pupper_analysis.study.randomisation import write_randomisation
     from pupper_analysis.study.sensitivity import linear_shares, sobol_indices
     from pupper_analysis.study.table import read_study
     from pupper_analysis.study.tolerance import (
         certainty,
         tightest_tolerance,
-        write_randomisation,
     )
     from pupper_analysis.study.variables import linspace, log_uniform, normal, uniform, values
     from pupper_analysis.sync.models import Sync, sync_models
@@ -204,7 +204,7 @@ _HOME = {
     "linear_shares": "study.sensitivity",
     "certainty": "study.tolerance",
     "tightest_tolerance": "study.tolerance",
-    "write_randomisation": "study.tolerance",
+    "write_randomisation": "study.randomisation",
     "linspace": "study.variables",
     "log_uniform": "study.variables",
     "normal": "study.variables",

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import math
+import os
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,6 +24,7 @@ from pupper_analysis.study.design import Maker
 from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
 from pupper_analysis.study.measures import MEASURES
 from pupper_analysis.study.pareto import pareto_front
+from pupper_analysis.study.randomisation import write_randomisation
 from pupper_analysis.study.search import optimise
 from pupper_analysis.study.sensitivity import linear_shares, sobol_indices
 from pupper_analysis.study.tolerance import (
@@ -28,7 +32,6 @@ from pupper_analysis.study.tolerance import (
     chance,
     narrowed,
     tightest_tolerance,
-    write_randomisation,
 )
 
 
@@ -340,6 +343,109 @@ def test_randomisation_as_yaml(tmp_path: Path) -> None:
         {"name": "payload", "operation": "absolute", "distribution": "linspace", "low": 0.0,
          "high": 1.0, "count": 3.0},
     ]  # fmt: skip
+
+
+SPREADS = {
+    "mass:leg_*_3": {"normal": [1.0, 0.05]},
+    "kp:*": {"uniform": [0.7, 0.39999999999999997 + 0.9]},
+    "kd:leg_front_l_1": {"log_uniform": [0.5, 2.0]},
+    "effort:*": {"normal": [0.9, 0.1]},
+    "armature:*": {"uniform": [0.8, 1.2]},
+    "frictionloss:*": {"uniform": [0.5, 2.0]},
+    "friction": {"uniform": [0.4, 1.0]},
+    "payload": {"uniform": [0.0, 0.5]},
+    "leg_scale": {"uniform": [0.9, 1.1]},
+}
+
+
+def terms(path: Path) -> dict[str, dict[str, Any]]:
+    """The event terms of a file: what its EVENTS would be, with the calls as they are written."""
+    tree = ast.parse(path.read_text())
+    (events,) = [node.value for node in tree.body if isinstance(node, ast.Assign)]
+    assert isinstance(events, ast.Dict)
+    found = {}
+    for key, call in zip(events.keys, events.values, strict=True):
+        assert isinstance(call, ast.Call)
+        given = {one.arg: one.value for one in call.keywords}
+        params = ast.parse(ast.unparse(given["params"]), mode="eval").body
+        assert isinstance(params, ast.Dict)
+        said = {ast.literal_eval(k): v for k, v in zip(params.keys, params.values, strict=True)}
+        plain = {k: ast.unparse(v) if isinstance(v, ast.Call) else ast.literal_eval(v)
+                 for k, v in said.items()}  # fmt: skip
+        found[ast.literal_eval(key)] = {"func": ast.unparse(given["func"]), **plain}
+    return found
+
+
+def test_randomisation_as_terms_of_mjlab(tmp_path: Path) -> None:
+    left = write_randomisation(SPREADS, tmp_path / "dr.py", "mjlab")
+    assert left == ("leg_scale",)
+    assert "leg_scale" in (tmp_path / "dr.py").read_text()  # it is named
+    found = terms(tmp_path / "dr.py")
+    assert found["mass:leg_*_3"] == {
+        "func": "dr.body_mass",
+        "asset_cfg": "SceneEntityCfg('robot', body_names=('leg_.*_3',))",
+        "ranges": (1.0, 0.05), "operation": "scale", "distribution": "gaussian",
+    }  # fmt: skip
+    kp = found["kp:*"]
+    assert (kp["func"], kp["kp_range"], kp["kd_range"]) == ("dr.pd_gains", (0.7, 1.3), (1.0, 1.0))
+    effort = found["effort:*"]  # which takes no normal distribution: the same deviation
+    low, high = effort["effort_limit_range"]
+    assert (high - low) / math.sqrt(12) == pytest.approx(0.1)
+    assert effort["distribution"] == "uniform"
+    assert found["frictionloss:*"]["func"] == "dr.joint_friction"
+    assert (found["payload"]["func"], found["payload"]["operation"]) == ("dr.body_mass", "add")
+
+
+def test_the_terms_are_mjlabs_own(tmp_path: Path) -> None:
+    """Names and arguments, against its source where it is installed."""
+    folder = Path(os.environ.get("PUPPER_ROBOTS", "-")) / "mjlab" / "envs" / "mdp" / "dr"
+    if not folder.is_dir():
+        pytest.skip("mjlab is not there")
+    known = {}
+    for file in folder.glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                known[f"dr.{node.name}"] = {one.arg for one in node.args.args}
+    write_randomisation(SPREADS, tmp_path / "dr.py", "mjlab")
+    for term in terms(tmp_path / "dr.py").values():
+        assert set(term) - {"func"} <= known[term["func"]], term
+
+
+def test_randomisation_as_terms_of_isaac_lab(tmp_path: Path) -> None:
+    left = write_randomisation(SPREADS, tmp_path / "events.py", "isaaclab")
+    assert left == ("effort:*", "leg_scale")
+    found = terms(tmp_path / "events.py")
+    assert found["kd:leg_front_l_1"] == {
+        "func": "mdp.randomize_actuator_gains",
+        "asset_cfg": "SceneEntityCfg('robot', joint_names=['leg_front_l_1'])",
+        "damping_distribution_params": (0.5, 2.0), "operation": "scale",
+        "distribution": "log_uniform",
+    }  # fmt: skip
+    assert found["armature:*"]["func"] == "mdp.randomize_joint_parameters"
+    assert found["friction"]["static_friction_range"] == (0.4, 1.0)
+    with pytest.raises(pa.ConfigurationError, match="none of yaml, mjlab, isaaclab"):
+        write_randomisation(SPREADS, tmp_path / "no", "gym")  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_tolerances_for_criteria_of_ones_own(tmp_path: Path, thread: Executor) -> None:
+    """Legs of a length between bounds: uniform about 1, kept to where it is within +-0.1."""
+    study = pa.Study("v3", {"leg_scale": pa.uniform(0.95, 1.05)}, ["base_height"], samples=32)
+    table = study.run(tmp_path, executor=thread)
+    middle = float(table["base_height"].median())
+    asked = {"base_height": (0.9 * middle, 1.1 * middle)}
+    found = tightest_tolerance(
+        study, tmp_path, wanted=0.95, criteria=asked, widest=6.0, resolution=0.2, executor=thread
+    )
+    assert 1.5 < found.scale < 3.5  # heights are in proportion to legs, nearly
+    wide = {"base_height": (0.0, None)}
+    assert (
+        tightest_tolerance(study, tmp_path, wanted=0.9, criteria=wide, executor=thread).scale == 1
+    )
+    with pytest.raises(pa.ConfigurationError, match="measures no 'height'"):
+        tightest_tolerance(
+            study, tmp_path, wanted=0.9, criteria={"height": (0, 1)}, executor=thread
+        )
 
 
 # ----------------------------------------------------------------------------- searches

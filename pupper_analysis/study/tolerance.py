@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from pupper_analysis.arguments import check_type, finite
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.files import whole_file
 from pupper_analysis.results import Result
 from pupper_analysis.study.running import Progress
 from pupper_analysis.study.study import Study
@@ -135,6 +134,20 @@ def _narrowed(variable: Variable, scale: float) -> Variable:
     return variable
 
 
+def _kept(table: pd.DataFrame, criteria: Mapping[str, tuple[float | None, float | None]]) -> Chance:
+    """Returns how many designs keep to criteria."""
+    good = [True] * len(table)
+    for name, (low, high) in criteria.items():
+        if name not in table:
+            known = ", ".join(str(column) for column in table.columns)
+            raise ConfigurationError("criteria", f"the study measures no {name!r}; it has {known}")
+        values = table[name].to_numpy(float)  # not a number is not in any range
+        bounds = (-math.inf if low is None else low), (math.inf if high is None else high)
+        inside = (values >= bounds[0]) & (values <= bounds[1])
+        good = [one and bool(other) for one, other in zip(good, inside, strict=True)]
+    return chance(sum(good), len(table))
+
+
 @dataclass(frozen=True)
 class Tolerance(Result):
     """The spreads with which a stand is sure enough.
@@ -158,6 +171,8 @@ def tightest_tolerance(
     *,
     wanted: float = 0.99,
     resolution: float = 0.02,
+    criteria: Mapping[str, tuple[float | None, float | None]] | None = None,
+    widest: float = 1.0,
     executor: Executor | None = None,
     workers: int | None = None,
     progress: Callable[[Progress], None] | None = None,
@@ -166,13 +181,23 @@ def tightest_tolerance(
 
     All spreads are narrowed by the same factor until the robot stays up, with all motors under
     their limits, in the wanted share of designs; by bisection, each step with the study's samples,
-    kept in its folder. A factor of 1 means that the study's own spreads will do.
+    kept in its folder. A factor of ``widest`` means that wider spreads may do, too: they were not
+    tried.
+
+    A number must enter what is asked: of a level stand friction does not, and any spread of it
+    will do. ``criteria`` ask for more: ``{"push_recovery": (0.5, None)}``, ``verified``, own
+    measures of paths; and so does a stance on a slope.
 
     Args:
-        study: With the measures ``stands`` and ``utilisation``, and samples.
+        study: With the measures ``stands`` and ``utilisation``, or those of ``criteria``, and
+            samples.
         folder: Where results are kept.
         wanted: The probability.
         resolution: Of the factor.
+        criteria: {column of the study's table: (the least value, the greatest)} that a design must
+            keep to, None for none; a design that has no such value does not. By default it stays
+            up, with all motors under their limits.
+        widest: The greatest factor that is tried, at least 1.
         executor: As in ``Study.run``.
         workers: Likewise.
         progress: Likewise.
@@ -184,8 +209,12 @@ def tightest_tolerance(
     """
     check_type("study", study, Study)
     goal, least = finite("wanted", wanted), finite("resolution", resolution)
+    check_type("criteria", criteria, Mapping[str, Any] | None)
+    most = finite("widest", widest)
     if not 0 < goal < 1 or not 0 < least < 1:
         raise ConfigurationError("wanted", "wanted and resolution are between 0 and 1")
+    if most < 1:
+        raise ConfigurationError("widest", f"{most:g} is below 1, the study's own spreads")
     samples = study.sampling.samples or 0
     if samples * (1 - goal) < 1:
         problem = f"{samples} cannot tell {goal:g}; take {math.ceil(1 / (1 - goal))} or more"
@@ -196,12 +225,12 @@ def tightest_tolerance(
         table = narrowed(study, scale).run(
             folder, executor=executor, workers=workers, progress=progress
         )
-        tried[scale] = certainty(table).both
+        tried[scale] = certainty(table).both if criteria is None else _kept(table, criteria)
         return tried[scale].probability >= goal
 
-    low, high = 0.0, 1.0
-    if sure(1.0):
-        low = 1.0
+    low, high = 0.0, most
+    if sure(most):
+        low = most
     elif not sure(least):
         problem = f"with {least:g} of its spreads {tried[least].probability:.1%} stand"
         raise ConfigurationError("vary", f"{problem}: it is the means that do not do")
@@ -213,35 +242,3 @@ def tightest_tolerance(
     spreads = {n: _narrowed(v, low).asked() for n, v in study.variables.items()}
     told = {scale: one.probability for scale, one in sorted(tried.items())}
     return Tolerance(low, spreads, tried[low], told)
-
-
-def write_randomisation(spreads: Mapping[str, Mapping[str, Any]], path: str | Path) -> None:
-    """Writes spreads as YAML, for the domain randomisation of those who train policies.
-
-    Each entry has the number, how it acts (``scale`` on the model's value, or ``absolute``), the
-    distribution, and its numbers.
-
-    Args:
-        spreads: {variable: {kind: numbers}}, as ``Tolerance.spreads`` or ``Study.asked()["vary"]``.
-        path: The file.
-
-    Raises:
-        ConfigurationError: If a spread is none.
-        OutputError: If it cannot be written.
-    """
-    check_type("spreads", spreads, Mapping[str, Mapping[str, Any]])
-    check_type("path", path, str | Path)
-    lines = ["# Domain randomisation. scale: a factor on the model's value; absolute: the value."]
-    for name, given in spreads.items():
-        if not isinstance(given, Mapping) or len(given) != 1:
-            raise ConfigurationError("spreads", f"{name!r}: {given!r} is not {{kind: numbers}}")
-        ((kind, numbers),) = given.items()
-        keys = {"normal": ("mean", "std"), "values": (), "linspace": ("low", "high", "count")}
-        named = keys.get(kind, ("low", "high"))
-        acts = "scale" if ":" in name or name.endswith("_scale") else "absolute"
-        lines += [f'- name: "{name}"', f"  operation: {acts}", f"  distribution: {kind}"]
-        if not named:
-            lines.append(f"  values: [{', '.join(repr(float(value)) for value in numbers)}]")
-        lines += [f"  {key}: {float(value)!r}" for key, value in zip(named, numbers, strict=False)]
-    with whole_file(Path(path)) as file:
-        file.write(("\n".join(lines) + "\n").encode())
