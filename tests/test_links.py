@@ -94,6 +94,12 @@ def test_the_mended_file_agrees(folder: Path) -> None:
     assert compared(write(folder, urdf_text(geared()), mjcf_text(geared()))).agree
 
 
+def test_some_of_the_links_of_a_pattern_are_counted(folder: Path) -> None:
+    bare = without(geared(), "thigh0_rotor", "thigh1_rotor", "hip2_rotor")
+    comparison = compared(write(folder, urdf_text(geared()), mjcf_text(bare)))
+    assert "that of 3 of the 8 *_rotor of 0.089 kg each" in the_cause(comparison, "links")
+
+
 def test_frames_that_are_turned_do_not_hide_a_link(folder: Path) -> None:
     model = mujoco.MjModel.from_xml_string(mjcf_text(without(geared(), "_rotor")))
     files = write(folder, urdf_text(geared()), turned_frames(model, seed=3))

@@ -11,6 +11,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from itertools import product
 
 import numpy as np
@@ -66,12 +67,14 @@ def other_links(case: Case) -> Found:
     for slip in slips:
         groups[slip.lacks, float(f"{slip.factor:.3g}"), slip.inertia].append(slip)
     for (lacks, *_), group in groups.items():
-        kind, words = ("links", _lacking) if lacks else ("scaled links", _scaled)
         movers = {slip.mover for slip in group}
-        explained = {
-            (kind, name) for kind, name in case.open if kind in OF_INERTIALS and name in movers
-        }
-        yield Finding(kind, words(group), explained)
+        explained = {key for key in case.open if key[0] in OF_INERTIALS and key[1] in movers}
+        if lacks:
+            file = case.urdf if lacks == "MJCF" else case.mjcf
+            known = [link.name for links in file.values() for link in links]
+            yield Finding("links", _lacking(group, known), explained)
+        else:
+            yield Finding("scaled links", _scaled(group), explained)
 
 
 def _slip(case: Case, name: str) -> _Slip | None:
@@ -154,8 +157,13 @@ def _scale(one: Body, two: Body) -> Array:
     return np.array([1.0, *(length,) * 3, *(length**2,) * 6])
 
 
-def _lacking(slips: Sequence[_Slip]) -> str:
-    """Says which links a file lacks, those of one name pattern at once."""
+def _lacking(slips: Sequence[_Slip], known: Sequence[str]) -> str:
+    """Says which links a file lacks, those of one name pattern at once.
+
+    Args:
+        slips: What is wrong.
+        known: All links with mass of the other file.
+    """
     links = {link.name: link.body.mass for slip in slips for link in slip.links}
     other = "URDF" if slips[0].lacks == "MJCF" else "MJCF"
     groups = sorted(
@@ -164,7 +172,9 @@ def _lacking(slips: Sequence[_Slip]) -> str:
     said = []
     for pattern, names in groups[:_NAMED]:
         masses = [links[name] for name in names]
-        count = f"{len(names)} {pattern}" if len(names) > 1 else pattern
+        every = sum(fnmatchcase(name, pattern) for name in known)
+        some = f"{len(names)} of the {every}" if every > len(names) else f"{len(names)}"
+        count = f"{some} {pattern}" if len(names) > 1 else pattern
         alike = len(names) > 1 and math.isclose(min(masses), max(masses), rel_tol=1e-6)
         said.append(
             f"{count} of {masses[0]:.6g} kg each" if alike else f"{count} of {sum(masses):.6g} kg"
