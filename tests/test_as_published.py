@@ -131,6 +131,16 @@ def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str)
     assert element in in_words(verdict)
 
 
+def test_files_of_two_robots_are_told_from_a_file_that_differs(tmp_path: Path) -> None:
+    pair = standing(tmp_path)
+    heavier = pair.mjcf.read_text().replace('mass="4"', 'mass="5"')
+    pair.mjcf.write_text(heavier)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.published is not None
+    assert robot.published.differs
+    assert [cause.code for cause in robot.published.causes] == ["pair"]
+
+
 def slip_holds(folder: Path, name: str, seed: int) -> tuple[float, bool, str]:
     """How far a file with a slip sinks by itself, whether it is said to hold, and what is said."""
     pair = standing(folder)

@@ -194,7 +194,7 @@ def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
     off = [(one, run) for one, run in found if run is not None and run.differs]
     causes: tuple[Cause, ...] = ()
     if off:
-        causes = causes_of(bare, robot, *off[0])
+        causes = causes_of(bare, robot, *off[0]) or _of_the_pair(robot, *off[0])
     return Published(runs, causes, differs=bool(off))
 
 
@@ -202,6 +202,17 @@ def _lean(before: Array, after: Array) -> float:
     """Returns by how much a body leans off its vertical (rad), of two rotations (9,)."""
     one, two = before.reshape(3, 3), after.reshape(3, 3)
     return float(math.acos(min(1.0, max(-1.0, float(one[2] @ two[2])))))
+
+
+def _of_the_pair(robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Cause, ...]:
+    """Returns that the two files differ, if what was computed of the MJCF is as far off.
+
+    The prediction is the URDF's.
+    """
+    computed = run_as_published(Bare.of(copy.copy(robot.mj_model), robot), robot, wanted)
+    if computed is None or abs(computed.torque_error - run.torque_error) > SAME:
+        return ()
+    return (Cause("pair", ()),)
 
 
 def _diverged(model: mujoco.MjModel, data: mujoco.MjData, since: float, seconds: float) -> bool:

@@ -183,6 +183,7 @@ CAUSES = {
     "obstacles": "what stands in the world touches: {names}",
     "balls": "balls took the place of the meshes of {names}",
     "other-drive": "servos took the place of actuators that are none: {names}",
+    "pair": "URDF and MJCF are not of one robot, crosscheck says where{names}",
     "base-held": "as published, its base is held in the world, or part of it: {names}",
     "ground": "as published, its ground is not level{names}",
 }
