@@ -17,29 +17,28 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import gains
 from pupper_analysis.stance.sag.pliancy import foot_pliancy, sole_pliancy
 from pupper_analysis.stance.sag.rigid import RigidSoles
+from pupper_analysis.stance.sag.rubbing import rub
 from pupper_analysis.stance.sag.solution import Anchor, Solution, goes_round, move
 from pupper_analysis.stance.sag.touch import Touch
+from pupper_analysis.stance.sag.units import Units
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 Feet = Literal["pinned", "sliding"]
-RESIDUAL_TOLERANCE = 1e-10
-"""What the equations of an equilibrium may leave over (N, N m, m)."""
+RESIDUAL_TOLERANCE = 3e-12
+"""What the equations of an equilibrium may leave over, in weights and in heights of the stand."""
 
-_ROUNDING = 1e-14
-"""What of that is no more than the rounding of the weight of a robot (N, N m, m)."""
+_ROUNDING = 3e-16
+"""What of that is no more than rounding."""
 
-TOUCHING = 1e-9
-"""A foot this deep in the ground, or less, does not touch it yet (m): 1e-6 N on soft ground."""
+TOUCHING = 1e-8
+"""A foot this deep in the ground, or less, does not touch it yet (heights): 1e-6 N under v3."""
 
 _SOFTER = (1e3, 1e2, 1e1, 1.0)
 """Parts of what a sole gives, by which it is solved where Newton's iteration fails at once."""
 
 _MAX_ITERATIONS = 25
-_TRUST = 0.5  # rad, m: a longer Newton step has left the branch
-_WEAK = 1e-3  # N/m: holds a sliding robot in its place as creep does, with 1e-5 N
-_HEIGHT_TOLERANCE = 1e-8  # m: by less than this the base is at the end of friction's range
-_RHO = 1e3  # N/m: weighs slip against force in telling which way a foot slips; any would do
+_HEIGHT_TOLERANCE = 1e-7  # heights: by less than this the base is at the end of friction's range
 _NOWHERE = np.zeros(2)  # m: where a foot sticks that has not crept
 _MAX_ROUNDS = 40  # of friction and pose, each by the other; 4 to 8 do
 
@@ -84,7 +83,10 @@ class Equilibrium:
             foot: Anchor(stand.foot_targets[foot], config.frame_rotation(robot.foot_frames[foot]))
             for foot in stand.stance_feet
         }
-        self._pliancy, self._give = sole_pliancy(robot), foot_pliancy(robot)
+        self.units = Units.of(robot, stand)
+        self._in_newtons: slice | list[int] = []
+        per_force = self.units.length / self.units.weight
+        self._pliancy, self._give = sole_pliancy(robot, per_force), foot_pliancy(robot, per_force)
         self._giving, self._softer = any(self._give.values()), 1.0
         self._touch: tuple[object, Touch] | None = None
         self._rigid = RigidSoles(self._sole, self.frame)
@@ -165,8 +167,10 @@ class Equilibrium:
         if self.robot.closure is not None:
             balance[6:] -= self.robot.closure.springs(qpos)
         if self.feet == "sliding":
-            places[:, :2] = forces[:, :2] + _WEAK * places[:, :2]
-        for row, mu, tried in self.slipping_rows(forces, places):
+            places[:, :2] = forces[:, :2] + self.units.weak * places[:, :2]
+        slipping = self.slipping_rows(forces, places)
+        self._in_newtons = slice(None) if self.feet == "sliding" else [one[0] for one in slipping]
+        for row, mu, tried in slipping:
             along = tried / np.linalg.norm(tried)
             places[row, :2] = forces[row, :2] - mu * forces[row, 2] * along
         sole, depths = self._in_sole(), places[:, 2].copy()
@@ -209,7 +213,7 @@ class Equilibrium:
         rates = by_qpos[n:].reshape(size, 3, n)  # a view
         rates[:] = touch.place_rates()
         if self.feet == "sliding":
-            rates[:, :2] *= _WEAK
+            rates[:, :2] *= self.units.weak
         else:
             rates[:, :2] = self.as_one(rates[:, :2])
         diagonal = np.zeros((size, 3))
@@ -227,8 +231,8 @@ class Equilibrium:
             length = float(np.linalg.norm(tried))
             along, tangents = tried / length, slice(3 * row, 3 * row + 2)
             turn = mu * forces[row, 2] / length * (np.eye(2) - np.outer(along, along))
-            rates[row, :2] = _RHO * turn @ rates[row, :2]
-            kept = 1 - _RHO * diagonal[row, 0]
+            rates[row, :2] = self.units.rho * turn @ rates[row, :2]
+            kept = 1 - self.units.rho * diagonal[row, 0]
             by_force[tangents, tangents] = np.eye(2) - kept * turn
             by_force[tangents, 3 * row + 2] = -mu * along
         return whole
@@ -254,7 +258,7 @@ class Equilibrium:
         rows = zip(self.anchors, forces.tolist(), places.tolist(), strict=True)
         for row, (foot, force, place) in enumerate(rows):
             (x, y, pressing), (slip_x, slip_y, _) = force, place
-            tried = x - _RHO * slip_x, y - _RHO * slip_y
+            tried = x - self.units.rho * slip_x, y - self.units.rho * slip_y
             # Without friction where it pulls: so nothing jumps when it is let go of there.
             mu = self.friction.sliding[foot] if pressing > 0 else 0.0
             if math.hypot(*tried) > mu * pressing:
@@ -278,12 +282,12 @@ class Equilibrium:
             if found is None:
                 return None
             last, change = change, abs(float(found.qpos[2]) - height)
-            if change < _HEIGHT_TOLERANCE:
+            if change < _HEIGHT_TOLERANCE * self.units.length:
                 return found
             if change > last / 2:  # to and fro between two ways to rub: half way is between them
                 share /= 2
             height = float(found.qpos[2])
-            if not self._rub(found, share):
+            if not rub(self, found, share):
                 return None
             found = self._newton(found)
         return None
@@ -304,26 +308,6 @@ class Equilibrium:
             self._softer = 1.0
         return guess
 
-    def _rub(self, solution: Solution, share: float) -> bool:
-        """Moves friction, by a share, to what lifts the base most, or least; tells if it can."""
-        derivative = self.derivative(solution.qpos, self.stacked(solution))
-        height = np.zeros(len(derivative))
-        height[2] = np.sign(self.lift)
-        try:
-            effect = np.array(np.linalg.solve(derivative.T, height), float)[: self.robot.nv]
-        except np.linalg.LinAlgError:
-            return False
-        config = Configuration(self.robot, solution.qpos)
-        size = abs(self.lift)
-        joints = size * self.friction.torques(effect[6:])
-        self.joint_friction = (1 - share) * self.joint_friction + share * joints
-        for foot, force in solution.forces.items():
-            turns = self.frame @ config.frame_jacobian(self.robot.foot_frames[foot])[3:]
-            moment = size * self.friction.moment(foot, force, turns @ effect)
-            before = self.moments.get(foot, np.zeros(3))
-            self.moments[foot] = (1 - share) * before + share * moment
-        return True
-
     def stacked(self, solution: Solution) -> Array:
         """Returns the forces (n, 3) on the feet that touch."""
         return np.array([solution.force(foot) for foot in self.anchors]).reshape(-1, 3)
@@ -333,17 +317,19 @@ class Equilibrium:
         qpos, n = guess.qpos, self.robot.nv
         forces, derivative = self.stacked(guess), None
         residuals: list[float] = []
+        left_over: list[float] = []  # the same in the robot's units
         for _ in range(_MAX_ITERATIONS):
             residual = self.residual(qpos, forces)
             residuals.append(float(np.abs(residual).max()))
-            if residuals[-1] < RESIDUAL_TOLERANCE:
+            left_over.append(self.units.left(residual, n, self._in_newtons))
+            if left_over[-1] < RESIDUAL_TOLERANCE:
                 named = dict(zip(self.anchors, forces, strict=True))
                 return Solution(qpos, named, tuple(residuals))
-            if derivative is None or residuals[-1] ** 2 > left * residuals[-2]:
+            if derivative is None or left_over[-1] ** 2 > left * left_over[-2]:
                 derivative = self.derivative(qpos, forces)
             # Otherwise the last one leaves no more: it errs by twice the share that its step left.
             *_, step, singular = lapack.dgesv(derivative, -residual)
-            if singular or not np.abs(step[:n]).max() < _TRUST or goes_round(residuals):
+            if singular or self.units.is_too_far(step[:n]) or goes_round(left_over):
                 return None
             qpos, forces = move(qpos, step[:n]), forces + step[n:].reshape(-1, 3)
         return None
@@ -362,7 +348,7 @@ class Equilibrium:
             # A flat foot's points let go of the ground in their own equations.
             return 0.0 if self._pliancy[foot] else -float(solution.forces[foot][2])
         depth = self.touch(solution.qpos).depths[foot]
-        return depth + self.laws[foot].margin - TOUCHING
+        return depth + self.laws[foot].margin - TOUCHING * self.units.length
 
     def switch(self, foot: str, solution: Solution) -> Solution:
         """Lets go of a foot that touches, or lets another one touch where it is.

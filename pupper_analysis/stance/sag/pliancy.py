@@ -5,28 +5,35 @@ from __future__ import annotations
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.com_reach import moves_com
 
-_PLIANT = 1e-8
-"""How far contact points, pinned, give per tangential force (m/N). 100 N move one by 1 um."""
+_PLIANT = 2.5e-6
+"""How far contact points, pinned, give under a tangential force of the robot's weight (heights): a
+biped of 10 kg by some micrometre."""
 
 
-def sole_pliancy(robot: Robot) -> dict[str, float]:
+def sole_pliancy(robot: Robot, per_force: float) -> dict[str, float]:
     """Returns how far the contact points of soles give, {point: m/N}; 0 for a foot with one.
 
     They move as one body: if none gave, the equations would say the same several times.
+
+    Args:
+        robot: The robot.
+        per_force: Its height per weight (m/N).
     """
     return {
-        point: _PLIANT if len(points) > 1 else 0.0
+        point: _PLIANT * per_force if len(points) > 1 else 0.0
         for points in robot.soles.values()
         for point in points
     }
 
 
-def foot_pliancy(robot: Robot) -> dict[str, float]:
+def foot_pliancy(robot: Robot, per_force: float) -> dict[str, float]:
     """Returns how far all contact points give, {point: m/N}.
 
     Feet of legs that cannot place them in all directions, the two of a pair of legs that swing in
     planes, keep their distance as the points of a sole do.
+
+    Args: as ``sole_pliancy``.
     """
     if moves_com(robot):
-        return sole_pliancy(robot)
-    return dict.fromkeys(robot.feet, _PLIANT)
+        return sole_pliancy(robot, per_force)
+    return dict.fromkeys(robot.feet, _PLIANT * per_force)

@@ -20,6 +20,7 @@ from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
 from pupper_analysis.stance.sag.slip import sliding
 from pupper_analysis.stance.sag.solution import Solution
+from pupper_analysis.stance.sag.units import Units
 from pupper_analysis.stance.sag.way import Way
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.support_polygon import drop_at
@@ -29,8 +30,9 @@ Array = NDArray[np.float64]
 RELEASE_MARGIN = 0.06
 """A ``release_margin`` that keeps the feet in place: what contacts add to the first order."""
 
-HIGHEST_KP = 1e4
-"""The stiffest servos that ``minimum_stiffness`` tries (N m/rad): 2000 times v3's."""
+HIGHEST_KP = 2500.0
+"""The stiffest servos that ``minimum_stiffness`` tries, in weights times heights of the stand per
+radian: 2000 times v3's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,6 +234,7 @@ def minimum_stiffness(
     """
     if not 0 < tolerance < 1:
         raise ConfigurationError("tolerance", f"{tolerance} is not between 0 and 1")
+    check_request(robot, stand, feet, 0.0)
 
     def obstacle(kp: float) -> str:
         try:
@@ -242,10 +245,11 @@ def minimum_stiffness(
             return f"the base sags to {pose.base_height:.3f} m"
         return "; ".join(pose.failures)
 
-    low, high = 0.0, 1.0
+    unit = Units.of(robot, stand).stiffness
+    low, high = 0.0, unit / 4
     while problem := obstacle(high):
         low, high = high, 2 * high
-        if high > HIGHEST_KP:
+        if high > HIGHEST_KP * unit:
             raise NoStiffnessError(robot.name, low, problem)
     while high - low > tolerance * high:
         middle = (low + high) / 2

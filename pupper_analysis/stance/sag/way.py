@@ -89,7 +89,7 @@ class Way:
             if step < _LEAST_STEP:
                 raise NoEquilibriumError(
                     self.share,
-                    f"with {self.system.feet} feet and kp = {self.system.kp.min():.3g} N m/rad it "
+                    f"with {self.system.feet} feet and kp = {self._softest():.3g} N m/rad it "
                     f"ends where {self.share:.0%} of the feed-forward is taken away"
                     f"{self._about_to_slide()}",
                 )
@@ -140,6 +140,11 @@ class Way:
                 if abs(step) < _LEAST_STEP:
                     break
         return system.lift
+
+    def _softest(self) -> float:
+        """Returns the least stiffness of a servo (N m/rad); joints that follow others have none."""
+        kp = self.system.kp
+        return float(kp[kp > 0].min(initial=np.inf))
 
     def _about_to_slide(self) -> str:
         mu = self.system.friction.sliding
