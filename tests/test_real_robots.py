@@ -170,6 +170,8 @@ def test_go1_lacks_the_hip_motors_rotors() -> None:
     assert first.urdf == pytest.approx(5.204 + 4 * 0.089 + rest, abs=1e-12)
     assert str(first.mjcf_place).endswith("go1.xml:84")
     assert elements(comparison, "mass") == {"base"}  # 0.591 + 0.089 = 0.68, and so on
+    (cause,) = comparison.causes
+    assert "4 *_hip_rotor of 0.089 kg each, imu_link of 0.001 kg" in cause.message
 
 
 def test_what_else_differs_in_go1() -> None:
@@ -210,6 +212,8 @@ def test_go2_lacks_all_rotors() -> None:
         # The calf of 0.154 kg and the foot of 0.04 kg are 0.241352 kg in the MJCF.
         assert masses[f"{leg}_calf_joint"] == pytest.approx((0.194, 0.241352), abs=1e-12)
     assert found(comparison)[0] == ("mass", "base")
+    assert comparison.causes[0].kind == "links"
+    assert "12 *_rotor of 0.089 kg each" in comparison.causes[0].message
 
 
 def test_what_else_differs_in_go2() -> None:
@@ -242,6 +246,7 @@ def test_hyqreal1_lacks_its_cameras_and_the_mount_of_its_imu() -> None:
     assert mass.urdf == pytest.approx(59.0 + 0.69 + 2 * 0.07, abs=1e-9)
     assert mass.mjcf == 59.0
     assert found(comparison)[0] == ("mass", "trunk")
+    assert "trunk_imu_mount of 0.69 kg" in comparison.causes[0].message
     assert elements(comparison, "damping") == elements(comparison, "friction") == JOINTS
     assert any("root link 'base' has no mass" in note for note in comparison.notes)
 
