@@ -69,6 +69,12 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         True,
         "on servos that were made up at 1 joints (kp 40 N m/rad, kd 2 N m s/rad)",
     ),
+    "given": (
+        {"servos": ServosUsed(ServoSource.GIVEN, (30.0, 50.0), (2.0, 2.0))},
+        VerdictCode.HOLDS,
+        True,
+        "on servos as given (kp 30 to 50 N m/rad, kd 2 N m s/rad)",
+    ),
     "wrong sign": (
         {"servos": made(Drive.WRONG_SIGN)},
         VerdictCode.OWN_DRIVES_FAIL,

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from pupper_analysis.models.joint_drives import MadeServo
 from pupper_analysis.report.console import escape
-from pupper_analysis.robot.as_published import OwnRun, Published, ServosUsed
+from pupper_analysis.robot.as_published import OwnRun, Published, ServoSource, ServosUsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Ending, Verdict, VerdictCode
 
@@ -141,6 +141,10 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
         )
     if verdict.servos.made:
         yield on_servos(verdict.servos, good=fed is Ending.HOLDS)
+    elif verdict.servos.source is ServoSource.GIVEN and fed is not Ending.UNTRIED:
+        gains = {"kp": _span(verdict.servos.kp), "kd": _span(verdict.servos.kd)}
+        given = "on servos as given (kp {kp} N m/rad, kd {kd} N m s/rad)"
+        yield Clause(fed is Ending.HOLDS, given, gains)
     if fed is Ending.HOLDS and alone is not None and alone is not Ending.HOLDS:
         yield Clause(False, _ALONE[alone], {"failures": "; ".join(verdict.failures_alone)})
 
