@@ -109,3 +109,37 @@ def test_missing_meshes_are_the_cause_that_is_told(tmp_path: Path) -> None:
     assert not found.passed
     assert is_free(compiled(tmp_path / "lost.xml"))
     assert found.failures[0].index("missing") < found.failures[0].index("no feet")
+
+
+def test_legs_whose_feet_have_no_shapes_are_no_hand(tmp_path: Path) -> None:
+    text = standing_urdf(tmp_path).read_text()
+    ball = _shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
+    assert text.count(ball) == 4
+    path = tmp_path / "bare.urdf"
+    path.write_text(text.replace(ball, ""))
+    mjcf, found = converted(path, "bare.xml")
+    assert not found.passed
+    assert is_free(compiled(mjcf))
+
+
+def test_what_has_no_joint_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "box.urdf"
+    path.write_text(urdf_text({"box": Part("box")}, ()))
+    with pytest.raises(pa.ModelError, match="no joint that moves") as raised:
+        pa.convert_model(path, tmp_path / "box.xml")
+    assert raised.value.source == str(path)
+    assert not (tmp_path / "box.xml").exists()
+
+
+def test_two_robots_in_one_mjcf_are_named(tmp_path: Path) -> None:
+    """As ALOHA's arms, each on a body of its own in the world."""
+    inertial = '<inertial mass="1" pos="0 0 0.1" diaginertia="0.1 0.1 0.1"/>'
+    arms = "".join(
+        f'<body name="{side}/base"><body name="{side}/arm"><joint name="{side}/turn"/>{inertial}'
+        "</body></body>"
+        for side in ("left", "right")
+    )
+    path = tmp_path / "two.xml"
+    path.write_text(f"<mujoco><worldbody>{arms}</worldbody></mujoco>")
+    with pytest.raises(pa.ModelError, match=r"'left/base' with 1 .*'right/base' with 1 "):
+        pa.convert_model(path, tmp_path / "two.urdf")

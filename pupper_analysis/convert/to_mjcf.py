@@ -28,6 +28,7 @@ from pupper_analysis.errors import ModelError, PupperAnalysisError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.load import Feet, load_robot
+from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.sunk import sunk_stand
 
@@ -97,6 +98,8 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
 
 def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     """Makes the MJCF of a URDF, whose base may turn out to have no legs."""
+    if all(joint.get("type") in ("fixed", "floating") for joint in urdf.root.findall("joint")):
+        raise ModelError(urdf.path, "it has no joint that moves; give a robot with one or more")
     meshes = Meshes(urdf, output, copied=options.copy_meshes)
     bodies = UrdfBodies(urdf, meshes, dict(options.armature or {}))
     free = _is_free(urdf, bodies) if options.fixed_base is None else not options.fixed_base
@@ -223,9 +226,9 @@ def _put_stand(
         if options.feet is not None:
             raise
         problem = f"{meshes.missing}; {error.problem}" if meshes.missing else error.problem
-        if not (meshes.missing or sure):
-            raise _LeglessError(problem) from error
         model = _trial(root, urdf, meshes)
+        if not (meshes.missing or sure or _has_bare_legs(model, bodies.root)):
+            raise _LeglessError(problem) from error
         _put_held(root, model, bodies, options)
         equip.lift_base(root, bodies, model)
         return [], f"{problem}{_MOUNTED}"
@@ -249,6 +252,26 @@ def _put_stand(
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
     equip.add_servos(root, bodies, dict(zip(robot.joint_names, gains, strict=True)))
     return notes, failure
+
+
+def _has_bare_legs(model: mujoco.MjModel, base: str) -> bool:
+    """Says whether two limbs or more hang below the base, and end without a shape that touches.
+
+    Those are legs whose feet were left without shapes; a hand's fingers have them, and point
+    elsewhere.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    bare = 0
+    for end in limb_ends(model):
+        away = data.xpos[end] - data.body(base).xpos
+        hangs = -float(away[2]) > float(np.linalg.norm(away)) / 2
+        geoms = range(
+            int(model.body_geomadr[end]), int(model.body_geomadr[end] + model.body_geomnum[end])
+        )
+        touches = any(model.geom_contype[geom] or model.geom_conaffinity[geom] for geom in geoms)
+        bare += hangs and not touches
+    return bare >= _LIMBS
 
 
 def _put_held(

@@ -266,9 +266,18 @@ def _base(file: MjcfFile, model: mujoco.MjModel) -> int:
         raise ModelError(file.path, "it has several free bodies; give a file with one robot")
     if len(free):
         return (robots or bodies)[0]
-    if len(tops) != 1:
-        what = "no joints" if not tops else "several robots"
-        raise ModelError(file.path, f"it has {what}; give a file with one robot")
+    if not tops:
+        raise ModelError(file.path, "it has no joints; give a file with one robot")
+    if len(tops) > 1:
+        roots = [int(model.body_rootid[body]) for body in model.jnt_bodyid]
+        some = ", ".join(
+            f"{str(model.body(top).name)!r} with {roots.count(top)} joints" for top in sorted(tops)
+        )
+        raise ModelError(
+            file.path,
+            f"it has several robots that stand in the world, each a URDF of its own: {some}; give "
+            "a file with one of them, or one body around them all",
+        )
     return tops.pop()
 
 
