@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.convert.last_check import KeyframeRun
 from pupper_analysis.convert.repair import Repair
 from pupper_analysis.results import Result
 from pupper_analysis.simulation.verify import StandVerification
@@ -47,6 +48,7 @@ class Conversion(Result):
         repairs: Inertials that no body can have, and what was written in their places.
         comparison: The new file against the source.
         verification: The simulated stand, 12 s long; None where there is none to be simulated.
+        kept: What a new MJCF does from its own keyframe, nudged; None where there is none.
         failures: Why the new file is not what it shall be: it disagrees with the source beyond what
             is ``left``, or its robot does not stand.
         agree: Whether both files agree, but for what was repaired.
@@ -61,6 +63,7 @@ class Conversion(Result):
     repairs: tuple[Repair, ...]
     comparison: Comparison
     verification: StandVerification | None
+    kept: KeyframeRun | None
     failures: tuple[str, ...]
     agree: bool
     passed: bool

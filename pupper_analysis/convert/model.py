@@ -11,6 +11,7 @@ from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import OF_INERTIALS
 from pupper_analysis.convert.conversion import Conversion, Draft
 from pupper_analysis.convert.from_urdf import check_joints
+from pupper_analysis.convert.last_check import keyframe_run
 from pupper_analysis.convert.repair import Repair
 from pupper_analysis.convert.to_mjcf import MjcfOptions, mjcf_draft
 from pupper_analysis.convert.to_urdf import urdf_draft
@@ -24,9 +25,6 @@ from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sunk import sunk_stand
 from pupper_analysis.sync.models import FINE
 from pupper_analysis.together import Writing, write_together
-
-DURATION = 12.0
-"""Of the simulated stand (s): what creeps or shakes shows in that time."""
 
 
 @checked
@@ -55,7 +53,8 @@ def convert_model(
     collision and for looks apart, scales of meshes. What a simulation needs besides is added: a
     floor and a free joint, feet, position servos, pairs of bodies that overlap where they stand, a
     keyframe ``home`` with the commands that hold it, an IMU. The new file is proven before the call
-    returns: cross-checked with the source, and its robot stood for 12 s.
+    returns: cross-checked with the source, its robot stood for 12 s and nudged, and the file itself
+    simulated from its keyframe.
 
     Args:
         source: Path of the URDF, or of the MJCF; then only ``output``, ``packages`` and ``force``
@@ -114,7 +113,7 @@ def convert_model(
         urdf, mjcf = output, source
     written = _write(output, draft, force=force)
     comparison = compare_models(urdf, mjcf, packages=packages, tolerances=FINE)
-    verification, failures = None, list(_disagreements(comparison, draft.repairs))
+    verification, kept, failures = None, None, list(_disagreements(comparison, draft.repairs))
     agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
     if draft.failure is not None:
         hint = "" if fixed_base is not None else HELD
@@ -122,6 +121,9 @@ def convert_model(
     elif draft.stands:
         verification = _stood(urdf, mjcf, feet)
         failures += verification.failures
+        if mjcf == output:
+            kept = keyframe_run(mjcf)
+            failures += [f"from its keyframe {why}" for why in (kept.failures if kept else ())]
     return Conversion(
         source=str(source),
         output=str(output),
@@ -131,6 +133,7 @@ def convert_model(
         repairs=draft.repairs,
         comparison=comparison,
         verification=verification,
+        kept=kept,
         failures=tuple(failures),
         agree=agree,
         passed=not failures,
@@ -163,7 +166,7 @@ def _disagreements(comparison: Comparison, repairs: Sequence[Repair]) -> Iterato
 
 def _stood(urdf: Path, mjcf: Path, feet: Feet | None) -> StandVerification:
     robot = load_robot(urdf=urdf, mjcf=mjcf, feet=feet)
-    return verify_stand(robot, sunk_stand(robot), duration=DURATION)
+    return verify_stand(robot, sunk_stand(robot))
 
 
 def _write(output: Path, draft: Draft, *, force: bool) -> list[Path]:

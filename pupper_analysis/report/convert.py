@@ -40,5 +40,13 @@ def print_conversion(out: Console, conversion: Conversion) -> None:
             f"torques as predicted to {stood.torque_error:.1e}",
             soft_wrap=True,
         )
+    kept = conversion.kept
+    if kept is not None and not kept.failures and (least := kept.stability.least_damped):
+        out.print(
+            f"[bold green]FORGETS A NUDGE[/] of {kept.nudge.speed:g} m/s and rad/s from its "
+            f"keyframe: the least damping ratio is {least.damping_ratio:.2g}, at "
+            f"{least.frequency:.2g} Hz",
+            soft_wrap=True,
+        )
     for failure in conversion.failures:
         out.print(f"[red]failed:[/] {escape(failure)}", soft_wrap=True)

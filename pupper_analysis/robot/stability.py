@@ -141,6 +141,13 @@ class Stability(Result):
         """In which the fastest mode that grows doubles (s); None if none grows."""
         return self.unstable[0].doubling_time if self.unstable else None
 
+    @property
+    def damping_ratio(self) -> float:
+        """The least damping ratio of the modes that swing: 1 without any, negative if one grows."""
+        swinging = [mode for mode in self.unstable if mode.shakes]
+        swinging += [self.least_damped] if self.least_damped is not None else []
+        return min((mode.damping_ratio for mode in swinging), default=1.0)
+
     def leaving(self, duration: float = LASTING) -> tuple[Mode, ...]:
         """Returns the modes with which it does not stay for that time (s); see ``grows_within``."""
         growing = (mode for mode in self.unstable if mode.grows_within(duration))
