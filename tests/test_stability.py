@@ -145,3 +145,63 @@ def test_a_wheel_that_rolls_freely_is_drift() -> None:
         found = judged(xml, settle=1.0)
         assert found.stable
         assert found.drifts >= 4
+
+
+def test_dry_friction_hides_what_shakes_until_it_is_overcome() -> None:
+    """A servo far beyond Euler's limit rests on a joint that rubs, and is thrown off by a push."""
+    step, kp, kd = 0.02, 80.0, 100.0
+    rubbing = pendulum(kp, kd, "Euler", step).replace("armature", 'frictionloss="0.5" armature')
+    smooth = judged(pendulum(kp, kd, "Euler", step))
+    found = judged(rubbing)
+    (mode,) = found.unstable
+    assert mode.freed
+    assert mode.shakes
+    assert found.radius < 1
+    assert mode.growth == pytest.approx(smooth.radius - 1, rel=1e-6)
+    model = mujoco.MjModel.from_xml_string(rubbing)
+    for speed, stays in ((1e-4, True), (1.0, False)):
+        data = mujoco.MjData(model)
+        data.qvel[0] = speed
+        mujoco.mj_step(model, data, 10)
+        assert bool(abs(data.qvel[0]) < speed) is stays
+    np.testing.assert_array_equal(model.dof_frictionloss, 0.5)  # which is given back
+
+
+def test_a_solver_that_ends_early_makes_no_mode_grow() -> None:
+    """With its own tolerance it is off by 1e-5 in some states, one of a hundred."""
+    robot, stand = load("v3"), stand_of("v3")
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, pa.sunk_stand(robot, stand.task).qpos)
+    data.ctrl[:] = stand.joint_positions(robot)
+    tolerance = model.opt.tolerance
+    mujoco.mj_step(model, data, 1000)
+    for _ in range(20):
+        mujoco.mj_step(model, data, 50)
+        assert pa.step_stability(model, data, settle=0).stable
+    assert model.opt.tolerance == tolerance
+
+
+def test_what_a_stand_that_holds_is_told(variant: str) -> None:
+    """The nudge decays, and both judgements agree."""
+    found = pa.verify_stand(load(variant), pa.sunk_stand(load(variant)))
+    assert found.passed
+    assert found.nudge is not None
+    assert found.nudge.decayed
+    assert found.nudge.left < 1e-2 * found.nudge.speed
+    assert found.nudge.moved < 1e-4
+    assert found.nudge.time + found.nudge.duration == pytest.approx(12.0)
+    assert found.stability.lasts()
+    assert found.stability.drifts == 3
+
+
+def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
+    """v3 on servos of which the damping is too much for Euler at 2 ms."""
+    robot, stand = load("v3"), stand_of("v3")
+    found = pa.verify_stand(robot, stand, kp=40.0, kd=4.0)
+    assert not found.passed
+    mode = found.stability.leaving()[0]
+    assert mode.shakes
+    assert set(mode.joints) <= set(robot.joint_names)
+    assert any("it shakes at 250 Hz" in reason for reason in found.failures)
+    finer = pa.verify_stand(robot, stand, kp=40.0, kd=4.0, integrator="implicitfast")
+    assert finer.stability.lasts()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -66,6 +66,7 @@ class Mode(Result):
         doubling_time: s; None if it decays.
         joints: Those that move most in it, the first most of all.
         contacts: The bodies whose contacts do.
+        freed: Whether it grows once the joints' dry friction is overcome, which holds it till then.
     """
 
     growth: float
@@ -75,6 +76,7 @@ class Mode(Result):
     doubling_time: float | None
     joints: tuple[str, ...]
     contacts: tuple[str, ...]
+    freed: bool = False
 
     @property
     def grows(self) -> bool:
@@ -101,7 +103,7 @@ class Stability(Result):
 
     Attributes:
         timestep: s.
-        radius: The greatest absolute eigenvalue of a step.
+        radius: The greatest absolute eigenvalue of a step, with dry friction.
         unstable: The modes that grow, the fastest first.
         drifts: How many modes neither grow nor decay: 3 of a base on level ground, which is alike
             everywhere (x, y, yaw); each of a wheel's is one.
@@ -168,13 +170,17 @@ def step_stability(
     A is beyond the unit circle, the deviation grows: by swinging if it is complex (the robot
     shakes), without if it is real (it buckles). In a time step h, its rate is ln|eigenvalue| / h.
 
+    Dry friction of joints, which MuJoCo makes viscous where nothing slides, hides what shakes until
+    a push overcomes it: so what shakes without it counts, too (``Mode.freed``).
+
     Only what is at rest can be judged so (``Stability.speed``), and only what is near: whether a
     state survives a harder push, a simulation tells.
 
     Source: MuJoCo documentation, ``mjd_transitionFD``; in the tangent space of qpos.
 
     Args:
-        model: The model.
+        model: The model. While this runs, its solver's tolerance is tighter, and its dry friction
+            may be none.
         data: The state, with ``ctrl``; it stays as it is.
         settle: Time for which it is simulated first (s).
 
@@ -184,18 +190,34 @@ def step_stability(
     start, data = data, _copied(model, data)
     steps = round(settle / model.opt.timestep)
     if not steps:
-        return _Modes(model, data).judged(settled=False)
+        return _judged(model, data, settled=False)
     with quiet():
         mujoco.mj_step(model, data, steps)
     if data.time < start.time + (steps - 0.5) * model.opt.timestep:
-        return _Modes(model, _copied(model, start)).judged(
-            settled=False
-        )  # it diverged, and MuJoCo began anew
-    found = _Modes(model, data).judged(settled=True)
+        # It diverged, and MuJoCo began anew.
+        return _judged(model, _copied(model, start), settled=False)
+    found = _judged(model, data, settled=True)
     if found.at_rest:
         return found
-    other = _Modes(model, _copied(model, start)).judged(settled=False)
+    other = _judged(model, _copied(model, start), settled=False)
     return other if other.at_rest and not other.stable else found
+
+
+def _judged(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bool) -> Stability:
+    """Judges a state with the joints' dry friction, and what shakes without."""
+    found = _Modes(model, data).judged(settled=settled)
+    rubs = model.dof_frictionloss.any() or model.tendon_frictionloss.any()
+    if not rubs or any(mode.shakes for mode in found.unstable):
+        return found
+    joints, tendons = model.dof_frictionloss.copy(), model.tendon_frictionloss.copy()
+    model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
+    try:
+        free = _Modes(model, _copied(model, data)).judged(settled=settled)
+    finally:
+        model.dof_frictionloss[:], model.tendon_frictionloss[:] = joints, tendons
+    freed = [replace(mode, freed=True) for mode in free.unstable if mode.shakes]
+    unstable = sorted([*found.unstable, *freed], key=lambda mode: -mode.growth)
+    return replace(found, unstable=tuple(unstable))
 
 
 def _copied(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:

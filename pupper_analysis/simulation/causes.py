@@ -69,9 +69,8 @@ def unstable(stability: Stability, nudge: Nudge | None) -> list[str]:
             f"{nudge.duration:.3g} s {nudge.left:.1g} is left of it"
         )
     if nudge is not None and not nudge.moved < LEFT:
-        said.append(
-            f"a nudge of {nudge.speed:g} m/s and rad/s takes a joint {nudge.moved:.1g} rad away"
-        )
+        after = f"{nudge.duration:.3g} s after a nudge"
+        said.append(f"{after} a joint is {nudge.moved:.1g} rad from where it was")
     return said
 
 
@@ -79,6 +78,7 @@ def growing(mode: Mode) -> str:
     """Says how a mode grows."""
     where = f", most of all at {', '.join(mode.joints)}" if mode.joints else ""
     how = f"it shakes at {mode.frequency:.3g} Hz" if mode.shakes else "it buckles"
+    how += " once dry friction is overcome" if mode.freed else ""
     return f"{how}{where}: a deviation doubles every {mode.doubling_time:.2g} s"
 
 

@@ -11,11 +11,20 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.stability import SETTLE, Stability, step_stability
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.rollout import STATE, check_standing, place_on_ground
+from pupper_analysis.simulation.rollout import (
+    STATE,
+    check_standing,
+    place_on_ground,
+    settled_activations,
+)
+from pupper_analysis.stance.sag.steady_state import SteadyState
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
+
+_MEETING = 0.05
+"""s in which contacts meet their loads, where an equilibrium has been found already."""
 
 
 @checked
@@ -58,6 +67,27 @@ def stand_stability(
     start = place_on_ground(robot, drive, stand, torques)
     fed = torques if feedforward else None
     return judged_at(drive, start, drive.command(robot, stand.joint_positions(robot), fed))
+
+
+def rest_stability(robot: Robot, stand: Stand, pose: SteadyState) -> Stability:
+    """Judges where the servos, commanded the stand alone, let a robot come to rest.
+
+    Args:
+        robot: The robot.
+        stand: The stand that is commanded.
+        pose: Where it comes to rest: ``steady_state``.
+
+    Returns:
+        The modes that grow there, and the margin. The prediction is of first order in friction's
+        creep: contacts meet their loads in the first few steps.
+    """
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    drive = servos(robot)
+    data = mujoco.MjData(drive.model)
+    robot.mj_convention.set_state(data, pose.qpos)
+    data.ctrl[:] = drive.command(robot, stand.joint_positions(robot))
+    data.act[:] = settled_activations(drive.model, data.ctrl)
+    return step_stability(drive.model, data, settle=_MEETING)
 
 
 def judged_at(drive: Servos, state: Array, ctrl: Array, settle: float = SETTLE) -> Stability:

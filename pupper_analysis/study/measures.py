@@ -15,7 +15,10 @@ import numpy as np
 
 from pupper_analysis.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.stability import Stability
+from pupper_analysis.simulation.causes import growing
 from pupper_analysis.simulation.push import push_recovery
+from pupper_analysis.simulation.stability import rest_stability
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.payload.limit import payload_limit
 from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
@@ -76,6 +79,15 @@ class Design:
         return self.equilibrium
 
     @cached_property
+    def stability(self) -> Stability:
+        """Of where it comes to rest, by the spectrum of a step: what a simulation would show.
+
+        Raises:
+            PupperAnalysisError: As ``rest``.
+        """
+        return rest_stability(self.robot, self.stand, self.rest)
+
+    @cached_property
     def workspace(self) -> BaseWorkspace:
         """How far the base can go."""
         return base_workspace(self.robot, self.stand.task)
@@ -129,7 +141,11 @@ class Measure:
 
 
 def _stands(design: Design) -> bool:
-    return bool(design.rest)  # or it says why not
+    """Tells so, or says why not: it stays up, and neither shakes nor buckles within 12 s."""
+    leaving = design.stability.leaving()
+    if leaving:
+        raise NotStandingError((growing(leaving[0]),))
+    return True
 
 
 def _least_peak(design: Design) -> float:
