@@ -1,0 +1,162 @@
+"""The spectrum of a step against nudged simulations: do both say the same of what stands?
+
+    python benchmarks/stability.py [COUNT] [FILE.xml ...]
+
+Random variants, stances, payloads and gains (and MJCFs with a keyframe, each at three time steps)
+are judged by ``step_stability``, and simulated for 12 s, nudged by 1e-3 m/s and rad/s in three
+random ways. What differs is marked; the last table counts.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+import pupper_analysis as pa
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.stability import LASTING, Stability, step_stability
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.simulation.nudge import LEFT, NUDGE
+from pupper_analysis.simulation.rollout import STATE, full_state, place_on_ground, run
+
+Array = NDArray[np.float64]
+
+NUDGES = 3
+
+SLOW = 60.0
+"""What doubles more slowly than this (s) is not waited for."""
+
+DOUBLINGS = 14.0
+"""After so many a nudge of 1e-3 (some 1e-5 rad) is 0.1 rad: what is refused is simulated for so
+long, if that is longer than 12 s."""
+
+
+@dataclass
+class Case:
+    """A model at rest, under a command."""
+
+    name: str
+    model: mujoco.MjModel
+    start: Array
+    ctrl: Array
+
+
+def variants(count: int) -> Iterator[Case]:
+    """Yields random stands of the variants on random gains, with feed-forward."""
+    random = np.random.default_rng(0)
+    names = sorted(pa.VARIANTS)
+    while count:
+        name = str(random.choice(names))
+        robot = pa.load_variant(name)
+        mass = float(random.choice([0.0, 0.0, random.uniform(0, 3)]))
+        loaded = pa.with_payload(robot, mass, [0.0, 0.0, 0.05]) if mass else robot
+        swing = {str(random.choice(robot.feet)): 0.02} if random.random() < 0.2 else {}
+        try:
+            task = pa.StandTask(
+                height=robot.stand_height * float(random.uniform(0.7, 1.05)),
+                roll=float(random.normal(0, 0.05)),
+                pitch=float(random.normal(0, 0.05)),
+                swing=swing,
+                com="inside" if swing else None,
+                com_margin=0.01 if swing else 0.0,
+            )
+            stand = pa.sunk_stand(loaded, task)
+        except pa.PupperAnalysisError:
+            continue
+        own = servos(loaded)
+        kp = own.kp * float(np.exp(random.uniform(np.log(0.2), np.log(30))))
+        kd = own.kd * float(np.exp(random.uniform(np.log(0.3), np.log(30))))
+        ground = on_ground(loaded, stand.task.ground, stand.foot_targets)
+        torques = pa.stand_statics(ground, stand).joint_torques
+        drive = servos(ground, kp, kd)
+        ctrl = drive.command(ground, stand.joint_positions(ground), torques)
+        what = f"{name} kp {kp[0]:.3g} kd {kd[0]:.3g} {mass:.2g} kg {'3 legs' if swing else ''}"
+        yield Case(what, drive.model, place_on_ground(ground, drive, stand, torques), ctrl)
+        count -= 1
+
+
+def files(paths: list[str]) -> Iterator[Case]:
+    """Yields MJCFs from their keyframes, at their time step, half and twice of it."""
+    for path in paths:
+        for factor in (0.5, 1.0, 2.0):
+            model = mujoco.MjModel.from_xml_path(path)
+            if not model.nkey:
+                continue
+            model.opt.timestep *= factor
+            data = mujoco.MjData(model)
+            mujoco.mj_resetDataKeyframe(model, data, 0)
+            step = f"{1e3 * model.opt.timestep:g} ms"
+            yield Case(f"{path} {step}", model, full_state(model, data), data.ctrl.copy())
+
+
+def judged(case: Case) -> tuple[Stability, float]:
+    """Judges a case, and tells how long that took (ms)."""
+    data = mujoco.MjData(case.model)
+    mujoco.mj_setState(case.model, data, case.start, STATE)
+    data.ctrl[:] = case.ctrl
+    begun = time.process_time()
+    found = step_stability(case.model, data)
+    return found, 1e3 * (time.process_time() - begun)
+
+
+def worst(case: Case, duration: float, speed: float = NUDGE) -> float:
+    """Returns how far a joint is from where it was at the end, at worst (rad)."""
+    model, steps = case.model, round(duration / case.model.opt.timestep)
+    hinges = 1 + model.jnt_qposadr[model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value]
+    settled = run(model, case.start, np.tile(case.ctrl, (round(1 / model.opt.timestep), 1)))[-1]
+    if abs(settled[0] - case.start[0] - 1.0) > 0.01 or not np.isfinite(settled).all():
+        return np.inf
+    ways = []
+    for seed in range(NUDGES):
+        start = settled.copy()
+        rates = slice(1 + model.nq, 1 + model.nq + model.nv)
+        start[rates] += speed * np.random.default_rng(seed).uniform(-1, 1, model.nv)
+        states = run(model, start, np.tile(case.ctrl, (steps, 1)))
+        whole = np.isfinite(states).all() and (np.diff(states[:, 0]) > 0).all()
+        way = np.abs(states[-steps // 4 :, hinges] - settled[hinges]).max()
+        ways.append(float(way) if whole else np.inf)
+    return max(ways)
+
+
+def main() -> None:
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 60
+    told: Counter[tuple[str, str]] = Counter()
+    spent = []
+    for case in (*variants(count), *files(sys.argv[2:])):
+        found, took = judged(case)
+        spent.append(took)
+        leaving = found.leaving() if found.at_rest else ()
+        if not found.at_rest:
+            says = "not at rest"
+        elif not leaving:
+            says = "holds"
+        elif leaving[0].freed:
+            says = "shakes without dry friction"
+        else:
+            says = "shakes" if leaving[0].shakes else "buckles"
+        way = worst(case, LASTING)
+        if leaving and way < LEFT:
+            # It is refused, and stays for 12 s: longer, or with a push beyond dry friction.
+            longer = max(mode.doubling_time or 0.0 for mode in leaving[:1]) * DOUBLINGS
+            way = worst(case, min(longer, SLOW)) if longer > LASTING else way
+            if way < LEFT:
+                way = worst(case, LASTING, 0.3)
+        saw = "stays" if way < LEFT else "leaves"
+        told[says, saw] += 1
+        differs = "DIFFERS: " if (says == "holds") == (saw == "leaves") else ""
+        mode = leaving[0] if leaving else found.slowest
+        print(f"{differs}{case.name}: {says}, {saw} ({way:.1e} rad); {mode}", flush=True)
+    print(f"{sum(told.values())} cases, {np.median(spent):.1f} ms each (median)")
+    for (says, saw), number in sorted(told.items()):
+        print(f"{says:30s} {saw:8s} {number}")
+
+
+if __name__ == "__main__":
+    main()
