@@ -9,6 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from conftest import Files, load, stand_of
@@ -49,6 +50,8 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
     return {
         "robot": robot,
         "stand": stand,
+        "model": robot.mj_model,
+        "data": mujoco.MjData(robot.mj_model),
         "variant": "v3",
         "folder": tmp_path,
         "path": str(tiny_files.mjcf),

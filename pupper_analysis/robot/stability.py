@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from pupper_analysis.arguments import checked
+from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.results import Result
 
@@ -23,6 +25,8 @@ it buckles slowly, without a sharp edge: v3's payload limit doubles a deviation 
 SETTLE = 0.5
 """Time for which a state settles before it is judged (s): contacts meet their loads in some 0.05 s,
 and a mode that doubles in a second has multiplied rounding by 1.4."""
+
+_LONGEST = 600.0  # s: what is simulated at most, as of a stand
 
 _STEP = 1e-7
 """Of the centred differences (m, rad, and their rates): contacts are stiff, and curved over 1e-5;
@@ -160,6 +164,7 @@ class Stability(Result):
         return not self.leaving(duration)
 
 
+@checked
 def step_stability(
     model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLE
 ) -> Stability:
@@ -186,7 +191,15 @@ def step_stability(
 
     Returns:
         The modes that grow, and what is left of those that do not.
+
+    Raises:
+        ConfigurationError: If an argument is no such thing, or the time is not from 0 to 600 s.
     """
+    for name, given, kind in (("model", model, mujoco.MjModel), ("data", data, mujoco.MjData)):
+        if not isinstance(given, kind):
+            raise ConfigurationError(name, f"{type(given).__name__} is no {kind.__name__}")
+    if not 0 <= settle <= _LONGEST:
+        raise ConfigurationError("settle", f"{settle} s is not between 0 and {_LONGEST:g} s")
     start, data = data, _copied(model, data)
     steps = round(settle / model.opt.timestep)
     if not steps:
