@@ -6,7 +6,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from conftest import load, stand_of
+from conftest import benchmark, load, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis.robot.stability import transition
@@ -205,3 +205,29 @@ def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
     assert any("it shakes at 250 Hz" in reason for reason in found.failures)
     finer = pa.verify_stand(robot, stand, kp=40.0, kd=4.0, integrator="implicitfast")
     assert finer.stability.lasts()
+
+
+@pytest.mark.parametrize(
+    ("examples", "nudges"),
+    [pytest.param(10, 2, marks=pytest.mark.slow), pytest.param(60, 20, marks=pytest.mark.longest)],
+)
+def test_what_holds_stays_and_what_is_refused_does_not(examples: int, nudges: int) -> None:
+    """Of random stands, payloads and gains; each judgement is taken at its word."""
+    module = benchmark("stability")
+    module.NUDGES = nudges
+    told = set()
+    for case in module.variants(examples):
+        found, _ = module.judged(case)
+        leaving = found.leaving() if found.at_rest else ()
+        if not found.at_rest:
+            continue
+        told.add(not leaving)
+        if not leaving:
+            assert module.worst(case, 12.0) < 1e-2, case.name
+            continue
+        if leaving[0].freed:
+            continue  # dry friction may stop again what a push sets free
+        # Slow ones take longer than 12 s.
+        longer = min(60.0, max(12.0, module.DOUBLINGS * (leaving[0].doubling_time or 0.0)))
+        assert module.worst(case, longer) > 1e-2, (case.name, leaving[0])
+    assert told == {True, False}
