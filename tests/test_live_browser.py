@@ -141,6 +141,12 @@ class Opened:
         wait_for(same, f"{self.torques()} are not {expected}")
 
 
+@pytest.fixture(autouse=True)
+def begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each test's browser is another one, though it says the same of itself."""
+    monkeypatch.setattr("pupper_analysis.live.server.RELOADED", 0.0)
+
+
 @pytest.fixture
 def opened(browser: Any, served: Page) -> Iterator[Opened]:  # noqa: F811
     one = Opened(browser, served.address)
@@ -311,6 +317,31 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     one.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(3.0))))
     one.close()
     assert one.complaints == []
+
+
+@pytest.mark.slow
+def test_a_page_that_is_loaded_again_goes_on_where_it_was(
+    browser: Any,  # noqa: F811
+    served: Page,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("pupper_analysis.live.server.RELOADED", 60.0)
+
+    def asked() -> list[State]:
+        return [session.asked[0] for session in served.sessions.values()]
+
+    one = Opened(browser, served.address)
+    one.takes(pa.sunk_stand(load("v3")))
+    one.tab("Body")
+    one.set("payload (kg)", 12)  # beyond its slider's end
+    wait_for(lambda: asked() == [State(payload=12.0)], "the payload is not asked for")
+    one.tab("Stance")
+    one.set("roll (°)", 3)
+    wait_for(lambda: asked() == [State(payload=12.0, roll=3.0)], "it is asked for no more")
+    one.page.reload()
+    one.page.get_by_text("v3, 15.170 kg").first.wait_for()
+    wait_for(lambda: asked() == [State(payload=12.0, roll=3.0)], "it begins anew")
+    one.close()
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ LOOPBACK = "127.0.0.1"
 _FROM = (2.6, -2.3, 1.7)
 """Where it is looked from, in parts of the stand's height: from the front, on the right."""
 
-RELOADED = 30.0
+RELOADED = 10.0
 """s within which a browser that left and comes back, asking for the same, goes on where it was: it
 has loaded the page again, or lost its connection for a moment."""
 

@@ -145,7 +145,8 @@ def expect(
     overloaded = beyond_limits(statics)
     leaves = stability is not None and not stability.lasts()
     code = VerdictCode.UNSTABLE if leaves else VerdictCode.IN_BALANCE
-    doubling = math.inf if stability is None else stability.doubling_time or math.inf
+    # What doubles in minutes is friction's creep, and no news of a stance that is not simulated.
+    doubling = (stability.doubling_time if stability is not None and leaves else None) or math.inf
     return Verdict(
         code=VerdictCode.OVERLOADED if overloaded else code,
         passed=False,
