@@ -17,6 +17,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation.rollout import place_on_ground, run
+from pupper_analysis.stance.relaxation import DEAD_POINT
 
 
 def load(pair: Pair) -> Robot:
@@ -174,6 +175,21 @@ def test_four_bars_stand_as_predicted(crank: float, tmp_path: Path) -> None:
     assert 1e-4 < robot.closure.open(stand.qpos) < 2e-3
     holds(robot, pa.StandTask(height=0.95 * robot.stand_height))
     holds(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
+
+
+@pytest.mark.slow
+def test_a_dead_point_is_the_cause_of_a_refusal(tmp_path: Path) -> None:
+    """A crank of 30 mm folds the knee no further than to 0.336 m: "the feet miss by 2e-05 mm"."""
+    robot = load(four_bars(tmp_path, 0.03))
+    pa.solve_stand(robot, pa.StandTask(height=0.3361))
+    for height in (0.33606829, 0.3):
+        with pytest.raises(pa.StanceUnreachableError) as refused:
+            pa.solve_stand(robot, pa.StandTask(height=height), explain=False)
+        assert refused.value.blocked == (DEAD_POINT,)
+        assert bool(refused.value.shortfall) is (height < 0.33)
+    with pytest.raises(pa.StanceUnreachableError) as refused:
+        pa.solve_stand(robot, pa.StandTask(height=0.42), explain=False)
+    assert refused.value.blocked == ()
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.demands import (
     DEMANDS,
@@ -37,6 +38,16 @@ _BEYOND = 1.02
 
 _COARSE = 0.2
 """Shares further apart than this are searched for everywhere between."""
+
+DEAD_POINT = "the MJCF's loops are at a dead point: their motors bring the feet no nearer"
+"""What is in the way where loops bind joints so."""
+
+_DEAD = 1e-2
+"""What loops leave, at most, of the joints' lever on a foot at a dead point: a thousandth of a
+radian from it some thousandth."""
+
+_FELT = 1e-6
+"""Where a dead point is the cause, feet that miss by less (m) do so by the search's tolerance."""
 
 _LEAST = 1e-7
 """A share of what is asked that is as good as none: 1e7 times too much."""
@@ -82,9 +93,29 @@ def unreachable(
             stand = furthest(shapes, goal, DEMANDS)
         feasible = stand
     blocked = () if missed else nearest.blocked
+    if not at_limit and _is_dead_point(robot, nearest):
+        blocked = (DEAD_POINT,)
+        missed = {foot: gap for foot, gap in missed.items() if gap >= _FELT}
     return StanceUnreachableError(
         str(goal.task), missed, at_limit, possible, feasible, blocked, ends, lacking(robot, goal)
     )
+
+
+def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
+    """Tells whether loops keep a foot from a direction in which its leg's joints could move it.
+
+    There a motor turns, and what follows it does not, to first order.
+    """
+    if robot.closure is None:
+        return False
+    rates = Configuration(robot, nearest.qpos).foot_jacobians()
+    ways = robot.closure.ways(nearest.qpos)
+    for foot in nearest.stance_feet:
+        joints = rates[foot][:3, robot.nv - robot.nu :]
+        free, bound = (np.linalg.svd(one, compute_uv=False) for one in (joints, joints @ ways))
+        if ((bound < _DEAD * free) & (free > _DEAD * free[0])).any():
+            return True
+    return False
 
 
 def furthest(shapes: Shapes, goal: Goal, demands: Sequence[str]) -> Stand | None:
