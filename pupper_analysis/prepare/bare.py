@@ -294,6 +294,19 @@ def _lever(
     return (control, lever, forces[0]) if abs(lever) > _LEAST else None
 
 
+def self_controlled(bare: Bare, robot: Robot) -> tuple[str, ...]:
+    """Returns the joints whose actuator has a controller of its own, as MuJoCo's ``pid``.
+
+    It has several commands, or a state: no law from outside makes it hold a pose.
+    """
+    model, found = bare.model, []
+    for name, drive in zip(robot.joint_names, bare.drives, strict=True):
+        motors = drives_of(model, model.joint(name).id) if drive is Drive.OTHER else []
+        if any(model.actuator_ctrlnum[m] > 1 or model.actuator_actnum[m] for m in motors):
+            found.append(name)
+    return tuple(found)
+
+
 def loose_joints(bare: Bare, robot: Robot) -> list[int]:
     """Returns the published model's joints that the robot holds at zero."""
     model = bare.model

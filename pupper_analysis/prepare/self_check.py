@@ -19,7 +19,15 @@ from numpy.typing import NDArray
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.models.joint_drives import Drive
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.prepare.bare import Bare, Hold, hold_of, placed, published_model, roll
+from pupper_analysis.prepare.bare import (
+    Bare,
+    Hold,
+    hold_of,
+    placed,
+    published_model,
+    roll,
+    self_controlled,
+)
 from pupper_analysis.prepare.causes import altered, candidates, with_line
 from pupper_analysis.prepare.start import stands_at
 from pupper_analysis.robot.as_published import (
@@ -144,6 +152,8 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
     places = [int(model.jnt_qposadr[model.joint(joint).id]) for joint in robot.joint_names]
     hold = hold_of(bare, robot, data, None, data.qpos[places].copy())
     own_ctrl = bool(model.key_ctrl[key].any())
+    if not own_ctrl and self_controlled(bare, robot):
+        return None
     if own_ctrl:
         nothing = np.zeros(0)
         outside = (nothing.astype(int), nothing, nothing, nothing, nothing)
@@ -187,6 +197,8 @@ def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
         return None
     if not bare.floating:
         return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
+    if controlled := self_controlled(bare, robot):
+        return Published((), (Cause("other-drive", controlled),), differs=True)
     if bare.ground is None:
         return Published((), (Cause("ground", ()),), differs=True)
     found = [(one, run_as_published(bare, robot, one)) for one in wanted]
