@@ -12,6 +12,8 @@ from robots import changed, quadruped, write_parts
 
 import pupper_analysis as pa
 from pupper_analysis.errors import OutputError
+from pupper_analysis.sync.writing import as_given, staged
+from pupper_analysis.sync.xml_bytes import read_document
 from pupper_analysis.together import Writing, write_together
 
 OLD = {"a": b"old a", "b": b"old b"}
@@ -213,3 +215,13 @@ def test_what_cannot_be_tried_is_said_of_the_file_that_was_given(
         pa.sync_models(files.urdf, files.mjcf, take="urdf", dry_run=True)
     assert raised.value.path == files.mjcf
     assert f".{files.mjcf.stem}-" not in str(raised.value)
+
+
+def test_hidden_trial_files_are_called_by_the_names_that_were_given(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=7.0))
+    document = read_document(files.mjcf)
+    document.root.set("model", "another")
+    with staged({files.mjcf: document}) as (trial,):
+        assert trial != files.mjcf
+        assert as_given(f"{trial}:3: no such body") == f"{files.mjcf}:3: no such body"
+        assert as_given(f"Error opening '{trial.name}'") == f"Error opening '{files.mjcf.name}'"

@@ -19,7 +19,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.sync.choices import chosen, label
 from pupper_analysis.sync.frames import Key
 from pupper_analysis.sync.plan import Cause, Edit, Files, Plan, made
-from pupper_analysis.sync.writing import staged, unified_diff
+from pupper_analysis.sync.writing import as_given, staged, unified_diff
 from pupper_analysis.together import Writing, write_together
 
 FINE = replace(Tolerances.strict(), gravity=Tolerances().gravity)
@@ -188,7 +188,7 @@ def _tried(
         except ModelError as error:
             new = _refused(files, tolerances, [key for key in keys if key not in plan.left], keys)
             refused |= new or {
-                key: f"with it, the file is refused: {error.problem}"
+                key: f"with it, the file is refused: {as_given(error.problem)}"
                 for key in keys
                 if key not in plan.left
             }
@@ -223,7 +223,9 @@ def _refused(
                 read_urdf(urdf, files.packages)
                 read_mjcf(mjcf)
         except ModelError as error:
-            refused |= dict.fromkeys(members, f"with it, the file is refused: {error.problem}")
+            refused |= dict.fromkeys(
+                members, f"with it, the file is refused: {as_given(error.problem)}"
+            )
     return refused
 
 

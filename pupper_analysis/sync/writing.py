@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -17,6 +18,14 @@ def unified_diff(path: Path, before: bytes, after: bytes) -> str:
     one, two = (text.decode("utf-8").split("\n") for text in (before, after))
     lines = difflib.unified_diff(one, two, f"a/{path.name}", f"b/{path.name}", lineterm="")
     return "\n".join(lines) + "\n" if before != after else ""
+
+
+_TRIAL = re.compile(r"\.([^\s/]+)-[0-9a-f]{8}(?=\.)")
+
+
+def as_given(text: str) -> str:
+    """Returns a text in which files that are tried have the names of those that are meant."""
+    return _TRIAL.sub(r"\1", text)
 
 
 @contextmanager
