@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from conftest import load
+from random_legged import drawn, written
 
 import pupper_analysis as pa
 from pupper_analysis.models.xml import parse_text, to_text
@@ -66,3 +69,24 @@ def test_a_robot_of_20_grams_slides_to_where_it_does_at_3_kilograms() -> None:
         stand = pa.solve_stand(robot, pa.StandTask(pitch=0.05, roll=0.04))
         losses.append(pa.steady_state(robot, stand, feet="sliding").height_loss)
     assert losses[1] == pytest.approx(losses[0], rel=1e-9)
+
+
+@pytest.mark.longest
+def test_verdicts_about_the_least_stiffness_do_not_jump(tmp_path: Path) -> None:
+    """From below it falls, from there on it stands; once it was stands, unstable, stands."""
+    drawn_one = drawn(14)
+    drawn_one.motors, drawn_one.base = "position", "free"
+    drawn_one.links = [link for link in drawn_one.links if link.name != "tail"]
+    pair = written(drawn_one, tmp_path)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    stand = pa.solve_stand(robot, pa.StandTask(pitch=0.05, roll=0.04))
+    least = pa.minimum_stiffness(robot, stand, tolerance=1e-3)
+    stands = []
+    for share in np.linspace(0.97, 1.03, 25):
+        try:
+            stands.append(not pa.steady_state(robot, stand, kp=share * least).failures)
+        except pa.NoEquilibriumError:
+            stands.append(False)
+    assert stands == sorted(stands)
+    assert stands[13]
+    assert not stands[10]

@@ -18,7 +18,7 @@ from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompen
 Array = NDArray[np.float64]
 
 _LEAST_STEP = 1 / 64  # of the feed-forward, or of friction, in one step
-_CAREFUL = 1 / 8  # likewise: an unstable equilibrium is one only if such small steps lead to it
+_CAREFUL = 1 / 64  # likewise: an unstable equilibrium is one only if such small steps lead to it
 _SHARE_TOLERANCE = 1e-7  # of the feed-forward: when a foot touches or lets go, to nanometres
 _MAX_EVENTS = 24  # feet that touch or let go on the way: more is chatter
 _NEARLY = 0.95  # of its friction: a foot that is about to slide, as far as a step can tell
@@ -81,7 +81,7 @@ class Way:
             if found is not None:
                 wrong = self.system.against(found)
                 if not wrong:
-                    self.share, self.solution = wanted, found
+                    self.share, self.solution, step = wanted, found, 2 * step
                     continue
                 if self._event(list(wrong), wanted, found):
                     continue
