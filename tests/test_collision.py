@@ -15,6 +15,8 @@ from conftest import NAMES, load, mujoco_at, random_state
 import pupper_analysis as pa
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.search import base_is_in_the_ground
 
 FAR = 10.0  # m
 
@@ -177,6 +179,36 @@ def test_a_stand_with_a_knee_in_the_ground_is_refused() -> None:
     assert near == pytest.approx(nearest.ground_clearance.distance, abs=1e-9)
     assert near == pytest.approx(0, abs=1e-3)
     assert near > -1e-6
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_a_base_in_the_ground_needs_no_search(name: str) -> None:
+    """Its turn and height are the task's: MuJoCo has it as deep wherever com and feet are."""
+    robot, seen = load(name), set()
+    model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        task = pa.StandTask(
+            height=robot.stand_height * random.uniform(0.4, 1.0),
+            pitch=random.uniform(-0.8, 0.8),
+            roll=random.uniform(-0.4, 0.4),
+            ground_clearance=random.choice([0.0, 0.03]),
+            com="inside",
+        )
+        qpos, _ = random_state(robot, seed)
+        qpos[2], qpos[3:7] = task.height, task.turn()
+        data = mujoco_at(robot, qpos)
+        up, zero = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+        height = min(lowest(model, data, geom, up, zero) for geom in shapes_of(robot, base))
+        found = base_is_in_the_ground(Shapes(robot), goal_of(robot, task, {}))
+        assert found == (height < task.ground_clearance)
+        seen.add(found)
+        if found:
+            with pytest.raises(pa.StanceUnreachableError):
+                pa.solve_stand(robot, task, explain=False)
+    assert seen == {True, False}
+    slope = goal_of(robot, pa.StandTask(height=0.01, ground=pa.Ground(0.1), com="inside"), {})
+    assert not base_is_in_the_ground(Shapes(robot), slope)
 
 
 @pytest.mark.parametrize("name", ["original", "v3"])

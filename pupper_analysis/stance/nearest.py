@@ -17,6 +17,11 @@ from pupper_analysis.statics.support_polygon import polygon_sides
 Array = NDArray[np.float64]
 
 
+_MOST_CLEAR = 60
+"""Steps with the ground kept clear: where there is a way it takes some ten, and where a part cannot
+be lifted out SLSQP stalls at each of them."""
+
+
 def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) -> Stand:
     """Finds how near the feet can come to targets that are out of reach.
 
@@ -38,7 +43,7 @@ def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) ->
         method="SLSQP",
         bounds=programme.bounds,
         constraints=constraints,
-        options={"ftol": 1e-14, "maxiter": 200},
+        options={"ftol": 1e-14, "maxiter": _MOST_CLEAR if clear else 200},
     )
     return measure(shapes, goal, programme.at(outcome.x).qpos, 0)
 

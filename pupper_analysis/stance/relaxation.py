@@ -23,7 +23,7 @@ from pupper_analysis.stance.demands import (
 )
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, goal_of
-from pupper_analysis.stance.search import follow, search
+from pupper_analysis.stance.search import base_is_in_the_ground, follow, search
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.stance.yielding import lacking
@@ -48,6 +48,12 @@ radian from it some thousandth."""
 
 _FELT = 1e-6
 """Where a dead point is the cause, feet that miss by less (m) do so by the search's tolerance."""
+
+_TYPED = (1.0, *(1 - 2.0**power * RESOLUTION for power in range(10)))
+"""Parts of a limit that are tried as who types them would: the first that stands is stated."""
+
+_NOTHING_LEFT = ("swing", "com_margin")
+"""Demands of which a limit of nothing, the nominal stand's, is none to be stated."""
 
 _LEAST = 1e-7
 """A share of what is asked that is as good as none: 1e7 times too much."""
@@ -156,10 +162,13 @@ def furthest(shapes: Shapes, goal: Goal, demands: Sequence[str]) -> Stand | None
             break
         low, refused = again, 1.0
     # Where a stand was only found on the way from another one, who types the limit may not find it.
-    for less in (0.0, *(2.0**power for power in range(10))):
-        if way.solves_as_typed(low * (1 - less * RESOLUTION)):
-            break
-    return way.stand
+    parts = _TYPED
+    if len(demands) == len(DEMANDS) or not set(demands) & set(_NOTHING_LEFT):
+        parts = (*parts, 0.0)
+    for part in parts:
+        if way.solves_as_typed(part * low):
+            return way.stand
+    return None
 
 
 class _Way:
@@ -179,7 +188,9 @@ class _Way:
         goal, hints = self._goal(self._task(share)), []
         if self.stand is not None and not afresh:
             hints = [self.stand.joint_positions(self.shapes.robot)]
-        return goal is not None and self._found(search(self.shapes, goal, hints))
+        if goal is None or base_is_in_the_ground(self.shapes, goal):
+            return False
+        return self._found(search(self.shapes, goal, hints))
 
     def solves_as_typed(self, share: float) -> bool:
         """Tells whether there is a stand at a share as it is printed.
