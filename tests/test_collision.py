@@ -15,8 +15,8 @@ from conftest import NAMES, load, mujoco_at, random_state
 import pupper_analysis as pa
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.judge import base_is_in_the_ground
 from pupper_analysis.stance.problem import goal_of
-from pupper_analysis.stance.search import base_is_in_the_ground
 
 FAR = 10.0  # m
 

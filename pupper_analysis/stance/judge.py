@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.arrays import angle_between
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
+from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Clearance, Shapes
 from pupper_analysis.stance.problem import Goal
@@ -190,3 +191,18 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
         iterations=iterations,
         robot=robot.fingerprint,
     )
+
+
+def base_is_in_the_ground(shapes: Shapes, goal: Goal) -> bool:
+    """Tells whether a part of the base is too low in every stand: a proof, which costs no search.
+
+    Its turn and height are given; and above ground without slope that is all that counts, as steps
+    are put on a plane that stays.
+    """
+    if goal.task.ground.slope:
+        return False
+    qpos = shapes.robot.home.copy()
+    qpos[:7] = 0.0, 0.0, goal.height, *goal.turn
+    heights = shapes.heights(shapes.robot.structure.state(qpos), Ground(), {}, goal.depths)
+    own = [height for height, shape in zip(heights, shapes.shapes, strict=True) if not shape.joint]
+    return min(own, default=math.inf) < goal.task.ground_clearance - TOUCHING

@@ -21,9 +21,9 @@ from pupper_analysis.stance.demands import (
     rounded,
     shrunk,
 )
-from pupper_analysis.stance.judge import Stand
+from pupper_analysis.stance.judge import Stand, base_is_in_the_ground
 from pupper_analysis.stance.problem import Goal, goal_of
-from pupper_analysis.stance.search import base_is_in_the_ground, follow, search
+from pupper_analysis.stance.search import follow, search
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.stance.yielding import lacking

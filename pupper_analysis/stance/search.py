@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice
@@ -11,23 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.branches import Branch, Limb, branches, combinations
+from pupper_analysis.stance.branches import Branch, Limb, branches
 from pupper_analysis.stance.clear_starts import clear_starts
 from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.com_places import first_places, inner, pushed_inside
-from pupper_analysis.stance.judge import TOUCHING, Stand, measure
+from pupper_analysis.stance.judge import Stand, base_is_in_the_ground, measure
 from pupper_analysis.stance.nearest import in_place_and_clear, nearest
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.solver import Point, Solver
+from pupper_analysis.stance.starts import NEAR_MISS, choices, starts
 from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.stance.yielding import as_the_legs_can
 from pupper_analysis.statics.support_polygon import support_polygon
 
 Array = NDArray[np.float64]
-
-_NEAR_MISS = 1e-3  # m: feet that miss by less may be in reach with the com's last micrometres
 
 _ATTEMPTS = 256
 """The most choices of branches that are tried in full for one place of the com: four legs whose
@@ -136,7 +133,7 @@ def _inside(shapes: Shapes, goal: Goal, joints: Array, com: Array) -> Stand | No
     if goal.task.com != "inside" or goal.by_base:
         return None
     point = Solver(shapes, goal, inside=True).run(joints, com)
-    return None if point.miss >= _NEAR_MISS else _exactly(shapes, goal, point)
+    return None if point.miss >= NEAR_MISS else _exactly(shapes, goal, point)
 
 
 def begin_at(shapes: Shapes, goal: Goal, joints: Array) -> Stand | None:
@@ -169,21 +166,6 @@ def flattest(shapes: Shapes, goal: Goal, stand: Stand) -> Stand:
 def go_on(shapes: Shapes, goal: Goal, qpos: Array) -> Stand | None:
     """Looks for a stand from a configuration (nq,) alone that is next to it."""
     return _At(shapes, goal).add(Solver(shapes, goal).go_on(qpos))
-
-
-def base_is_in_the_ground(shapes: Shapes, goal: Goal) -> bool:
-    """Tells whether a part of the base is too low in every stand: a proof, which costs no search.
-
-    Its turn and height are given; and above ground without slope that is all that counts, as steps
-    are put on a plane that stays.
-    """
-    if goal.task.ground.slope:
-        return False
-    qpos = shapes.robot.home.copy()
-    qpos[:7] = 0.0, 0.0, goal.height, *goal.turn
-    heights = shapes.heights(shapes.robot.structure.state(qpos), Ground(), {}, goal.depths)
-    own = [height for height, shape in zip(heights, shapes.shapes, strict=True) if not shape.joint]
-    return min(own, default=math.inf) < goal.task.ground_clearance - TOUCHING
 
 
 class _At:
@@ -293,7 +275,7 @@ def _search_inside(
         if any(np.abs(point.qpos - other).max() < _SAME for other in seen):
             return False
         seen.append(point.qpos)
-        if point.miss < _NEAR_MISS or point.miss < found[-1].foot_error:
+        if point.miss < NEAR_MISS or point.miss < found[-1].foot_error:
             found.append(_exactly(shapes, goal, point))
         return found[-1].solved or (in_vain and found[-1].foot_error < TASK_TOLERANCE)
 
@@ -365,7 +347,7 @@ def _exactly(shapes: Shapes, goal: Goal, point: Point) -> Stand:
     On the polygon's edge the legs may not let the com go just there, but along the edge: where feet
     are off then, they are put in place with the com anywhere inside, and the polygon firm.
     """
-    if point.miss >= _NEAR_MISS:
+    if point.miss >= NEAR_MISS:
         return measure(shapes, goal, point.qpos, point.iterations)
     com = Configuration(shapes.robot, point.qpos).center_of_mass()[:2]
     exact = replace(goal, place=pushed_inside(com, goal))
@@ -379,37 +361,6 @@ def _exactly(shapes: Shapes, goal: Goal, point: Point) -> Stand:
     iterations = stand.iterations + firm.iterations
     along = measure(shapes, replace(exact, place=com), firm.qpos, iterations)
     return min(along, stand, key=lambda tried: tried.foot_error)
-
-
-def starts(robot: Robot, goal: Goal) -> Iterator[Array]:
-    """Yields joint positions to start from: the ik_seed, home, the middle of the limits."""
-    if goal.task.ik_seed is not None:
-        yield np.array(goal.task.ik_seed)
-    yield robot.home[7:]
-    bounded = np.isfinite(goal.lower) & np.isfinite(goal.upper)
-    middle = (np.where(bounded, goal.lower, 0) + np.where(bounded, goal.upper, 0)) / 2
-    yield np.where(bounded, middle, 0.0)
-
-
-def choices(
-    robot: Robot, goal: Goal, found: Mapping[Limb, tuple[Branch, ...]], reach: float, most: int
-) -> Iterator[Array]:
-    """Yields a start for every choice of the legs' branches that may be in reach.
-
-    Args:
-        robot: The robot.
-        goal: The goal.
-        found: {limb: its branches}.
-        reach: How far the base may be from where they were found (m): a foot that misses by more
-            stays out of reach, since its distance changes by no more than the base moves.
-        most: How many at most.
-    """
-    near = robot.home[7:] if goal.task.ik_seed is None else np.array(goal.task.ik_seed)
-    likely = {
-        limb: tuple(branch for branch in ways if branch.miss <= reach + _NEAR_MISS)
-        for limb, ways in found.items()
-    }
-    yield from islice(combinations(likely, near), most)
 
 
 def _radius(goal: Goal) -> float:
@@ -428,4 +379,4 @@ def _shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) 
             bent[robot.nq - robot.nu + limb.joints] = branch.positions
             coms.append(Configuration(robot, bent).center_of_mass()[:2])
         total += float(np.max(np.linalg.norm(np.array(coms) - coms[0], axis=1)))
-    return _SLACK * total + _NEAR_MISS
+    return _SLACK * total + NEAR_MISS
