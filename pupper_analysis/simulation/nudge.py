@@ -39,7 +39,8 @@ class Nudge(Result):
         duration: What was simulated of it (s).
         motion: Greatest speed in the second third of that time, by creep apart (m/s, rad/s).
         left: The same in the last third.
-        moved: The greatest way of a joint from where it was before, in the last third (rad, m).
+        moved: The greatest way of a joint from where it was before, in the last third, beyond what
+            it had crept already (rad, m).
         decayed: Whether the motion ``left`` is less, or nothing to speak of.
     """
 
@@ -73,7 +74,9 @@ def nudged_states(model: mujoco.MjModel, state: Array, ctrl: Array, duration: fl
 
 
 @np.errstate(invalid="ignore", over="ignore")  # of what has diverged: it has not decayed
-def response(model: mujoco.MjModel, before: Array, states: Array) -> Nudge:
+def response(
+    model: mujoco.MjModel, before: Array, states: Array, creep: Array | None = None
+) -> Nudge:
     """Measures what became of a nudge.
 
     Feet creep on MuJoCo's friction, at a speed that hardly changes: only what differs from a
@@ -83,6 +86,8 @@ def response(model: mujoco.MjModel, before: Array, states: Array) -> Nudge:
         model: The model.
         before: (size,) the state before it.
         states: (n, size) those after it.
+        creep: (n, size) states before it, over which feet creep: what goes on at most so fast is
+            not the nudge's.
     """
     third = len(states) // 3
     windows = states[third : 2 * third], states[-third:]
@@ -90,6 +95,9 @@ def response(model: mujoco.MjModel, before: Array, states: Array) -> Nudge:
     whole = not monitor.diverged(states, float(model.opt.timestep))
     hinges = model.jnt_qposadr[model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value]
     ways = np.abs(states[-third:, 1 + hinges] - before[1 + hinges])
+    if creep is not None:
+        rates = np.abs(creep[-1] - creep[0])[1 + hinges] / (creep[-1, 0] - creep[0, 0])
+        ways = np.maximum(ways - np.outer(states[-third:, 0] - before[0], rates), 0.0)
     gone = left <= max(_DECAYING * motion, _GONE * NUDGE)
     return Nudge(
         speed=NUDGE,

@@ -190,7 +190,11 @@ def verify_stand(
     judged = judged_at(drive, quiet[-1], ctrl, 0.0)
     if diverged or judged.speed > _RESTING:  # what threw it off grew where it began
         judged = judged_at(drive, start, ctrl)
-    nudge = None if later is None else response(drive.model, quiet[-1], later)
+    nudge = (
+        None
+        if later is None
+        else response(drive.model, quiet[-1], later, quiet[-round(LAST / timestep) :])
+    )
     seen = _Seen(states, len(quiet), watch, judged, nudge)
     found = replace(
         _measured(robot, stand, drive, prediction, seen, light), feedforward=feedforward
