@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import chain, islice
 
 import numpy as np
@@ -180,7 +181,11 @@ class _At:
         self.iterations = 0
         self.reached: list[Stand] = []
         self.found: dict[Limb, tuple[Branch, ...]] = {}
-        self._in_vain = base_is_in_the_ground(shapes, goal)
+
+    @cached_property
+    def _in_vain(self) -> bool:
+        """Whether no start can lead to a stand; most searches succeed and never ask."""
+        return base_is_in_the_ground(self.shapes, self.goal)
 
     def search(self, hints: Sequence[Array]) -> Stand | None:
         """Tries all starts, until one leads to a stand; ``result`` has what else came of them."""
@@ -214,7 +219,7 @@ class _At:
         """
         for start in joints:
             stand = self.add(solver.run(start))
-            if stand is None and self._in_vain and self.reached:
+            if stand is None and self.reached and self._in_vain:
                 stand = self.reached[0]
             if stand is not None:
                 return stand
