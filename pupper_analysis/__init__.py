@@ -66,7 +66,9 @@ if TYPE_CHECKING:
     from pupper_analysis.simulation.verify import StandVerification, verify_stand
     from pupper_analysis.stance.optimize.best import BestStance, best_stance
     from pupper_analysis.stance.optimize.search import Objective
-    from pupper_analysis.stance.path.fastest import Binding, FastestPath, Limit, fastest_path
+    from pupper_analysis.stance.path.fastest import FastestPath, fastest_path
+    from pupper_analysis.stance.path.leg_time import Binding
+    from pupper_analysis.stance.path.path_limits import Limit
     from pupper_analysis.stance.path.stance_path import StancePath, stance_path
     from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
     from pupper_analysis.stance.payload.servo_limit import Command
@@ -122,9 +124,9 @@ _HOME = {
     "reachable_heights": "stance.workspace",
     "InverseDynamics": "statics.inverse_dynamics",
     "inverse_dynamics": "statics.inverse_dynamics",
-    "Binding": "stance.path.fastest",
+    "Binding": "stance.path.leg_time",
     "FastestPath": "stance.path.fastest",
-    "Limit": "stance.path.fastest",
+    "Limit": "stance.path.path_limits",
     "fastest_path": "stance.path.fastest",
     "StancePath": "stance.path.stance_path",
     "stance_path": "stance.path.stance_path",

@@ -31,6 +31,9 @@ TIMESTEP = 2.5e-4
 they had kd x the time step more inertia, and its contacts do not know: with 4 ms the skeleton's
 torques are off by up to 15 % from that alone, with 1 ms by 4 %, with this by 1 %."""
 
+_WHOLE = 1e-6
+"""Of a time step: what a path's time may be short of a number of them, by rounding."""
+
 _AT_REST = ("clamped", "not-a-knot")
 """Ends of splines of what sinks: it begins at rest, but follows with a delay to the end."""
 
@@ -89,7 +92,9 @@ def path_commands(
     drive = drive_of(robot)
     drive.model.opt.timestep = timestep = _timestep(drive.model, timestep)
     robot = replace(robot, mj_model=drive.model)  # a contact may depend on the time step
-    times = timestep * np.arange(1, max(1, round(path.time[-1] / timestep)) + 1)
+    # No step goes beyond the end: what the feet still sink would there be at rest of a sudden.
+    steps = max(1, math.floor(float(path.time[-1]) / timestep + _WHOLE))
+    times = timestep * np.arange(1, steps + 1)
     sunk = sunk_path(robot, path)
     first = replace(first, qpos=sunk[0])
     spline, starts = CubicSpline(path.time, sunk, bc_type=_AT_REST), times - timestep

@@ -218,7 +218,7 @@ def _watch(
             seen.append("it fell over")
         centres, targets = watcher.foot_centres(), Configuration(robot, goal).foot_positions()
         idle = sight.idle(robot.soles)
-        sample = min(len(path.time) - 1, round(sight.time / path.time[1]))
+        sample = int(np.abs(path.time - sight.time).argmin())
         for column, foot in enumerate(path.feet):
             load, own = path.loads[sample, column] / weight, robot.foot_of(foot)
             # A load below zero is that of a foot which would have to be held to the ground.

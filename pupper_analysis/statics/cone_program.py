@@ -12,6 +12,13 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.linalg import lapack
 
+from pupper_analysis.statics.small_least_squares import (
+    INDEPENDENT,
+    constrained,
+    least_squares,
+    orthogonal,
+)
+
 Array = NDArray[np.float64]
 
 BALANCE_TOLERANCE = 1e-9
@@ -35,9 +42,33 @@ _ROUNDING = 1e-16
 
 _UP = np.array([0.0, 0.0, 1.0])
 
-_INDEPENDENT = 1e-8
-"""Reciprocal condition from which on rows or columns count as independent. Four feet in a square
-have 1e-2; below it singular values decide, slowly."""
+
+@dataclass(frozen=True, eq=False)
+class ForceBounds:
+    """Bounds on contact forces and motor torques beside friction; infinite where there is none.
+
+    Attributes:
+        least: (n,) normal forces at least (N).
+        most: (n,) normal forces at most (N).
+        torques: (nu,) motor torques at most, absolute (N m).
+    """
+
+    least: Array
+    most: Array
+    torques: Array
+
+    def rows(self, balance: Balance) -> tuple[Array, Array]:
+        """Returns A and b of A f <= b, for the forces f (3 n,) of a balance."""
+        feet = len(self.least)
+        pressing = np.zeros((feet, 3 * feet))
+        for index, normal in enumerate(balance.normals):
+            pressing[index, 3 * index : 3 * index + 3] = normal
+        matrix = np.concatenate([-pressing, pressing, -balance.joints, balance.joints])
+        right = [-self.least, self.most]
+        right += [self.torques - balance.torques, self.torques + balance.torques]
+        bounds = np.concatenate(right)
+        finite = np.isfinite(bounds)
+        return matrix[finite], bounds[finite]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +81,33 @@ class Balance:
     torques: Array
     normals: Array
 
-    def minimum_tangential(self, friction: Array | None, grip: Array) -> Array | None:
+    def minimum_tangential(
+        self, friction: Array | None, grip: Array, bounds: ForceBounds | None = None
+    ) -> Array | None:
         """Returns the least tangential f (3 n,), or None if there is none.
 
         Args:
             friction: (n,) coefficients.
             grip: (n,) the feet's viscosities, relative to each other.
+            bounds: What else bounds the forces, if anything, where there is friction.
         """
+        forces = self._least_tangential(friction, grip)
+        if bounds is None or friction is None or forces is None:
+            return forces
+        matrix, right = bounds.rows(self)
+        if (matrix @ forces <= right).all():
+            return forces
+        particular, free = self._by_singular_values
+        within = (matrix @ free, right - matrix @ particular)
+        cost = _Metric(self.normals, grip) @ free, -(_Metric(self.normals, grip) @ particular)
+        found = self._solve_cones(particular, free, *cost, friction, within)
+        if found is None:
+            return None
+        forces = particular + free @ found
+        room = BALANCE_TOLERANCE * np.maximum(np.abs(matrix) @ np.abs(forces), np.abs(right))
+        return forces if (matrix @ forces <= right + room).all() else None
+
+    def _least_tangential(self, friction: Array | None, grip: Array) -> Array | None:
         metric = _Metric(self.normals, grip)
         forces = metric.shortest(self.base, self.weight)
         if forces is not None:
@@ -108,13 +159,13 @@ class Balance:
     def _without_cones(self, cost: Array | _Metric, target: Array) -> Array | None:
         """Returns the f (3 n,) that balances with the least |cost f - target|; see ``solve``."""
         if isinstance(cost, np.ndarray):
-            forces = _constrained(cost, target, self.base, self.weight)
+            forces = constrained(cost, target, self.base, self.weight)
             if forces is not None and self._balances(forces):
                 return forces
-        particular, free = _orthogonal(self.base, self.weight) or self._by_singular_values
+        particular, free = orthogonal(self.base, self.weight) or self._by_singular_values
         if not self._balances(particular):
             return None
-        best = _least_squares(cost @ free, target - cost @ particular)
+        best = least_squares(cost @ free, target - cost @ particular)
         return particular + free @ best  # f = particular + free z
 
     @cached_property
@@ -262,7 +313,7 @@ def minimum_tangential_forces(
     pressing = (per_foot * normals).sum(axis=2)
     aside = per_foot - pressing[:, :, None] * normals
     held = np.sqrt((aside * aside).sum(axis=2)) <= friction * pressing
-    found = apart & (condition * _INDEPENDENT < 1) & balanced & held.all(axis=1)
+    found = apart & (condition * INDEPENDENT < 1) & balanced & held.all(axis=1)
     return forces, found
 
 
@@ -316,7 +367,7 @@ class _Metric:
         wanted = np.zeros(size)
         wanted[:count] = right
         triangle, found, _ = lapack.dgels(self._undone(rows.T).T, wanted)
-        if lapack.dtrcon(triangle[:, :count], uplo="L")[0] < _INDEPENDENT:
+        if lapack.dtrcon(triangle[:, :count], uplo="L")[0] < INDEPENDENT:
             return None
         return self._undone(found.ravel())
 
@@ -334,53 +385,3 @@ def _along(normals: Array, forces: Array) -> Array:
     """Returns the parts (n,) along normals (n, 3) of forces (3 n,)."""
     parts: Array = (forces.reshape(-1, 3) * normals).sum(axis=1)
     return parts
-
-
-def _constrained(cost: Array, target: Array, rows: Array, right: Array) -> Array | None:
-    """Solves rows x = right for the x (n,) with the least |cost x - target|.
-
-    Returns:
-        x; None if there are several, or nearly so, or if the rows are dependent, or nearly so.
-    """
-    count, size = rows.shape
-    if not count < size <= count + len(cost):
-        return None
-    free, triangle, _, found, _ = lapack.dgglse(cost, rows, target, right)
-    left = size - count
-    conditions = lapack.dtrcon(triangle[:, left:])[0], lapack.dtrcon(free[:left, :left])[0]
-    x: Array = found
-    return x if min(conditions) > _INDEPENDENT else None
-
-
-def _orthogonal(rows: Array, right: Array) -> tuple[Array, Array] | None:
-    """Solves rows x = right for the shortest x, and finds what rows takes to zero.
-
-    By an orthogonal triangulation of the rows: rows^T = Q R, so that x = Q_1 R^-T right, and Q_2
-    is the null space. An order of magnitude quicker than singular values; for independent rows.
-
-    Returns:
-        x (n,) and Q_2 (n, n - m); None if the m rows are dependent, or nearly so.
-    """
-    count, size = rows.shape
-    if size <= count:
-        return None
-    full = np.zeros((size, size), order="F")
-    full[:, :count] = rows.T
-    reflectors, scales, _, _ = lapack.dgeqrf(full[:, :count])
-    if lapack.dtrcon(reflectors[:count])[0] < _INDEPENDENT:
-        return None
-    full[:, :count] = reflectors
-    turn = lapack.dorgqr(full, scales)[0]
-    coordinates = lapack.dtrtrs(reflectors[:count], right, trans=1)[0].ravel()
-    return turn[:, :count] @ coordinates, turn[:, count:]
-
-
-def _least_squares(matrix: Array, right: Array) -> Array:
-    """Returns the shortest x with the least |matrix x - right|."""
-    count, size = matrix.shape
-    if count >= size > 0:
-        triangle, found, _ = lapack.dgels(matrix, right)
-        if lapack.dtrcon(triangle[:size])[0] > _INDEPENDENT:
-            x: Array = found.ravel()[:size]
-            return x
-    return np.asarray(np.linalg.lstsq(matrix, right)[0], float)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -15,7 +15,7 @@ from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInf
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance
+from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, ForceBounds
 from pupper_analysis.statics.contacts import Contacts, contacts_of
 from pupper_analysis.statics.foot_load import FootLoad, foot_load, sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
@@ -160,6 +160,7 @@ def equilibrium(
     distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
     tipping: Infeasibility = Infeasibility.COM_OUTSIDE,
     held: bool = False,
+    bounds: ForceBounds | None = None,
 ) -> GravityCompensation:
     """Balances any generalised force, as ``gravity_compensation`` balances gravity.
 
@@ -175,6 +176,7 @@ def equilibrium(
         tipping: What it is called if ``point`` is outside the polygon.
         held: Let feet pull and slip, as if they were held to the ground: what the motion would
             need, feasible or not.
+        bounds: What else bounds minimum-tangential forces, if anything.
 
     Raises:
         UnknownNameError: As ``gravity_compensation``; so are the other two.
@@ -195,9 +197,11 @@ def equilibrium(
     elif wanted is ForceDistribution.MIN_TORQUE:
         forces = problem.solve(limits, problem.joints, problem.torques)
     else:
-        forces = problem.minimum_tangential(limits, np.ones(len(carrying.feet)))
+        forces = problem.minimum_tangential(limits, np.ones(len(carrying.feet)), bounds)
         if forces is not None and robot.contacts and limits is not None:
-            forces = _creeping(problem, forces, carrying)
+            forces = _creeping(problem, forces, carrying, bounds)
+    if forces is None and bounds is not None:
+        _explain_bounds(problem, carrying, bounds)
     if forces is None:
         points = dict(zip(carrying.feet, carrying.points(config), strict=True))
         raise _explain(point, problem, points, float(carrying.friction.min()), tipping)
@@ -233,7 +237,9 @@ def distribution_of(value: str) -> ForceDistribution:
         raise ConfigurationError("distribution", f"{value!r} is none of {known}") from error
 
 
-def _creeping(problem: Balance, forces: Array, carrying: Contacts) -> Array | None:
+def _creeping(
+    problem: Balance, forces: Array, carrying: Contacts, bounds: ForceBounds | None
+) -> Array | None:
     """Finds the minimum-tangential forces (3 n,) for the viscosities that they themselves give."""
     if carrying.level:
         return forces  # nothing creeps
@@ -247,11 +253,40 @@ def _creeping(problem: Balance, forces: Array, carrying: Contacts) -> Array | No
         )
         if not grip.all():
             return forces  # without friction there is no creep
-        found = problem.minimum_tangential(friction, grip / grip.mean())
+        found = problem.minimum_tangential(friction, grip / grip.mean(), bounds)
         if found is None or np.abs(found - forces).max() < BALANCE_TOLERANCE * scale:
             return found
         forces = found
     return forces
+
+
+def _explain_bounds(problem: Balance, carrying: Contacts, bounds: ForceBounds) -> None:
+    """Raises if forces exist without these bounds: by the motors', or by a foot's load.
+
+    Raises:
+        StaticsInfeasibleError: Then.
+    """
+    even, feet = np.ones(len(carrying.feet)), carrying.feet
+    free = problem.minimum_tangential(carrying.friction, even)
+    if free is None:
+        return
+    strong = replace(bounds, torques=np.full_like(bounds.torques, math.inf))
+    if problem.minimum_tangential(carrying.friction, even, strong) is not None:
+        torques = np.abs(problem.torques - problem.joints @ free)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            worst = int(np.nanargmax(torques / bounds.torques))
+        name = carrying.robot.joint_names[worst]
+        detail = f"{name}, {torques[worst]:.3g} N m of {bounds.torques[worst]:.3g} N m"
+        raise StaticsInfeasibleError(Infeasibility.MOTOR, detail, margin=math.nan, feet=())
+    loads = problem.normal_forces(free)
+    wrong = [
+        f
+        for f, *row in zip(feet, loads, bounds.least, bounds.most, strict=True)
+        if not row[1] <= row[0] <= row[2]
+    ]
+    raise StaticsInfeasibleError(
+        Infeasibility.PULL, ", ".join(wrong or feet), margin=math.nan, feet=wrong or feet
+    )
 
 
 def _explain(

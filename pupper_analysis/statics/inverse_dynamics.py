@@ -15,6 +15,7 @@ from pupper_analysis.errors import ConfigurationError, Infeasibility
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.statics.cone_program import ForceBounds
 from pupper_analysis.statics.contacts import contacts_of
 from pupper_analysis.statics.equilibrium import Equilibrium, ForceDistribution, equilibrium
 
@@ -59,6 +60,7 @@ def inverse_dynamics(
     distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
     resistance: bool = True,
     held: bool = False,
+    bounds: ForceBounds | None = None,
 ) -> InverseDynamics:
     """Computes motor torques and contact forces of a motion.
 
@@ -80,6 +82,8 @@ def inverse_dynamics(
         resistance: Whether joints and rolling feet resist as the MJCF says; otherwise r, m are 0.
         held: Let feet pull and slip, as if they were held to the ground: what the motion would
             need, feasible or not.
+        bounds: What else bounds minimum-tangential forces, in the order of ``contacts``: the motors
+            shall bear them, or a foot keep its load.
 
     Raises:
         UnknownNameError: If a foot is unknown.
@@ -117,6 +121,7 @@ def inverse_dynamics(
             distribution=distribution,
             tipping=Infeasibility.ZMP_OUTSIDE,
             held=held,
+            bounds=bounds,
         )
         forces = found.contact_forces
         pressed = {foot: max(0.0, float(forces[foot] @ ground[foot])) for foot in feet}

@@ -13,11 +13,12 @@ from pupper_analysis.errors import StaticsInfeasibleError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.geometry import Place, minimum_jerk
-from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE
+from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, ForceBounds
 from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]
+
 
 FAINT = 1e-3
 """Share of the load that is too small to pass on: where it begins, the zero-moment point is so near
@@ -56,32 +57,43 @@ class Effort:
 def path_effort(
     robot: Robot,
     place: Place,
-    seconds: float,
+    rate: float,
+    acceleration: float,
     *,
     friction: Mapping[str, float] | None = None,
+    bounds: ForceBounds | None = None,
     beyond: bool = False,
 ) -> Effort:
     """Returns what a sample of a path takes, with minimum tangential forces.
 
     Towards a leg of the path on which fewer feet carry, the load passes to those: a mean of two
-    sets of forces that balance the robot does so too.
+    sets of forces that balance the robot does so too. Where ``bounds`` are given, they say how.
 
     Args:
         robot: The robot.
         place: The sample.
-        seconds: The time of its leg (s).
+        rate: Of the leg's share (1/s).
+        acceleration: Of it (1/s^2).
         friction: {foot: coefficient}; by default those of MuJoCo's contacts.
+        bounds: On forces and torques, in the order of the sample's feet, if any.
         beyond: Where no contact forces do, return those of feet that are held to the ground.
 
     Raises:
         StaticsInfeasibleError: If no contact forces do, unless ``beyond``.
     """
-    qvel, qacc = place.motion(seconds)
+    qvel, qacc = place.motion(rate, acceleration)
     config, stand = Configuration(robot, place.qpos, qvel), place.stand
 
     def balance(feet: Sequence[str], *, held: bool = False) -> InverseDynamics:
-        normals = stand.normals
-        return inverse_dynamics(config, qacc, feet, friction=friction, normals=normals, held=held)
+        return inverse_dynamics(
+            config,
+            qacc,
+            feet,
+            friction=friction,
+            normals=stand.normals,
+            held=held,
+            bounds=None if held else bounds,
+        )
 
     infeasible = None
     try:
@@ -91,7 +103,7 @@ def path_effort(
             raise
         infeasible, whole = error, balance(stand.stance_feet, held=True)
     parts = [(1.0, whole)]
-    for feet, near, full in _fading(place) if infeasible is None else ():
+    for feet, near, full in _fading(place) if infeasible is None and bounds is None else ():
         # Fewer feet can carry only where the zero-moment point is between them; so their share
         # grows with its distance from the edge, and with the way.
         inside = max(0.0, balance(feet, held=True).zmp_margin or 0.0)
@@ -122,6 +134,20 @@ def path_effort(
         com_margin=com_margin(config.center_of_mass(), points),
         infeasible=infeasible,
     )
+
+
+def load_to_pass(robot: Robot, place: Place, foot: str) -> float:
+    """Returns what a foot may carry at most (N), so that its load is gone where it lifts.
+
+    The weight times the share of the way that is left: where the com comes over the other feet at
+    the end of a leg, what the lifting foot has to carry at rest is less than that all along, and so
+    is that of one that has landed. Infinite for the other feet.
+    """
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    leg = place.leg
+    left = [1.0 - place.share] if foot not in leg.after else []
+    left += [place.share] if foot not in leg.before else []
+    return weight * min(left) if left else math.inf
 
 
 def _fading(place: Place) -> list[tuple[tuple[str, ...], float, float]]:

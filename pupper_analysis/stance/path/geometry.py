@@ -37,7 +37,7 @@ class Place:
     Attributes:
         leg: The leg of the path.
         number: Which one, from 0.
-        progress: Of the leg's time, from 0 to 1.
+        progress: Of the leg's time by the minimum-jerk law, from 0 to 1.
         share: Of the way, from 0 to 1: the minimum-jerk law of ``progress``.
         stand: The configuration, and which feet carry.
         tangent: (nv,) dq/ds, with s the share: qvel = tangent ds/dt.
@@ -57,12 +57,10 @@ class Place:
         """(nq,) the configuration."""
         return self.stand.qpos
 
-    def motion(self, seconds: float) -> tuple[Array, Array]:
-        """Returns qvel and qacc (nv,) where the leg takes this time (s)."""
-        _, rate, acceleration = minimum_jerk(self.progress)
-        speed = rate / seconds
-        along = acceleration / seconds**2
-        return speed * self.tangent, speed**2 * self.curvature + along * self.tangent
+    def motion(self, rate: float, acceleration: float) -> tuple[Array, Array]:
+        """Returns qvel and qacc (nv,) where the share has this rate and acceleration (1/s^2)."""
+        tangent = self.tangent
+        return rate * tangent, rate**2 * self.curvature + acceleration * tangent
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +70,7 @@ class Geometry:
     Attributes:
         stances: The stances, solved.
         legs: From each to the next.
-        places: Samples, evenly spaced in the time of each leg; each stance is one.
+        places: Samples, evenly spaced in each leg's ``progress``; each stance is one.
         per_leg: Samples from a stance to the next.
     """
 
@@ -81,9 +79,9 @@ class Geometry:
     places: list[Place]
     per_leg: int
 
-    def where(self, index: int, seconds: float | None = None) -> str:
-        """Says where a sample is, and when, if the whole path takes ``seconds``."""
-        return _where(index, self.per_leg, len(self.legs), seconds)
+    def where(self, index: int, moment: float | None = None) -> str:
+        """Says where a sample is, and when (s), if that is given."""
+        return _where(index, self.per_leg, moment)
 
 
 def minimum_jerk(progress: float) -> tuple[float, float, float]:
@@ -135,7 +133,8 @@ def path_geometry(
         feet = leg.stance_feet
         if index == per_leg * (number + 1):  # in a stance only what carries on both sides
             feet = tuple(foot for foot in feet if foot in leg.after)
-        where = _where(index, per_leg, len(legs), seconds)
+        moment = None if seconds is None else seconds * index / (per_leg * len(legs))
+        where = _where(index, per_leg, moment)
         try:
             stand = roll.solve(leg, feet, share, ik_seed, rolling=rolling)
         except (StanceUnreachableError, StaticsInfeasibleError, NoEquilibriumError) as error:
@@ -155,12 +154,12 @@ def path_geometry(
     return Geometry(solved, legs, places, per_leg)
 
 
-def _where(index: int, per_leg: int, legs: int, seconds: float | None) -> str:
+def _where(index: int, per_leg: int, moment: float | None) -> str:
     number = max(0, (index - 1) // per_leg)
     between = f"between stances {number + 1} and {number + 2}"
-    if seconds is None:
-        return f"after {index / per_leg - number:.0%} of the time {between}"
-    return f"at {seconds * index / (per_leg * legs):.2f} s, {between}"
+    if moment is None:
+        return f"after {minimum_jerk(index / per_leg - number)[0]:.0%} of the way {between}"
+    return f"at {moment:.2f} s, {between}"
 
 
 class _Roll:

@@ -73,7 +73,7 @@ def depths_of(law: GroundLaw, time: Array, forces: Array) -> Array:
 
     Args:
         law: The ground under it.
-        time: (n,) evenly spaced (s).
+        time: (n,) s.
         forces: (n,) N.
     """
     from scipy.interpolate import CubicSpline  # slow to import
@@ -81,8 +81,7 @@ def depths_of(law: GroundLaw, time: Array, forces: Array) -> Array:
     # An eighth of the faster of the law's own times: the classical Runge-Kutta method's error is
     # then below 1e-5 of the depth.
     own = 1 / max(law.damping, math.sqrt(law.stiffness), 1e-3)
-    count = max(1, math.ceil(float(time[1] - time[0]) / (own / 8)))
-    step = float(time[1] - time[0]) / count
+    counts = np.maximum(1, np.ceil(np.diff(time) / (own / 8))).astype(int)
     pressed = CubicSpline(time, np.maximum(forces, 0.0))
 
     def change(depth: float, rate: float, force: float) -> tuple[float, float]:
@@ -90,18 +89,18 @@ def depths_of(law: GroundLaw, time: Array, forces: Array) -> Array:
         softness = (1 - d) / d * law.normal
         return rate, softness * force - law.damping * rate - law.stiffness * d * depth
 
-    half_steps = pressed(np.linspace(time[0], time[-1], 2 * count * (len(time) - 1) + 1))
-    half_steps = np.maximum(half_steps, 0.0).tolist()
-    depth, rate = law.depth(half_steps[0]), 0.0
+    depth, rate = law.depth(max(0.0, float(forces[0]))), 0.0
     found = [depth]
-    for index in range(1, count * (len(time) - 1) + 1):
-        one, two, three = half_steps[2 * index - 2 : 2 * index + 1]
-        v1, a1 = change(depth, rate, one)
-        v2, a2 = change(depth + step / 2 * v1, rate + step / 2 * a1, two)
-        v3, a3 = change(depth + step / 2 * v2, rate + step / 2 * a2, two)
-        v4, a4 = change(depth + step * v3, rate + step * a3, three)
-        depth = depth + step / 6 * (v1 + 2 * v2 + 2 * v3 + v4)
-        rate = rate + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-        if index % count == 0:
-            found.append(depth)
+    for start, end, count in zip(time[:-1], time[1:], counts, strict=True):
+        step = float(end - start) / count
+        half_steps = np.maximum(pressed(np.linspace(start, end, 2 * count + 1)), 0.0).tolist()
+        for index in range(count):
+            one, two, three = half_steps[2 * index : 2 * index + 3]
+            v1, a1 = change(depth, rate, one)
+            v2, a2 = change(depth + step / 2 * v1, rate + step / 2 * a1, two)
+            v3, a3 = change(depth + step / 2 * v2, rate + step / 2 * a2, two)
+            v4, a4 = change(depth + step * v3, rate + step * a3, three)
+            depth = depth + step / 6 * (v1 + 2 * v2 + 2 * v3 + v4)
+            rate = rate + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        found.append(depth)
     return np.array(found)
