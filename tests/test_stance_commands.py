@@ -148,6 +148,7 @@ def test_fastest_path(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None
     fastest = fastest_path(robot, way_to(robot, solve_stand(robot, StandTask(height=0.14))))
     assert content["path"]["time"][-1] == pytest.approx(fastest.seconds)
     assert content["reserve"] == fastest.reserve
+    assert content["lower_bound"] == pytest.approx(fastest.lower_bound)
     assert content["binding"]["names"] == list(fastest.binding.names)
     assert f"least time {fastest.seconds:.3g} s" in out
     assert str(fastest.binding) in out

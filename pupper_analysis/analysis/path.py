@@ -10,7 +10,8 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.tracking import PathTracking, track_path
-from pupper_analysis.stance.path.fastest import Binding, fastest_path
+from pupper_analysis.stance.path.fastest import fastest_path
+from pupper_analysis.stance.path.leg_time import Binding
 from pupper_analysis.stance.path.stance_path import StancePath, stance_path
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
@@ -27,6 +28,8 @@ class PathThere(Result):
         tracking: The simulation of it.
         binding: What keeps it from being faster, if its least time was asked for.
         reserve: Share of every limit that the least time leaves unused, likewise.
+        lower_bound: The least time of an acceleration that may jump (s), likewise; see
+            ``FastestPath``.
     """
 
     name: str
@@ -35,6 +38,7 @@ class PathThere(Result):
     tracking: PathTracking
     binding: Binding | None
     reserve: float | None
+    lower_bound: float | None
 
     @property
     def passed(self) -> bool:
@@ -67,10 +71,11 @@ def study_path(
     """
     stand = solve_stand(robot, task)
     way = way_to(robot, stand)
-    binding, reserve = None, None
+    binding, reserve, lower_bound = None, None, None
     if seconds is None:
         fastest = fastest_path(robot, way)
         path, binding, reserve = fastest.path, fastest.binding, fastest.reserve
+        lower_bound = fastest.lower_bound
     else:
         path = stance_path(robot, way, seconds)
     return PathThere(
@@ -80,6 +85,7 @@ def study_path(
         tracking=track_path(robot, path, kp=kp, kd=kd),
         binding=binding,
         reserve=reserve,
+        lower_bound=lower_bound,
     )
 
 

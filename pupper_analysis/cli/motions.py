@@ -16,7 +16,7 @@ from pupper_analysis.errors import ConfigurationError
 )
 @name_argument
 @click.option("--seconds", type=float, metavar="S", help="How long it takes (s).")
-@click.option("--fastest", is_flag=True, help="The least time that motors and contacts allow.")
+@click.option("--fastest", is_flag=True, help="The least time within limits, smoothly.")
 @shared.file_option(
     "--csv",
     help="Write the path's commands here, or to -.",
@@ -39,7 +39,9 @@ def path(
 
     The feet are from the start where the stance has them; before one is lifted, the weight is
     shifted on to the others. Every sample is a stand in balance, inertia included. Robot and stance
-    are given as for `stand`; the time by --seconds, or as the least by --fastest.
+    are given as for `stand`; the time by --seconds, or as the least by --fastest: that of motors,
+    friction and feet that keep a fifth of their load, with an acceleration that rises no faster
+    than soft ground follows. What it would be without that is printed beside it.
 
     \b
     Examples:

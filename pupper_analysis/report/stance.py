@@ -168,7 +168,8 @@ def print_path(out: Console, there: PathThere) -> None:
     if there.binding is not None:
         out.print(
             f"least time {there.path.time[-1]:.3g} s, with {there.reserve:.0%} of every limit in "
-            f"reserve: bound by {escape(str(there.binding))}",
+            f"reserve: bound by {escape(str(there.binding))}; {there.lower_bound:.3g} s if the "
+            "acceleration could jump",
             soft_wrap=True,
         )
     print_tracking(out, there.path, there.tracking)

@@ -94,7 +94,7 @@ def path_commands(
     robot = replace(robot, mj_model=drive.model)  # a contact may depend on the time step
     # No step goes beyond the end: what the feet still sink would there be at rest of a sudden.
     steps = max(1, math.floor(float(path.time[-1]) / timestep + _WHOLE))
-    times = timestep * np.arange(1, steps + 1)
+    times: Array = np.linspace(timestep, steps * timestep, steps)
     sunk = sunk_path(robot, path)
     first = replace(first, qpos=sunk[0])
     spline, starts = CubicSpline(path.time, sunk, bc_type=_AT_REST), times - timestep

@@ -202,6 +202,16 @@ def push_table(pushes: Sequence[PushedStance]) -> doc.Table:
     )
 
 
+def _least_time(there: PathThere) -> tuple[tuple[str, str, float, str], ...]:
+    """Returns the rows of a path's least time, if it was asked for."""
+    if there.lower_bound is None:
+        return ()
+    return (
+        ("least time", "s", float(there.path.time[-1]), ".3f"),
+        ("least time if the acceleration could jump", "s", there.lower_bound, ".3f"),
+    )
+
+
 def path_section(there: PathThere, robot: Robot | None) -> doc.Section:
     """Returns the path to a stance, which its view steps through, and how it is followed."""
     path, tracking = there.path, there.tracking
@@ -211,6 +221,7 @@ def path_section(there: PathThere, robot: Robot | None) -> doc.Section:
         for index, foot in enumerate(path.feet)
     ]
     quantities = (
+        *_least_time(there),
         ("greatest torque of motors in motion", "%", 100 * path.peak_utilisation, ".1f"),
         ("greatest speed of joints", "%", 100 * path.peak_speed_utilisation, ".1f"),
         ("least com margin", "mm", 1e3 * float(path.com_margin.min()), ".1f"),

@@ -14,7 +14,6 @@ time-optimization with contact" (Int. J. Robotics Research 33, 2014).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import clarabel
@@ -132,7 +131,7 @@ def even_grid(along: Array) -> Grid:
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """The least time.
+    """The least time; on a free grid the lower bound of a least time with bounded jerk.
 
     Attributes:
         seconds: s.
@@ -340,8 +339,3 @@ def _prices(rows: _Rows, demands: Demands, forces: Array, duals: Array) -> dict[
         limit = np.einsum("kii->ki", limit) * demands.friction
         prices["friction"] = of("friction").reshape(count, feet, 4)[..., 0] * limit
     return prices
-
-
-def merged(tables: Mapping[str, Array]) -> dict[str, Array]:
-    """Returns each limit's price over all places, per motor or foot (s)."""
-    return {name: table.sum(axis=0) for name, table in tables.items()}
