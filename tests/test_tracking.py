@@ -14,7 +14,8 @@ from pupper_analysis.simulation.path_commands import path_commands
 from pupper_analysis.simulation.rollout import run
 from pupper_analysis.simulation.tracking import track_path
 from pupper_analysis.stance.path.creeping import crept
-from pupper_analysis.stance.path.stance_path import stance_path
+from pupper_analysis.stance.path.geometry import path_geometry
+from pupper_analysis.stance.path.stance_path import evenly, stance_path, timed_path
 
 # What MuJoCo makes of them, with a margin of about a half: joint (rad), height (m), base (rad).
 # v3's servos are soft (5 N m/rad), and a foot that rolls has no grip left: it creeps.
@@ -108,8 +109,11 @@ def test_what_fails_is_said() -> None:
 
 
 def fast_sway() -> pa.StancePath:
-    """v3's sway as fast as the models allow: feet are pushed as they roll."""
-    return pa.fastest_path(load("v3"), demo_stances(load("v3"), "sway", depth=0.2)).path
+    """v3's sway as fast as a minimum-jerk law allows, with a fifth of friction in reserve."""
+    robot = load("v3")
+    geometry = path_geometry(robot, demo_stances(robot, "sway", depth=0.2), 32)
+    friction = {foot: 0.8 * contact.sliding_friction for foot, contact in robot.contacts.items()}
+    return timed_path(robot, geometry, evenly(geometry, 0.6632), friction=friction)
 
 
 @pytest.mark.slow
