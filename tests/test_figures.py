@@ -45,8 +45,8 @@ def analysis_of(name: str) -> Any:
         joints=tuple(SimpleNamespace(name=joint, effort=float(limit)) for joint, limit in limits),
         stand=stand,
         statics=pa.gravity_compensation(pa.Configuration(robot, stand.qpos)),
-        verification=pa.verify_stand(robot, stand, duration=2.0),
-        sagging=pa.verify_stand(robot, stand, duration=2.0, feedforward=False),
+        verification=pa.verify_stand(robot, stand, duration=2.0, nudged=0),
+        sagging=pa.verify_stand(robot, stand, duration=2.0, feedforward=False, nudged=0),
         sweep=pa.sweep_gains(robot, stand, kp=(20.0, 60.0), kd=(0.5, 1.0, 2.0), duration=2.0),
     )
 
