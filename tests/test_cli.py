@@ -85,11 +85,12 @@ def test_a_page_by_default_and_a_line_if_quiet(tmp_path: Path) -> None:
     lines = page.stdout.splitlines()
     assert len(lines) < 40
     robot = pa.load_variant("v3")
-    held = pa.stand_statics(robot, pa.solve_stand(robot))
+    held = pa.stand_statics(robot, pa.held_stand(robot))
     peak = f"{held.motor_utilisation.max():.1%} of its limit"
     assert lines[0].startswith("VERIFIED v3: 3.170 kg; peak torque ")
     assert lines[0].endswith(peak)
-    assert "stands 131.5 mm high, in MuJoCo 127.3 mm, without feed-forward 119.4 mm" in lines[1]
+    assert "stands 131.5 mm high, in MuJoCo 131.5 mm" in lines[1]
+    assert "commanded the same joints without feed-forward 124.1 mm" in lines[1]
     assert "leg_back_l_2 touches the ground" in page.stdout
     assert "on what was assumed: -v" in page.stdout
     assert lines[-2:] == ["2 of 2 verified", lines[-1]]

@@ -98,7 +98,7 @@ def test_springs_of_tendons_count(tmp_path: Path) -> None:
     qpos = pa.solve_stand(plain).qpos
     pitch, knee = (robot.joint_names.index(f"FL_{joint}") for joint in ("pitch", "knee"))
     pull = 9 * (0.2 - (qpos[7 + pitch] + 0.5 * qpos[7 + knee]))
-    wanted = torques_at(plain, qpos)
+    wanted = torques_at(plain, qpos).copy()
     wanted[[pitch, knee]] -= pull * np.array([1.0, 0.5])
     np.testing.assert_allclose(torques_at(robot, qpos), wanted, atol=1e-9)
     verified(robot)
