@@ -13,7 +13,8 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.live.door import COOKIE, MOST_BYTES, Door, problem_of
+from pupper_analysis.live.door import COOKIE, MOST_BYTES, Door, problem_of, without_folders
+from pupper_analysis.live.language import Language
 from pupper_analysis.live.server import Page
 from pupper_analysis.pupper.live import Variants
 
@@ -83,6 +84,27 @@ def test_others_must_know_the_token() -> None:
 )
 def test_what_a_browser_may_say(updates: dict[str, object], right: bool) -> None:
     assert (problem_of(updates) == "") == right
+
+
+@pytest.mark.parametrize(
+    ("told", "shown"),
+    [
+        ("/home/a/robots/v3.xml: body 'payload' is there", "v3.xml: body 'payload' is there"),
+        ("/home/a/b.urdf:12: no limit", "b.urdf:12: no limit"),
+        ("cannot read '/srv/x/y.stl' (gone)", "cannot read 'y.stl' (gone)"),
+        ("C:\\robots\\v3.xml: odd", "v3.xml: odd"),
+        ("kp: 0 N m/rad is not positive", "kp: 0 N m/rad is not positive"),
+        (
+            "FL/1 and FL/2 touch; 1/2 of it, 3 N m s/rad",
+            "FL/1 and FL/2 touch; 1/2 of it, 3 N m s/rad",
+        ),
+        ("see http://localhost:8080/a/b", "see http://localhost:8080/a/b"),
+        ("geom 'a/b/c' of models/robot.xml", "geom 'a/b/c' of models/robot.xml"),
+    ],
+)
+def test_a_page_tells_no_folders_of_the_server(told: str, shown: str) -> None:
+    assert without_folders(told) == shown
+    assert Language("en").sentence(told) == shown
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import math
+import re
 import secrets
 from collections.abc import Mapping
 from http.cookies import CookieError, SimpleCookie
@@ -94,6 +95,17 @@ def _name(host: str) -> str:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
         return ""
+
+
+def without_folders(text: str) -> str:
+    """Returns a text in which files are called by their names alone.
+
+    An error tells of a file where the server has it: that is nothing for who looks at the page.
+    """
+    return _FOLDERS.sub("", text)
+
+
+_FOLDERS = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:)?(?:[/\\][^/\\:'\"\s]+)+[/\\](?=[^/\\\s])")
 
 
 def problem_of(updates: Mapping[str, object]) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.live.door import without_folders
 from pupper_analysis.report.html import sentences
 from pupper_analysis.report.html.document import Text
 from pupper_analysis.report.html.tasks import task_text
@@ -45,6 +46,7 @@ class Language:
 
     def sentence(self, sentence: str) -> str:
         """Returns what a result says; in English, where nobody has said it otherwise."""
+        sentence = without_folders(sentence)
         found = sentences.said(sentence)
         if isinstance(found, Text):
             return self._of(found)

@@ -15,6 +15,7 @@ from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.live.colour import BEYOND, SCALE, colour_of, css
 from pupper_analysis.live.controls import LABELS, OF_A_FOOT, slider_values
+from pupper_analysis.live.door import without_folders
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Answer, Sag
 from pupper_analysis.live.state import State
@@ -339,7 +340,7 @@ def failure(say: Language, error: PupperAnalysisError) -> str:
 
 def unforeseen(say: Language, error: Exception) -> str:
     """Returns that something went wrong that should not."""
-    what = f"{type(error).__name__}: {error}".rstrip(": ")
+    what = without_folders(f"{type(error).__name__}: {error}".rstrip(": "))
     return page(box("bad", say("unforeseen: {what}. This is a bug: please report it.", what=what)))
 
 
