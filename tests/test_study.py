@@ -18,6 +18,7 @@ from scipy import stats
 import pupper_analysis as pa
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.named import Named, joints_of
 from pupper_analysis.study.numbers import plain, scaled, with_friction, with_gains
 from pupper_analysis.study.sampling import BLOCK, Sampling
 from pupper_analysis.study.table import names_of
@@ -338,6 +339,35 @@ def test_factors_are_in_both_files_alike() -> None:
     dofs = after.mj_convention.qvel_index[6:]
     loss = before.mj_model.dof_frictionloss[dofs]
     assert after.mj_model.dof_frictionloss[dofs] == pytest.approx(rubbed * loss)
+
+
+def test_each_has_a_factor_of_its_own() -> None:
+    """One line is twelve variables, each of one link: the masses of both models are theirs."""
+    vary = {"mass:each:leg_*_[12]": pa.uniform(0.5, 2.0), "effort:each": pa.uniform(0.5, 2.0)}
+    asked = pa.Study("v3", vary, ["total_mass", "torque"], samples=2)
+    assert len(asked.variables) == 8 + 12
+    assert asked.spreads == {name: one.asked() for name, one in vary.items()}
+    again = pa.Study.of(asked.asked())  # one by one: the same designs
+    ((names, points),) = asked.designs()
+    assert next(again.designs())[0] == names
+    numbers = dict(zip(asked.variables, points[0], strict=True))
+    assert len(set(numbers.values())) == 20
+    before, after = load("v3"), scaled(load("v3"), numbers)
+    for name, factor in numbers.items():
+        kind, _, which = name.partition(":")
+        if kind == "effort":
+            at = before.joint_names.index(which)
+            assert after.effort_limits[at] == pytest.approx(factor * before.effort_limits[at])
+            continue
+        (joint,) = joints_of(before, Named(kind, which))
+        number = before.pin_model.getJointId(joint)
+        masses = [one.pin_model.inertias[number].mass for one in (before, after)]
+        assert masses[1] == pytest.approx(factor * masses[0])
+    assert after.effort_limits != pytest.approx(before.effort_limits)
+    with pytest.raises(pa.ConfigurationError, match="effort:leg_front_l_1 varies already"):
+        pa.Study("v3", {"effort:leg_front_l_1": [1.0], "effort:each": [1.0, 2.0]}, ["torque"])
+    with pytest.raises(pa.UnknownNameError):
+        pa.Study("v3", {"mass:each:nothing_*": [1.0]}, ["torque"])
 
 
 def test_the_base_has_factors_by_either_name() -> None:

@@ -328,16 +328,19 @@ def test_randomisation_as_yaml(tmp_path: Path) -> None:
     yaml = pytest.importorskip("yaml")
     vary = {
         "mass:leg_*_3": pa.normal(1.0, 0.05),
+        "effort:each": pa.uniform(0.9, 1.1),
         "kp": pa.uniform(4, 6),
         "leg_scale": [0.9, 1.1],
         "payload": pa.linspace(0, 1, 3),
     }
     study = pa.Study("v3", vary, ["sag"], samples=4)
-    write_randomisation(study.asked()["vary"], tmp_path / "random.yaml")
+    write_randomisation(study.spreads, tmp_path / "random.yaml")
     read = yaml.safe_load((tmp_path / "random.yaml").read_text())
     assert read == [
-        {"name": "mass:leg_*_3", "operation": "scale", "distribution": "normal", "mean": 1.0,
-         "std": 0.05},
+        {"name": "mass:leg_*_3", "operation": "scale", "drawn": "once", "distribution": "normal",
+         "mean": 1.0, "std": 0.05},
+        {"name": "effort:each", "operation": "scale", "drawn": "for each",
+         "distribution": "uniform", "low": 0.9, "high": 1.1},
         {"name": "kp", "operation": "absolute", "distribution": "uniform", "low": 4.0, "high": 6.0},
         {"name": "leg_scale", "operation": "scale", "distribution": "values", "values": [0.9, 1.1]},
         {"name": "payload", "operation": "absolute", "distribution": "linspace", "low": 0.0,
@@ -347,6 +350,7 @@ def test_randomisation_as_yaml(tmp_path: Path) -> None:
 
 SPREADS = {
     "mass:leg_*_3": {"normal": [1.0, 0.05]},
+    "mass:each:leg_*_1": {"uniform": [0.9, 1.1]},
     "kp:*": {"uniform": [0.7, 0.39999999999999997 + 0.9]},
     "kd:leg_front_l_1": {"log_uniform": [0.5, 2.0]},
     "effort:*": {"normal": [0.9, 0.1]},
@@ -385,6 +389,7 @@ def test_randomisation_as_terms_of_mjlab(tmp_path: Path) -> None:
         "func": "dr.body_mass",
         "asset_cfg": "SceneEntityCfg('robot', body_names=('leg_.*_3',))",
         "ranges": (1.0, 0.05), "operation": "scale", "distribution": "gaussian",
+        "shared_random": True,
     }  # fmt: skip
     kp = found["kp:*"]
     assert (kp["func"], kp["kp_range"], kp["kd_range"]) == ("dr.pd_gains", (0.7, 1.3), (1.0, 1.0))
@@ -393,6 +398,11 @@ def test_randomisation_as_terms_of_mjlab(tmp_path: Path) -> None:
     assert (high - low) / math.sqrt(12) == pytest.approx(0.1)
     assert effort["distribution"] == "uniform"
     assert found["frictionloss:*"]["func"] == "dr.joint_friction"
+    each = found["mass:each:leg_*_1"]  # which is drawn for each link
+    assert each["asset_cfg"] == "SceneEntityCfg('robot', body_names=('leg_.*_1',))"
+    assert (each["ranges"], each["shared_random"]) == ((0.9, 1.1), False)
+    text = (tmp_path / "dr.py").read_text()
+    assert text.count("one for all") == 2  # kp:*, effort:*, of which mjlab draws each
     assert (found["payload"]["func"], found["payload"]["operation"]) == ("dr.body_mass", "add")
 
 

@@ -25,7 +25,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.measures import Design, Measure
-from pupper_analysis.study.numbers import SERVOS, Named, scaled, with_friction, with_gains
+from pupper_analysis.study.named import SERVOS, Named
+from pupper_analysis.study.numbers import scaled, with_friction, with_gains
 from pupper_analysis.study.source import Source
 
 _T = TypeVar("_T")

@@ -17,7 +17,7 @@ from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.support_polygon import drop_at
 from pupper_analysis.study.design import Maker
-from pupper_analysis.study.numbers import Named, joints_of
+from pupper_analysis.study.named import Named, joints_of
 
 Array = NDArray[np.float64]
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -13,101 +12,26 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES
-from pupper_analysis.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
+from pupper_analysis.study.named import (
+    BODIES,
+    SERVOS,
+    Named,
+    bodies_of,
+    child_of,
+    joints_of,
+    links_of,
+)
 
 Array = NDArray[np.float64]
 
-KINDS = {
-    "mass": "mass and inertia of bodies",
-    "inertia": "inertia of bodies about their centres of mass",
-    "effort": "effort limits of joints",
-    "armature": "armature of joints",
-    "damping": "damping of joints",
-    "frictionloss": "dry friction of joints",
-    "kp": "stiffness of servos",
-    "kd": "damping of servos",
-}
-"""What ``KIND:PATTERN`` may say: all are factors on what the files say."""
-
-BODIES = ("mass", "inertia")
-SERVOS = ("kp", "kd")
-
 _SAME = 1e-9
 """Relative: two models that were given the same factors agree to rounding."""
-
-
-@dataclass(frozen=True)
-class Named:
-    """A factor's name, taken apart.
-
-    Attributes:
-        kind: One of ``KINDS``.
-        pattern: What the names of bodies or joints must match, as file names do: ``*``, ``?``.
-    """
-
-    kind: str
-    pattern: str
-
-    @staticmethod
-    def of(name: str) -> Named | None:
-        """Takes a name apart; None if it is of another form.
-
-        Raises:
-            ConfigurationError: If there is no such kind.
-        """
-        kind, separator, pattern = name.partition(":")
-        if not separator:
-            return None
-        if kind not in KINDS or not pattern:
-            raise ConfigurationError(
-                f"vary[{name!r}]", f"{kind!r} is no number of a model; there are "
-                f"{', '.join(f'{known}:NAME' for known in KINDS)}"
-            )  # fmt: skip
-        return Named(kind, pattern)
-
-
-def joints_of(robot: Robot, named: Named) -> tuple[str, ...]:
-    """Returns the joints that a factor is for, or that move its bodies; ``""`` is the base.
-
-    A body is matched by its link's name in the URDF, its body's in the MJCF, or its joint's.
-
-    Raises:
-        UnknownNameError: If none match; the message lists the names.
-    """
-    names: dict[str, tuple[str, ...]] = {joint: (joint,) for joint in robot.joint_names}
-    if named.kind in BODIES:
-        links, bodies = _links(parse_text(robot.description.urdf)), _bodies(robot)
-        names = {"": (robot.base, robot.mj_base)}
-        names |= {joint: (links[joint], bodies[joint], joint) for joint in robot.joint_names}
-    found = tuple(
-        joint for joint, own in names.items() if any(fnmatchcase(one, named.pattern) for one in own)
-    )
-    if not found:
-        kind = "body" if named.kind in BODIES else "joint"
-        raise UnknownNameError(
-            robot.name, kind, named.pattern, dict.fromkeys(own[0] for own in names.values())
-        )
-    return found
-
-
-def _links(root: etree._Element) -> dict[str, str]:
-    """Returns {joint: the link that it moves}."""
-    return {str(j.get("name")): str(_child(j, "child").get("link")) for j in root.iter("joint")
-            if j.find("child") is not None}  # fmt: skip
-
-
-def _bodies(robot: Robot) -> dict[str, str]:
-    """Returns {joint: the body that it moves in the MJCF}."""
-    model = robot.mj_model
-    return {
-        joint: str(model.body(int(model.jnt_bodyid[model.joint(joint).id])).name)
-        for joint in robot.joint_names
-    }
 
 
 def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
@@ -150,7 +74,7 @@ def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
 
 def _scale_urdf(root: etree._Element, robot: Robot, kind: str, joint: str, factor: float) -> None:
     if kind in BODIES:
-        for link in _fixed_to(root, _links(root).get(joint, robot.base)):
+        for link in _fixed_to(root, links_of(root).get(joint, robot.base)):
             inertial = next(one for one in root.iter("link") if one.get("name") == link).find(
                 "inertial"
             )
@@ -172,26 +96,20 @@ def _scale_urdf(root: etree._Element, robot: Robot, kind: str, joint: str, facto
 def _times(element: etree._Element | None, attribute: str, factor: float) -> None:
     text = None if element is None else element.get(attribute)
     if element is not None and text is not None:
-        element.set(attribute, repr(float(text) * factor))
-
-
-def _child(element: etree._Element, tag: str) -> etree._Element:
-    found = element.find(tag)
-    assert found is not None
-    return found
+        element.set(attribute, repr(float(text) * float(factor)))
 
 
 def _fixed_to(root: etree._Element, link: str) -> Iterator[str]:
     """Yields a link, and those that are fixed to it."""
     yield link
     for joint in root.findall("joint"):
-        if joint.get("type") == "fixed" and _child(joint, "parent").get("link") == link:
-            yield from _fixed_to(root, str(_child(joint, "child").get("link")))
+        if joint.get("type") == "fixed" and child_of(joint, "parent").get("link") == link:
+            yield from _fixed_to(root, str(child_of(joint, "child").get("link")))
 
 
 def _scale_mjcf(spec: mujoco.MjSpec, robot: Robot, kind: str, joint: str, factor: float) -> None:
     if kind in BODIES:
-        name = _bodies(robot)[joint] if joint else robot.mj_base
+        name = bodies_of(robot)[joint] if joint else robot.mj_base
         for body in _welded_to(spec.body(name)):
             _scale_body(body, kind, factor, robot)
         return
@@ -239,7 +157,7 @@ def _scale_body(body: mujoco.MjsBody, kind: str, factor: float, robot: Robot) ->
 
 def _check(before: Robot, after: Robot, factors: Mapping[str, float]) -> None:
     """Checks that the masses of both models have become what was asked for."""
-    bodies = _bodies(before)
+    bodies = bodies_of(before)
     for joint, factor in factors.items():
         body = before.mj_model.body(bodies[joint] if joint else before.mj_base).id
         number = before.pin_model.getJointId(joint) if joint else int(before.floating)

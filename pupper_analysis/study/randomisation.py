@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
-from pupper_analysis.study.numbers import Named
+from pupper_analysis.study.named import Named
 
 Form = Literal["yaml", "mjlab", "isaaclab"]
 
@@ -50,7 +50,8 @@ def write_randomisation(
     uniform one of the same deviation.
 
     Args:
-        spreads: {variable: {kind: numbers}}, as ``Tolerance.spreads`` or ``Study.asked()["vary"]``.
+        spreads: {variable: {kind: numbers}}, as ``Tolerance.spreads`` or ``Study.spreads``.
+            ``KIND:each:PATTERN`` is drawn for each that matches, ``KIND:PATTERN`` once for all.
         path: The file.
         form: ``yaml``, ``mjlab`` or ``isaaclab``.
 
@@ -89,6 +90,8 @@ def _yaml(spreads: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
         acts = "scale" if ":" in name or name.endswith("_scale") else "absolute"
         yield f'- name: "{name}"'
         yield f"  operation: {acts}"
+        if ":" in name:
+            yield f"  drawn: {'for each' if _each(name) else 'once'}"
         yield f"  distribution: {kind}"
         if not named:
             yield f"  values: [{', '.join(map(_short, numbers))}]"
@@ -156,6 +159,10 @@ def _mjlab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
     params = _dr(f"{entity}=({_regex(named.pattern)!r},)", argument, span, "scale", drawn)
     if function == "body_mass":
         about += "; of the mass alone, where the study's factor is on the inertia too"
+    if argument == "ranges":  # mjlab draws for each that matches, if it is not told otherwise
+        params["shared_random"] = str(not named.each)
+    elif not named.each and not _one(named.pattern):
+        about += _ALONE
     if function == "pd_gains":  # of the gain that does not vary, the model's own
         params |= {other: "(1.0, 1.0)" for other in ("kp_range", "kd_range") if other != argument}
     return Term(f"dr.{function}", params, about)
@@ -205,6 +212,8 @@ def _isaaclab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
     elif named is not None and named.kind in _ISAAC:
         function, argument, entity = _ISAAC[named.kind]
         which, operation = f"{entity}=[{_regex(named.pattern)!r}]", "scale"
+        if not named.each and not _one(named.pattern):
+            about += _ALONE
     else:
         return None
     params = {"asset_cfg": robot.format(which=which), argument: span}
@@ -244,10 +253,29 @@ _FRAMEWORKS: Mapping[
 }
 
 
+_ALONE = "; drawn for each that matches, where the study's factor is one for all"
+
+
+def _each(name: str) -> bool:
+    named = Named.of(name)
+    return named is not None and named.each
+
+
+def _one(pattern: str) -> bool:
+    """Whether a pattern is a plain name."""
+    return not set(pattern) & set("*?[")
+
+
 def _regex(pattern: str) -> str:
     """Returns the regular expression of a pattern of file names, which both frameworks match."""
-    parts = re.split(r"([*?])", pattern)
-    return "".join({"*": ".*", "?": "."}.get(part, re.escape(part)) for part in parts)
+    parts = re.split(r"(\[.[^]]*\]|[*?])", pattern)
+    known = {"*": ".*", "?": "."}
+    return "".join(
+        f"[{'^' * (part[1] == '!')}{part[1 + (part[1] == '!') :]}"
+        if part.startswith("[") and part.endswith("]")
+        else known.get(part, re.escape(part))
+        for part in parts
+    )
 
 
 def _pair(low: float, high: float) -> str:

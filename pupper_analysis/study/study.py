@@ -32,7 +32,7 @@ from pupper_analysis.study.measures import (
     measure_of,
     modules_in,
 )
-from pupper_analysis.study.numbers import SERVOS, Named, joints_of
+from pupper_analysis.study.named import SERVOS, Named, groups_of, joints_of
 from pupper_analysis.study.running import Progress, Run, Settings
 from pupper_analysis.study.sampling import BLOCK, Sampling
 from pupper_analysis.study.source import Pair, Source, digest_of
@@ -57,7 +57,9 @@ class Study:
 
     Attributes:
         source: Where the robots come from.
-        variables: {name: what it varies over}.
+        variables: {name: what it varies over}; of ``KIND:each:PATTERN`` one for
+            each that matches.
+        groups: {name as it was given: the variables that it stands for}.
         sampling: The designs.
         measures: What is measured.
         task: The stance, where a design does not say otherwise.
@@ -103,7 +105,11 @@ class Study:
         check_type("seed", seed, int)
         check_type("stand", stand, StandTask | None)
         self.source = self._source(robot)
-        self.variables = {str(name): variable(str(name), given) for name, given in vary.items()}
+        given = {str(name): variable(str(name), one) for name, one in vary.items()}
+        for name in given:
+            check_name(name, self.source)
+        self.groups = groups_of(self.base, given)
+        self.variables = {one: given[name] for name, of in self.groups.items() for one in of}
         self.task = stand or StandTask()
         self._check_variables()
         self.sampling = Sampling(self.variables, samples, seed)
@@ -132,12 +138,16 @@ class Study:
         problem = f"{robot!r} is neither {{'urdf': ..., 'mjcf': ...}} nor a source of robots"
         raise ConfigurationError("robot", problem)
 
+    @property
+    def spreads(self) -> dict[str, dict[str, Any]]:
+        """What varies as it was given, {name: {kind: numbers}}: of ``each`` one entry for all."""
+        return {name: self.variables[of[0]].asked() for name, of in self.groups.items()}
+
     def _check_variables(self) -> None:
         offset = next((name for name in ("offset_x", "offset_y") if name in self.variables), None)
         if offset is not None and self.task.com not in (None, "centre"):
             raise ConfigurationError(f"vary[{offset!r}]", "give an offset, or a com, not both")
         for name, one in self.variables.items():
-            check_name(name, self.source)
             check_range(name, *one.range)
             named = Named.of(name)
             if named is not None:

@@ -239,6 +239,6 @@ def tightest_tolerance(
         while high - low > least:
             middle = (low + high) / 2
             low, high = (middle, high) if sure(middle) else (low, middle)
-    spreads = {n: _narrowed(v, low).asked() for n, v in study.variables.items()}
+    spreads = narrowed(study, low).spreads
     told = {scale: one.probability for scale, one in sorted(tried.items())}
     return Tolerance(low, spreads, tried[low], told)

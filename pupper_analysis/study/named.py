@@ -1,0 +1,156 @@
+"""Names of factors on a robot's numbers, and the joints and bodies that they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from glob import escape
+
+from lxml import etree
+
+from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.models.xml import parse_text
+from pupper_analysis.robot.robot import Robot
+
+KINDS = {
+    "mass": "mass and inertia of bodies",
+    "inertia": "inertia of bodies about their centres of mass",
+    "effort": "effort limits of joints",
+    "armature": "armature of joints",
+    "damping": "damping of joints",
+    "frictionloss": "dry friction of joints",
+    "kp": "stiffness of servos",
+    "kd": "damping of servos",
+}
+"""What ``KIND:PATTERN`` may say: all are factors on what the files say."""
+
+EACH = "each"
+"""``KIND:each:PATTERN`` is a number of its own for each that matches."""
+
+BODIES = ("mass", "inertia")
+SERVOS = ("kp", "kd")
+
+
+@dataclass(frozen=True)
+class Named:
+    """A factor's name, taken apart.
+
+    Attributes:
+        kind: One of ``KINDS``.
+        pattern: What the names of bodies or joints must match, as file names do: ``*``, ``?``.
+        each: Whether each that matches has a number of its own: ``KIND:each:PATTERN``, and
+            ``KIND:each`` for all.
+    """
+
+    kind: str
+    pattern: str
+    each: bool = False
+
+    @staticmethod
+    def of(name: str) -> Named | None:
+        """Takes a name apart; None if it is of another form.
+
+        Raises:
+            ConfigurationError: If there is no such kind.
+        """
+        kind, separator, pattern = name.partition(":")
+        if not separator:
+            return None
+        if kind not in KINDS or not pattern:
+            raise ConfigurationError(
+                f"vary[{name!r}]", f"{kind!r} is no number of a model; there are "
+                f"{', '.join(f'{known}:NAME' for known in KINDS)}"
+            )  # fmt: skip
+        first, _, rest = pattern.partition(":")
+        return Named(kind, rest or "*", each=True) if first == EACH else Named(kind, pattern)
+
+
+def joints_of(robot: Robot, named: Named) -> tuple[str, ...]:
+    """Returns the joints that a factor is for, or that move its bodies; ``""`` is the base.
+
+    A body is matched by its link's name in the URDF, its body's in the MJCF, or its joint's.
+
+    Raises:
+        UnknownNameError: If none match; the message lists the names.
+    """
+    names = _names(robot, named.kind)
+    found = tuple(
+        joint for joint, own in names.items() if any(fnmatchcase(one, named.pattern) for one in own)
+    )
+    if not found:
+        kind = "body" if named.kind in BODIES else "joint"
+        raise UnknownNameError(
+            robot.name, kind, named.pattern, dict.fromkeys(own[0] for own in names.values())
+        )
+    return found
+
+
+def _names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
+    """Returns {joint: by which names a factor may mean it, or what it moves}."""
+    if kind not in BODIES:
+        return {joint: (joint,) for joint in robot.joint_names}
+    links, bodies = links_of(parse_text(robot.description.urdf)), bodies_of(robot)
+    names = {"": (robot.base, robot.mj_base)}
+    return names | {joint: (links[joint], bodies[joint], joint) for joint in robot.joint_names}
+
+
+def members(robot: Robot, named: Named) -> tuple[str, ...]:
+    """Returns the names of the numbers that ``KIND:each:PATTERN`` stands for, one for each.
+
+    Each has its link's name; where that also means another body, its body's or its joint's.
+
+    Raises:
+        UnknownNameError: If none match.
+        ConfigurationError: If a body has no name that means it alone.
+    """
+    names = _names(robot, named.kind)
+    found = []
+    for joint in joints_of(robot, named):
+        alone = [one for one in map(escape, names[joint])
+                 if joints_of(robot, Named(named.kind, one)) == (joint,)]  # fmt: skip
+        if not alone:
+            problem = f"no name of {names[joint][0]!r} means it alone: name bodies one by one"
+            raise ConfigurationError(f"vary['{named.kind}:{EACH}:{named.pattern}']", problem)
+        found.append(f"{named.kind}:{alone[0]}")
+    return tuple(found)
+
+
+def groups_of(robot: Robot, names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Returns {name: the numbers that it stands for}: itself, but for ``KIND:each:PATTERN``.
+
+    Raises:
+        UnknownNameError: If a pattern matches nothing.
+        ConfigurationError: If two names stand for one number.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for name in names:
+        named = Named.of(name)
+        own = members(robot, named) if named is not None and named.each else (name,)
+        twice = next((one for one in own for other in found.values() if one in other), None)
+        if twice is not None:
+            raise ConfigurationError(f"vary[{name!r}]", f"{twice} varies already")
+        found[name] = own
+    return found
+
+
+def links_of(root: etree._Element) -> dict[str, str]:
+    """Returns {joint: the link that it moves}."""
+    return {str(j.get("name")): str(child_of(j, "child").get("link")) for j in root.iter("joint")
+            if j.find("child") is not None}  # fmt: skip
+
+
+def bodies_of(robot: Robot) -> dict[str, str]:
+    """Returns {joint: the body that it moves in the MJCF}."""
+    model = robot.mj_model
+    return {
+        joint: str(model.body(int(model.jnt_bodyid[model.joint(joint).id])).name)
+        for joint in robot.joint_names
+    }
+
+
+def child_of(element: etree._Element, tag: str) -> etree._Element:
+    """Returns an element's child, which is there in all files that were read."""
+    found = element.find(tag)
+    assert found is not None
+    return found
