@@ -78,7 +78,8 @@ def trunk(inside: str) -> Edit:
 
 
 def floor(attributes: str) -> Edit:
-    return put('<geom type="plane" size="0 0 1"/>', f'<geom type="plane" {attributes}/>', 1)
+    plane = '<geom name="floor" type="plane" size="0 0 1"/>'
+    return put(plane, f'<geom name="floor" type="plane" {attributes}/>', 1)
 
 
 FEATURES: dict[str, Edit] = {
@@ -153,10 +154,9 @@ FEATURES: dict[str, Edit] = {
         )
         + "</contact>"
     ),
-    "a tilted floor": floor('name="floor" size="0 0 1" euler="0 0.05 0"'),
-    "a higher floor": floor('name="floor" size="0 0 1" pos="0 0 0.05"'),
-    "a soft floor": floor('name="floor" size="0 0 1" solref="0.1 1" priority="3"'),
-    "no floor": put('<geom name="floor" type="plane" size="0 0 1"/>', ""),
+    "a tilted floor": floor('size="0 0 1" euler="0 0.05 0"'),
+    "a higher floor": floor('size="0 0 1" pos="0 0 0.05"'),
+    "a soft floor": floor('size="0 0 1" solref="0.1 1" priority="3"'),
     # ---- options
     "implicitfast": option('integrator="implicitfast"'),
     "RK4": option('integrator="RK4"'),
@@ -283,6 +283,9 @@ def bare_loss(robot: pa.Robot, stand: pa.Stand, path: Path) -> float | None:
         angles = dict(zip(robot.joint_names, stand.joint_positions(robot).tolist(), strict=True))
         base = model.joint(next(j for j in range(model.njnt) if _is_trunks(model, j)))
         data.qpos[base.qposadr[0] : base.qposadr[0] + 7] = stand.qpos[:7]
+        ground = [g for g in range(model.ngeom) if model.geom(g).name == "floor"]
+        if ground:  # it stands on the floor, wherever that is
+            data.qpos[base.qposadr[0] + 2] += float(model.geom_pos[ground[0], 2])
         for name, angle in angles.items():
             data.qpos[model.joint(name).qposadr[0]] = angle
         for motor in range(model.nu):
@@ -291,6 +294,8 @@ def bare_loss(robot: pa.Robot, stand: pa.Stand, path: Path) -> float | None:
                 gear = float(model.actuator_gear[motor, 0])
                 if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE:
                     data.ctrl[motor] = gear * angles.get(model.joint(joint).name, 0.0)
+                    if model.actuator_actnum[motor]:  # its filter has come to rest
+                        data.act[model.actuator_actadr[motor]] = data.ctrl[motor]
         mujoco.mj_forward(model, data)
         body = model.body("trunk").id
         start = float(data.xpos[body][2])
