@@ -150,7 +150,8 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
     mujoco.mj_kinematics(model, data)
     start, up = float(data.xpos[bare.base][2]), data.xmat[bare.base].copy()
     places = [int(model.jnt_qposadr[model.joint(joint).id]) for joint in robot.joint_names]
-    hold = hold_of(bare, robot, data, None, data.qpos[places].copy())
+    pose = data.qpos[places].copy()
+    hold = hold_of(bare, robot, data, None, pose)
     own_ctrl = bool(model.key_ctrl[key].any())
     if not own_ctrl and self_controlled(bare, robot):
         return None
@@ -178,6 +179,7 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
         lean=lean,
         diverged=diverged,
         collapses=diverged or _collapses(start - end, height, lean),
+        joint_error=float(np.abs(data.qpos[places] - pose).max()),
     )
 
 

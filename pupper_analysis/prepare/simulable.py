@@ -18,7 +18,7 @@ of digits."""
 
 
 def check_simulable(mjcf: MjcfFile) -> None:
-    """Checks the options and gears on which all simulations rest.
+    """Checks the options, rotors and gears on which all simulations rest.
 
     Raises:
         ModelError: If one is beyond what has a meaning; it names the file, the line and the value.
@@ -43,6 +43,17 @@ def check_simulable(mjcf: MjcfFile) -> None:
             place = next(stated, Place(mjcf.path))
             raise ModelError(
                 source_name(place.file, place.line), f'<option {word}="{value:g}">: {valid}'
+            )
+    for dof in range(model.nv):
+        armature, joint = (
+            float(model.dof_armature[dof]),
+            model.joint(int(model.dof_jntid[dof])).name,
+        )
+        if armature < 0:
+            place = mjcf.place("joint", joint)
+            raise ModelError(
+                source_name(place.file, place.line),
+                f'joint {joint!r} has armature="{armature:g}": no rotor has a negative inertia',
             )
     for motor in range(model.nactuator):
         if not is_at_one_joint(model, motor):

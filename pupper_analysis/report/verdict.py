@@ -88,6 +88,13 @@ def _file_itself(own: OwnRun | None, replaced: tuple[MadeServo, ...]) -> Iterato
         if own.diverged:
             numbers = {"keyframe": own.keyframe}
         yield Clause(False, _OWN[own.own_ctrl, own.diverged], numbers)
+    if own is not None and own.leaves:
+        yield Clause(
+            False,
+            "as published, from its own keyframe {keyframe} its own ctrl takes a joint {angle} rad "
+            "away: it is that of another pose",
+            {"keyframe": own.keyframe, "angle": f"{own.joint_error:.2g}"},
+        )
     if replaced:
         yield Clause(
             False,

@@ -43,6 +43,10 @@ class ServosUsed:
         return tuple(servo for servo in self.made if servo.instead_of.bad)
 
 
+ANOTHER_POSE = 0.5
+"""rad, m: by more than that no servo gives way that holds a robot; it was commanded elsewhere."""
+
+
 @dataclass(frozen=True)
 class OwnRun:
     """What the MJCF does from its own keyframe, with its own actuators and ``ctrl``.
@@ -57,6 +61,7 @@ class OwnRun:
         diverged: Whether MuJoCo began anew, as numbers were no longer any.
         collapses: Whether it has, or has fallen, or sunk by ``simulation.monitor.SUNKEN`` of its
             height.
+        joint_error: By how much a joint ends off the keyframe, at most (rad, m).
     """
 
     keyframe: str
@@ -67,6 +72,12 @@ class OwnRun:
     lean: float
     diverged: bool
     collapses: bool
+    joint_error: float = 0.0
+
+    @property
+    def leaves(self) -> bool:
+        """Whether its own ctrl takes it to another pose, in which it stays."""
+        return self.own_ctrl and not self.collapses and self.joint_error > ANOTHER_POSE
 
 
 @dataclass(frozen=True)
