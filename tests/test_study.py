@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 import study_measures
@@ -16,9 +17,11 @@ from conftest import ROOT, answer, load, stand_of
 from scipy import stats
 
 import pupper_analysis as pa
+from pupper_analysis.models.xml import parse_text
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.measures import MEASURES
-from pupper_analysis.study.named import Named, joints_of
+from pupper_analysis.study.named import Named, joints_of, links_of
 from pupper_analysis.study.numbers import plain, scaled, with_friction, with_gains
 from pupper_analysis.study.sampling import BLOCK, Sampling
 from pupper_analysis.study.table import names_of
@@ -339,6 +342,65 @@ def test_factors_are_in_both_files_alike() -> None:
     dofs = after.mj_convention.qvel_index[6:]
     loss = before.mj_model.dof_frictionloss[dofs]
     assert after.mj_model.dof_frictionloss[dofs] == pytest.approx(rubbed * loss)
+
+
+@pytest.mark.parametrize("name", ["v3", "original"])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_coms_move_in_both_files_alike(name: str, axis: int) -> None:
+    """By m g R d, in a tilted pose: gravity's torques of both engines, and in closed form."""
+    before = load(name)
+    shin = before.joint_names[2]
+    for joint in ("", shin):
+        link = before.base if not joint else shin
+        offset = 0.01 * np.eye(3)[axis]
+        after = scaled(before, {f"com_{'xyz'[axis]}:{link}": 0.01})
+        assert pa.cross_check(after, configurations=2).passed
+        qpos = before.neutral().copy()
+        qpos[3:7] = np.array([0.8, 0.3, -0.4, 0.33]) / np.linalg.norm([0.8, 0.3, -0.4, 0.33])
+        qpos[7:] += np.linspace(-0.5, 0.6, before.nu)
+        config = Configuration(before, qpos)
+        number = before.pin_model.getJointId(joint) if joint else 1
+        mass = float(before.pin_model.inertias[number].mass)
+        child = links_of(parse_text(before.description.urdf)).get(joint, before.base)
+        moved = config.frame_rotation(child) @ offset
+        weight = mass * np.array([0.0, 0.0, -9.81])
+        changes = [Configuration(after, qpos).gravity() - config.gravity(),
+                   bias(after, qpos) - bias(before, qpos)]  # fmt: skip
+        about_base = -config.base_rotation().T @ np.cross(moved, weight)
+        for change in changes:
+            assert change[:3] == pytest.approx(np.zeros(3), abs=1e-10)
+            assert change[3:6] == pytest.approx(about_base, abs=1e-10)
+            if joint:
+                own = -config.joint_axis(shin) @ np.cross(moved, weight)
+                assert change[6 + 2] == pytest.approx(own, abs=1e-10)
+                assert abs(change).max() > 1e-4
+            else:
+                assert change[6:] == pytest.approx(np.zeros(before.nu), abs=1e-10)
+
+
+def bias(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
+    """MuJoCo's own gravity torques, in the public order."""
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_forward(robot.mj_model, data)
+    return np.array(data.qfrc_bias[robot.mj_convention.qvel_index])
+
+
+def test_offsets_of_coms_are_numbers_of_a_study() -> None:
+    """The stand's com is kept over the feet: the base goes back by m / M of the offset."""
+    before = load("v3")
+    name = f"com_x:{before.base}"
+    maker = Maker(study({name: [0.0, 0.02]}).source, pa.StandTask(), (0.0, 0.0, 0.0))
+    still, moved = (maker.design({name: value}) for value in (0.0, 0.02))
+    share = float(before.pin_model.inertias[1].mass) / before.total_mass
+    back = moved.stand.qpos[0] - still.stand.qpos[0]
+    assert -0.03 < back < -0.5 * share * 0.02
+    assert moved.stand.com_margin == pytest.approx(still.stand.com_margin, abs=1e-9)
+    assert scaled(before, {name: 0.01, f"mass:{before.base}": 1.5}).total_mass > before.total_mass
+    with pytest.raises(pa.ConfigurationError, match="no number of a model"):
+        study({"com_w:base": [0.0]})
+    with pytest.raises(pa.ConfigurationError, match="offset of nan"):
+        scaled(before, {name: math.nan})
 
 
 def test_each_has_a_factor_of_its_own() -> None:

@@ -353,6 +353,7 @@ SPREADS = {
     "mass:each:leg_*_1": {"uniform": [0.9, 1.1]},
     "kp:*": {"uniform": [0.7, 0.39999999999999997 + 0.9]},
     "kd:leg_front_l_1": {"log_uniform": [0.5, 2.0]},
+    "com_y:base_link": {"uniform": [-0.01, 0.02]},
     "effort:*": {"normal": [0.9, 0.1]},
     "armature:*": {"uniform": [0.8, 1.2]},
     "frictionloss:*": {"uniform": [0.5, 2.0]},
@@ -401,6 +402,10 @@ def test_randomisation_as_terms_of_mjlab(tmp_path: Path) -> None:
     each = found["mass:each:leg_*_1"]  # which is drawn for each link
     assert each["asset_cfg"] == "SceneEntityCfg('robot', body_names=('leg_.*_1',))"
     assert (each["ranges"], each["shared_random"]) == ((0.9, 1.1), False)
+    com = found["com_y:base_link"]
+    assert (com["func"], com["ranges"], com["axes"], com["operation"]) == (
+        "dr.body_com_offset", (-0.01, 0.02), [1], "add",
+    )  # fmt: skip
     text = (tmp_path / "dr.py").read_text()
     assert text.count("one for all") == 2  # kp:*, effort:*, of which mjlab draws each
     assert (found["payload"]["func"], found["payload"]["operation"]) == ("dr.body_mass", "add")
@@ -432,6 +437,10 @@ def test_randomisation_as_terms_of_isaac_lab(tmp_path: Path) -> None:
         "distribution": "log_uniform",
     }  # fmt: skip
     assert found["armature:*"]["func"] == "mdp.randomize_joint_parameters"
+    assert found["com_y:base_link"] == {
+        "func": "mdp.randomize_rigid_body_com", "com_range": {"y": (-0.01, 0.02)},
+        "asset_cfg": "SceneEntityCfg('robot', body_names=['base_link'])",
+    }  # fmt: skip
     assert found["friction"]["static_friction_range"] == (0.4, 1.0)
     with pytest.raises(pa.ConfigurationError, match="none of yaml, mjlab, isaaclab"):
         write_randomisation(SPREADS, tmp_path / "no", "gym")  # type: ignore[arg-type]

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.study.design import ENDS, NUMBERS
+from pupper_analysis.study.design import ENDS, NUMBERS, OFFSET
 from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.named import AXES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -158,6 +159,8 @@ def panels(table: pd.DataFrame, variables: Sequence[str], x: str, y: str) -> lis
 
 def unit_of(column: str) -> str:
     """Returns the unit of a measure or of a number that varies; empty of ratios and factors."""
+    if column.partition(":")[0] in AXES:
+        return OFFSET.unit
     measure = MEASURES.get(column.partition(".")[0])
     unit = measure.unit if measure else NUMBERS[column].unit if column in NUMBERS else ""
     return "" if unit in ("1", "-") else unit

@@ -25,7 +25,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.measures import Design, Measure
-from pupper_analysis.study.named import SERVOS, Named
+from pupper_analysis.study.named import AXES, SERVOS, Named
 from pupper_analysis.study.numbers import scaled, with_friction, with_gains
 from pupper_analysis.study.source import Source
 
@@ -72,6 +72,9 @@ MODEL = {
 """Numbers of the robot, for all joints and feet alike."""
 
 NUMBERS = {**STANCE, **MODEL}
+
+OFFSET = Number(-math.inf, math.inf, "m")
+"""How far a centre of mass is moved."""
 
 KEPT = 8
 """So many robots and stands are remembered: neighbours in a product of lists share them."""
@@ -196,7 +199,10 @@ def check_range(name: str, low: float, high: float) -> None:
         ConfigurationError: If not.
     """
     known = NUMBERS.get(name, Number(0.0, math.inf, "x", open=True))
-    if Named.of(name) is not None:
+    named = Named.of(name)
+    if named is not None and named.kind in AXES:
+        known = OFFSET
+    elif named is not None:
         known = Number(0.0, math.inf, "x", open=name.partition(":")[0] in ("mass", "inertia", "kp"))
     below = low <= known.low if known.open else low < known.low
     if (math.isfinite(low) and below) or (math.isfinite(high) and high > known.high):

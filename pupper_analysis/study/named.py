@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from glob import escape
 
+import mujoco
 from lxml import etree
 
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
@@ -16,6 +17,9 @@ from pupper_analysis.robot.robot import Robot
 KINDS = {
     "mass": "mass and inertia of bodies",
     "inertia": "inertia of bodies about their centres of mass",
+    "com_x": "offset of bodies' centres of mass along x of the URDF's link (m)",
+    "com_y": "the same along y (m)",
+    "com_z": "the same along z (m)",
     "effort": "effort limits of joints",
     "armature": "armature of joints",
     "damping": "damping of joints",
@@ -23,12 +27,15 @@ KINDS = {
     "kp": "stiffness of servos",
     "kd": "damping of servos",
 }
-"""What ``KIND:PATTERN`` may say: all are factors on what the files say."""
+"""What ``KIND:PATTERN`` may say: factors on what the files say, but for the offsets of coms."""
 
 EACH = "each"
 """``KIND:each:PATTERN`` is a number of its own for each that matches."""
 
-BODIES = ("mass", "inertia")
+AXES = ("com_x", "com_y", "com_z")
+"""Kinds that are added, along these axes (m), and are no factors."""
+
+BODIES = ("mass", "inertia", *AXES)
 SERVOS = ("kp", "kd")
 
 
@@ -154,3 +161,19 @@ def child_of(element: etree._Element, tag: str) -> etree._Element:
     found = element.find(tag)
     assert found is not None
     return found
+
+
+def fixed_to(root: etree._Element, link: str) -> Iterator[str]:
+    """Yields a link of a URDF, and those that are fixed to it."""
+    yield link
+    for joint in root.findall("joint"):
+        if joint.get("type") == "fixed" and child_of(joint, "parent").get("link") == link:
+            yield from fixed_to(root, str(child_of(joint, "child").get("link")))
+
+
+def welded_to(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
+    """Yields a body of an MJCF, and those that are fixed to it."""
+    yield body
+    for child in body.bodies:
+        if not list(child.joints):
+            yield from welded_to(child)

@@ -1,9 +1,9 @@
-"""Factors on a robot's numbers, by name, in its URDF and its MJCF alike."""
+"""Factors on a robot's numbers and offsets of them, by name, in its URDF and its MJCF alike."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import mujoco
@@ -18,14 +18,17 @@ from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
+from pupper_analysis.study.com import check_coms, move_coms
 from pupper_analysis.study.named import (
+    AXES,
     BODIES,
     SERVOS,
     Named,
     bodies_of,
-    child_of,
+    fixed_to,
     joints_of,
     links_of,
+    welded_to,
 )
 
 Array = NDArray[np.float64]
@@ -42,7 +45,8 @@ def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
 
     Args:
         robot: The robot.
-        factors: {``KIND:PATTERN``: factor, finite and >= 0, a mass's and an inertia's > 0}.
+        factors: {``KIND:PATTERN``: factor, finite and >= 0, a mass's and an inertia's > 0; of
+            ``com_x`` and the like an offset (m), in the axes of the URDF's link}.
 
     Raises:
         ConfigurationError: If a factor is none.
@@ -50,9 +54,13 @@ def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
         ModelError: If a model cannot be built.
     """
     wanted: dict[str, dict[str, float]] = {}
+    offsets: dict[str, Array] = {}
     for name, factor in factors.items():
         named = Named.of(name)
         assert named is not None
+        if named.kind in AXES:
+            _add_offsets(offsets, robot, name, named, factor)
+            continue
         least = "> 0" if named.kind in (*BODIES, *SERVOS) else ">= 0"
         if not math.isfinite(factor) or factor < 0 or (factor == 0 and least == "> 0"):
             raise ConfigurationError(name, f"a factor of {factor:g} is not {least}")
@@ -60,21 +68,36 @@ def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
             for joint in joints_of(robot, named):
                 own = wanted.setdefault(named.kind, {})
                 own[joint] = own.get(joint, 1.0) * factor
-    if not wanted:
+    if not wanted and not offsets:
         return robot
     spec, root = robot.description.mjcf.copy(), parse_text(robot.description.urdf)
     for kind, joints in wanted.items():
         for joint, factor in joints.items():
             _scale_urdf(root, robot, kind, joint, factor)
             _scale_mjcf(spec, robot, kind, joint, factor)
+    if offsets:
+        move_coms(robot, root, spec, offsets)
     built = rebuilt(robot, urdf=to_text(root), mjcf=spec)
     _check(robot, built, wanted.get("mass", {}))
+    if offsets and "mass" not in wanted:  # which move the whole's, too
+        check_coms(robot, built, offsets)
     return built
+
+
+def _add_offsets(
+    offsets: dict[str, Array], robot: Robot, name: str, named: Named, offset: float
+) -> None:
+    if not math.isfinite(offset):
+        raise ConfigurationError(name, f"an offset of {offset:g} m is none")
+    for joint in joints_of(robot, named):
+        if not joint and not robot.floating:
+            raise ConfigurationError(name, "the base is fixed: where its mass is does not matter")
+        offsets.setdefault(joint, np.zeros(3))[AXES.index(named.kind)] += offset
 
 
 def _scale_urdf(root: etree._Element, robot: Robot, kind: str, joint: str, factor: float) -> None:
     if kind in BODIES:
-        for link in _fixed_to(root, links_of(root).get(joint, robot.base)):
+        for link in fixed_to(root, links_of(root).get(joint, robot.base)):
             inertial = next(one for one in root.iter("link") if one.get("name") == link).find(
                 "inertial"
             )
@@ -99,18 +122,10 @@ def _times(element: etree._Element | None, attribute: str, factor: float) -> Non
         element.set(attribute, repr(float(text) * float(factor)))
 
 
-def _fixed_to(root: etree._Element, link: str) -> Iterator[str]:
-    """Yields a link, and those that are fixed to it."""
-    yield link
-    for joint in root.findall("joint"):
-        if joint.get("type") == "fixed" and child_of(joint, "parent").get("link") == link:
-            yield from _fixed_to(root, str(child_of(joint, "child").get("link")))
-
-
 def _scale_mjcf(spec: mujoco.MjSpec, robot: Robot, kind: str, joint: str, factor: float) -> None:
     if kind in BODIES:
         name = bodies_of(robot)[joint] if joint else robot.mj_base
-        for body in _welded_to(spec.body(name)):
+        for body in welded_to(spec.body(name)):
             _scale_body(body, kind, factor, robot)
         return
     element = spec.joint(joint)
@@ -126,14 +141,6 @@ def _scale_mjcf(spec: mujoco.MjSpec, robot: Robot, kind: str, joint: str, factor
     else:
         value = getattr(element, kind)
         setattr(element, kind, np.array(value) * factor if np.ndim(value) else value * factor)
-
-
-def _welded_to(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
-    """Yields a body, and those that are fixed to it."""
-    yield body
-    for child in body.bodies:
-        if not list(child.joints):
-            yield from _welded_to(child)
 
 
 def _scale_body(body: mujoco.MjsBody, kind: str, factor: float, robot: Robot) -> None:

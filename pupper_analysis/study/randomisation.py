@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
-from pupper_analysis.study.named import Named
+from pupper_analysis.study.named import AXES, Named
 
 Form = Literal["yaml", "mjlab", "isaaclab"]
 
@@ -43,11 +43,11 @@ def write_randomisation(
 ) -> tuple[str, ...]:
     """Writes spreads for the domain randomisation of those who train policies.
 
-    As YAML each entry has the number, how it acts (``scale`` on the model's value, or
-    ``absolute``), the distribution, and its numbers. ``mjlab`` and ``isaaclab`` write a Python file
-    with event terms of these frameworks, ``EventTermCfg``, by their names and arguments (mjlab
-    1.6, Isaac Lab 2). Of a normal distribution, where a term takes a range alone, that is the
-    uniform one of the same deviation.
+    As YAML each entry has the number, how it acts (``scale`` on the model's value, ``add`` to it,
+    or ``absolute``), the distribution, and its numbers. ``mjlab`` and ``isaaclab`` write a Python
+    file with event terms of these frameworks, ``EventTermCfg``, by their names and arguments
+    (mjlab 1.6, Isaac Lab 2). Of a normal distribution, where a term takes a range alone, that is
+    the uniform one of the same deviation.
 
     Args:
         spreads: {variable: {kind: numbers}}, as ``Tolerance.spreads`` or ``Study.spreads``.
@@ -82,12 +82,13 @@ def write_randomisation(
 
 
 def _yaml(spreads: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
-    yield "# Domain randomization. scale: a factor on the model's value; absolute: the value."
+    yield "# Domain randomization. scale: a factor on the model's value; add: to it; absolute: it."
     for name, given in spreads.items():
         ((kind, numbers),) = given.items()
         keys = {"normal": ("mean", "std"), "values": (), "linspace": ("low", "high", "count")}
         named = keys.get(kind, ("low", "high"))
         acts = "scale" if ":" in name or name.endswith("_scale") else "absolute"
+        acts = "add" if name.partition(":")[0] in AXES else acts
         yield f'- name: "{name}"'
         yield f"  operation: {acts}"
         if ":" in name:
@@ -156,7 +157,15 @@ def _mjlab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
         return None
     function, argument, entity = _DR[named.kind]
     span, drawn, about = _range(kind, numbers, gaussian=argument == "ranges")
-    params = _dr(f"{entity}=({_regex(named.pattern)!r},)", argument, span, "scale", drawn)
+    params = _dr(
+        f"{entity}=({_regex(named.pattern)!r},)",
+        argument,
+        span,
+        "add" if named.kind in AXES else "scale",
+        drawn,
+    )
+    if named.kind in AXES:
+        params["axes"] = f"[{AXES.index(named.kind)}]"
     if function == "body_mass":
         about += "; of the mass alone, where the study's factor is on the inertia too"
     if argument == "ranges":  # mjlab draws for each that matches, if it is not told otherwise
@@ -169,6 +178,7 @@ def _mjlab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
 
 
 _DR = {
+    **dict.fromkeys(AXES, ("body_com_offset", "ranges", "body_names")),
     "mass": ("body_mass", "ranges", "body_names"),
     "effort": ("effort_limits", "effort_limit_range", "actuator_names"),
     "kp": ("pd_gains", "kp_range", "actuator_names"),
@@ -209,6 +219,13 @@ def _isaaclab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
     elif name == "payload":
         which, argument, operation = 'body_names=["BASE"]', "mass_distribution_params", "add"
         function, about = "randomize_rigid_body_mass", f"{about}; put in the name of your base"
+    elif named is not None and named.kind in AXES:
+        span, _, about = _range(kind, numbers, gaussian=False)
+        which = robot.format(which=f"body_names=[{_regex(named.pattern)!r}]")
+        if named.each:
+            about += "; drawn once for all that match, where the study has one for each"
+        params = {"asset_cfg": which, "com_range": f'{{"{named.kind[-1]}": {span}}}'}
+        return Term("mdp.randomize_rigid_body_com", params, about)
     elif named is not None and named.kind in _ISAAC:
         function, argument, entity = _ISAAC[named.kind]
         which, operation = f"{entity}=[{_regex(named.pattern)!r}]", "scale"
