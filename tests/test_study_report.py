@@ -47,7 +47,8 @@ def full() -> pa.StudyOutcome:
     )
     sure = Certainty(chance(90, 100), {"knee": chance(80, 100)}, chance(70, 100), chance(60, 100))
     spreads = {"kp": {"normal": [7.0, 0.25]}}
-    tolerance = Tolerance(0.375, spreads, chance(199, 200), {1.0: 0.5, 0.375: 0.995})
+    tolerance = Tolerance(0.375, spreads, chance(199, 200), {1.0: 0.5, 0.375: 0.995},
+                          {"stands": ("kp",)}, ("friction",))  # fmt: skip
     return replace(outcome(), sobol=(sobol,), linear=(linear,), certainty=sure, tolerance=tolerance)
 
 

@@ -467,6 +467,31 @@ def test_tolerances_for_criteria_of_ones_own(tmp_path: Path, thread: Executor) -
         )
 
 
+@pytest.mark.slow
+def test_what_changes_no_criterion_has_no_range(tmp_path: Path, thread: Executor) -> None:
+    """Masses enter the mass; of motors' strengths only that of the one that is used most."""
+    robot = pa.load_variant("v3")
+    used = pa.stand_statics(robot, pa.solve_stand(robot)).motor_utilisation
+    most = robot.joint_names[int(np.argmax(used))]
+    leg = most.rpartition("_")[0]
+    vary = {
+        "mass:each:leg_front_?_3": pa.uniform(0.9, 1.1),
+        "armature:*": pa.uniform(0.9, 1.1),
+        f"effort:each:{leg}_*": pa.uniform(0.999, 1.001),
+        "kp": [6.0],
+    }
+    study = pa.Study("v3", vary, ["total_mass", "peak_utilisation"], samples=16)
+    wanted = {"total_mass": (0.0, None), "peak_utilisation": (None, 1.0)}
+    found = tightest_tolerance(study, tmp_path, wanted=0.9, criteria=wanted, executor=thread)
+    masses = tuple(name for name in study.variables if name.startswith("mass"))
+    assert len(masses) == 2
+    assert found.enters["total_mass"] == masses
+    assert set(found.enters["peak_utilisation"]) == {*masses, f"effort:{most}"}
+    assert set(found.spreads) == {"mass:each:leg_front_?_3", f"effort:{most}"}
+    others = {f"effort:{leg}_{n}" for n in (1, 2, 3)} - {f"effort:{most}"}
+    assert set(found.without) == {"armature:*", *others}
+
+
 # ----------------------------------------------------------------------------- searches
 
 

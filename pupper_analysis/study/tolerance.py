@@ -10,15 +10,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pupper_analysis.arguments import check_type, finite
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.study.running import Progress
+from pupper_analysis.study.sampling import at_shares
+from pupper_analysis.study.screening import entering
 from pupper_analysis.study.study import Study
 from pupper_analysis.study.variables import LogUniform, Normal, Uniform, Variable
 
 if TYPE_CHECKING:
     import pandas as pd
+
+Array = NDArray[np.float64]
 
 _Z = 1.959963984540054
 """Of a 95 % confidence interval: the 97.5 % quantile of the normal distribution."""
@@ -136,16 +143,28 @@ def _narrowed(variable: Variable, scale: float) -> Variable:
 
 def _kept(table: pd.DataFrame, criteria: Mapping[str, tuple[float | None, float | None]]) -> Chance:
     """Returns how many designs keep to criteria."""
-    good = [True] * len(table)
+    good = _good(table, criteria)
+    return chance(int(good.sum()), len(table))
+
+
+def _good(
+    table: pd.DataFrame, criteria: Mapping[str, tuple[float | None, float | None]] | None
+) -> NDArray[np.bool_]:
+    """Returns which designs (n,) keep to criteria; of none: stand and are under limits."""
+    if criteria is None:
+        joints = [str(name) for name in table if str(name).startswith("utilisation.")]
+        under = (table[joints].to_numpy(float) < 1).all(axis=1)
+        up: NDArray[np.bool_] = under & (table["stands"].fillna(0.0).to_numpy(float) > 0)
+        return up
+    good = np.ones(len(table), dtype=bool)
     for name, (low, high) in criteria.items():
         if name not in table:
             known = ", ".join(str(column) for column in table.columns)
             raise ConfigurationError("criteria", f"the study measures no {name!r}; it has {known}")
         values = table[name].to_numpy(float)  # not a number is not in any range
         bounds = (-math.inf if low is None else low), (math.inf if high is None else high)
-        inside = (values >= bounds[0]) & (values <= bounds[1])
-        good = [one and bool(other) for one, other in zip(good, inside, strict=True)]
-    return chance(sum(good), len(table))
+        good &= (values >= bounds[0]) & (values <= bounds[1])
+    return good
 
 
 @dataclass(frozen=True)
@@ -154,15 +173,20 @@ class Tolerance(Result):
 
     Attributes:
         scale: Factor on the study's spreads.
-        spreads: {variable: its distribution with that factor, {kind: numbers}}.
+        spreads: {variable: its distribution with that factor, {kind: numbers}}, of those that
+            enter a criterion.
         chance: With these.
         tried: {factor: probability} of all that were tried.
+        enters: {criterion: the variables that change it within ``widest`` of their spreads}.
+        without: Variables that change no criterion: nothing follows for their spreads.
     """
 
     scale: float
     spreads: dict[str, dict[str, Any]]
     chance: Chance
     tried: dict[float, float]
+    enters: dict[str, tuple[str, ...]]
+    without: tuple[str, ...]
 
 
 def tightest_tolerance(
@@ -185,8 +209,11 @@ def tightest_tolerance(
     tried.
 
     A number must enter what is asked: of a level stand friction does not, and any spread of it
-    will do. ``criteria`` ask for more: ``{"push_recovery": (0.5, None)}``, ``verified``, own
-    measures of paths; and so does a stance on a slope.
+    will do. So each variable alone goes from end to end of its widest range, from the design in the
+    middle, from some that keep to the criteria and from some that do not: those that change no
+    criterion have no spread in the result. ``criteria`` ask for more:
+    ``{"push_recovery": (0.5, None)}``, ``verified``, own measures of paths; and so does a stance on
+    a slope.
 
     Args:
         study: With the measures ``stands`` and ``utilisation``, or those of ``criteria``, and
@@ -221,10 +248,11 @@ def tightest_tolerance(
         raise ConfigurationError("samples", problem)
     tried: dict[float, Chance] = {}
 
+    def measured(one: Study) -> pd.DataFrame:
+        return one.run(folder, executor=executor, workers=workers, progress=progress)
+
     def sure(scale: float) -> bool:
-        table = narrowed(study, scale).run(
-            folder, executor=executor, workers=workers, progress=progress
-        )
+        table = measured(narrowed(study, scale))
         tried[scale] = certainty(table).both if criteria is None else _kept(table, criteria)
         return tried[scale].probability >= goal
 
@@ -239,6 +267,46 @@ def tightest_tolerance(
         while high - low > least:
             middle = (low + high) / 2
             low, high = (middle, high) if sure(middle) else (low, middle)
-    spreads = narrowed(study, low).spreads
     told = {scale: one.probability for scale, one in sorted(tried.items())}
-    return Tolerance(low, spreads, tried[low], told)
+    wide = narrowed(study, most)
+    enters = entering(
+        wide, _points(wide, measured(wide), criteria), tuple(criteria or NEEDED), measured
+    )
+    some = {name for names in enters.values() for name in names}
+    spreads, without = _split(narrowed(study, low), some)
+    return Tolerance(low, spreads, tried[low], told, enters, without)
+
+
+_FROM = 3
+"""Designs that keep to the criteria, and that do not, from which variables are varied alone."""
+
+
+def _points(
+    study: Study,
+    table: pd.DataFrame,
+    criteria: Mapping[str, tuple[float | None, float | None]] | None,
+) -> Array:
+    """Returns designs (n, variables): that in the middle, some that are good, some that are not."""
+    good = _good(table, criteria)
+    chosen = np.concatenate([np.flatnonzero(good)[:_FROM], np.flatnonzero(~good)[:_FROM]])
+    middle = at_shares(study.variables, np.full((1, len(study.variables)), 0.5))
+    some: Array = np.concatenate([middle, table[list(study.variables)].to_numpy(float)[chosen]])
+    return some
+
+
+def _split(study: Study, entering: set[str]) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
+    """Returns the spreads of the variables that enter, and the others that vary.
+
+    What was given for each of several has one entry if all of these enter, or none.
+    """
+    spreads: dict[str, dict[str, Any]] = {}
+    without: list[str] = []
+    for name, own in study.groups.items():
+        asked = study.variables[own[0]].asked()
+        there = [one for one in own if one in entering]
+        if len(there) in (0, len(own)):
+            own, there = (name,), [name] * bool(there)
+        spreads |= dict.fromkeys(there, asked)
+        if len(study.variables[study.groups[name][0]].levels or (0, 1)) > 1:
+            without += [one for one in own if one not in there]
+    return spreads, tuple(without)

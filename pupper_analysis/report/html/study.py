@@ -329,6 +329,14 @@ def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) 
         share=f"{outcome.tolerance.chance.probability:.1%}",
         count=outcome.tolerance.chance.designs,
     )
+    notes = [sure]
+    if outcome.tolerance.without:
+        notes.append(
+            text(
+                "These change none of the criteria, and so have no range here: {names}.",
+                names=doc.Name(", ".join(outcome.tolerance.without)),
+            )
+        )
     return doc.Table(
         text("The tightest tolerance that is needed"),
         (
@@ -337,7 +345,7 @@ def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) 
             doc.Column(text("range or values"), left=True),
         ),
         tuple(rows),
-        (sure,),
+        tuple(notes),
         _source(),
     )
 
