@@ -148,6 +148,7 @@ def pushed() -> PushRecovery:
         weakest_direction=0.0,
         weakest_impulse=1.11,
         weakest_failure="it fell <over>",
+        unpushed=(),
         mass=3.7,
         point=np.zeros(3),
         pulse=0.02,

@@ -389,6 +389,7 @@ def pushes(shift: float) -> Stub:
         weakest_direction=math.radians(240.0),
         weakest_impulse=0.43 + shift,
         weakest_failure="it falls",
+        unpushed=(),
         mass=2.15,
     )
 

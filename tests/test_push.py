@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import load, stand_of, with_efforts
+from legged import quadruped
 from matplotlib.image import imread
 
 import pupper_analysis as pa
@@ -19,6 +20,7 @@ from pupper_analysis.report.figures.style import DPI
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation import push
 from pupper_analysis.simulation.push import PushRecovery, push_recovery, tipping_impulses
+from pupper_analysis.simulation.push_bench import bench_of
 from pupper_analysis.simulation.rollout import place_on_ground
 
 COARSE = {"directions": 4, "duration": 3.0, "resolution": 0.05}
@@ -197,7 +199,8 @@ def test_too_weak_motors_stand_no_push() -> None:
     assert result.weakest_impulse == 0
     assert result.weakest_failure.startswith("without a push: ")
     assert "touches the ground" in result.weakest_failure
-    assert result.rollouts == 1
+    assert result.unpushed
+    assert result.rollouts == 0
 
 
 class Bench:
@@ -206,6 +209,11 @@ class Bench:
     def __init__(self, survives: Callable[[int, float], bool]) -> None:
         self.axes = np.zeros((2, 2))
         self.survives = survives
+
+        self.unpushed = ()
+
+    def whole(self, directions: np.ndarray, impulses: np.ndarray) -> list[str | None]:
+        return self.push(directions, impulses)
 
     def push(self, directions: np.ndarray, impulses: np.ndarray) -> list[str | None]:
         pairs = zip(directions, impulses, strict=True)
@@ -318,10 +326,50 @@ def test_a_table_has_each_number_under_its_name() -> None:
         impulses=values["impulse"], velocity_steps=values["velocity_step"],
         failures=("a", "b", "c"), bisected=values["bisected"],
         tipping_estimate=values["tipping_estimate"], weakest_direction=0.1, weakest_impulse=0.2,
-        weakest_failure="a", mass=3.0, resolution=0.02, rollouts=7,
+        weakest_failure="a", mass=3.0, resolution=0.02, rollouts=7, unpushed=(),
     )  # fmt: skip
     frame = result.to_dataframe()
     assert list(frame["failure"]) == ["a", "b", "c"]
     for name in names[:4]:
         np.testing.assert_array_equal(frame[name], values[name])
     assert set(frame.columns) == {*names[:4], "failure"}
+
+
+# ------------------------------------------------------------------------------------- unpushed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kd", "stands"), [(5.0, True), (8.0, False)])
+def test_what_does_not_stand_withstands_no_push_and_what_stands_does(
+    tmp_path: Path, kd: float, stands: bool
+) -> None:
+    """At 8 N m s/rad its servos shake, and throw it over in the second after a nudge at 5 s."""
+    robot = pa.load_robot(**quadruped(tmp_path, actuators="position", floor=True)._asdict())
+    stand = pa.sunk_stand(robot)
+    alone = pa.verify_stand(robot, stand, kp=150.0, kd=kd)
+    assert alone.passed == alone.stays == stands
+    found = push_recovery(robot, stand, kp=150.0, kd=kd, directions=3, duration=2.0, resolution=1.0)
+    trial = pa.push_trial(robot, stand, 0.01, kp=150.0, kd=kd, duration=2.0)
+    assert trial.recovered == stands
+    assert found.unpushed == alone.failures
+    assert (found.weakest_impulse > 0) == stands
+    if not stands:
+        assert all(reason in found.weakest_failure for reason in alone.failures)
+        assert all(reason in trial.failure for reason in alone.failures)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["v3", "v3-long-leg"])
+def test_what_ends_early_ends_as_it_would(name: str) -> None:
+    """Around the limits, where robots dwell on two feet; v3-long-leg for seconds."""
+    robot, stand, found = load(name), stand_of(name), pushed(name)
+    bench = bench_of(
+        robot, stand, found.directions, duration=3.0, kp=None, kd=None, feedforward=True,
+        integrator=None,
+    )  # fmt: skip
+    tried = np.repeat(np.arange(4), 3)
+    impulses = (found.impulses[:, None] * [0.5, 1.0, 1.05]).ravel()
+    early, whole = bench.push(tried, impulses), bench.whole(tried, impulses)
+    assert [one is None for one in early] == [one is None for one in whole]
+    assert None in whole
+    assert any(whole)

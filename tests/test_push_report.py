@@ -40,7 +40,7 @@ def test_two_robots(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         assert stance["recovery"] == json.loads(results[name].to_json())
         assert stance["stand"] == json.loads(stand.to_json())
         deepest = max(deepest, *stand.depths.values())
-    assert f"soft ground (at most {1e3 * deepest:.2f} mm)" in out
+    assert f"what the feet sink in (at most {1e3 * deepest:.2f} mm)" in out
     push_figure(results, tmp_path / "alike.png")
     np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
 
@@ -53,7 +53,7 @@ def test_a_stand_that_does_not_last_is_exit_status_1(
     monkeypatch.setattr(monitor, "FALLEN_TILT", -1.0)
     status, out, _ = run_command(capfd, "push", "original", *COARSE)
     assert status == 1
-    assert "0.00 N s" in out
+    assert "it does not stand, so it withstands no push: it fell over" in out
 
 
 @pytest.mark.slow

@@ -94,7 +94,7 @@ def push(
 ) -> None:
     """Find the largest horizontal push, in each direction, that robots survive as they stand.
 
-    Each NAME is a variant; without any, and no other robot, all six are pushed (about ten seconds
+    Each NAME is a variant; without any, and no other robot, all six are pushed (some three seconds
     each). Robot and stance are given as for `stand`. A push lasts 20 ms, at the com of the base; a
     robot that survives it is upright and at rest after 6 s, and nothing but its feet ever touched
     the ground. What is pushed is the stance with its legs longer by what the feet sink into
@@ -120,7 +120,7 @@ def push(
     robots = asked.robots(names, default=tuple(VARIANTS))
     kp, kd = asked.gains(robots[0])
     with shared.working(
-        f"pushing {', '.join(robot.name for robot in robots)}: some ten seconds each"
+        f"pushing {', '.join(robot.name for robot in robots)}: some three seconds each"
     ):
         results = study_pushes(
             robots,

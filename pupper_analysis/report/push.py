@@ -32,6 +32,14 @@ def print_pushes(out: Console, stances: Mapping[str, PushedStance]) -> None:
     out.print(table)
     out.print("directions about the vertical, of the base: forward 0, left 90", style="dim")
     for name, result in results.items():
+        if result.unpushed:
+            out.print(
+                f"[bold]{escape(name)}[/] ({result.mass:.2f} kg): [bold red]FAILS[/]: it does not "
+                f"stand, so it withstands no push: {escape('; '.join(result.unpushed))}"
+                + made_up(stances[name].servos),
+                soft_wrap=True,
+            )
+            continue
         tipping = float(np.min(result.tipping_estimate))
         out.print(
             f"[bold]{escape(name)}[/] ({result.mass:.2f} kg): weakest at "

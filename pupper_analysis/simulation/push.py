@@ -45,6 +45,8 @@ class PushRecovery(Pushed, Tabular):
         mass: kg.
         resolution: N s.
         rollouts: How many pushes were simulated.
+        unpushed: Why it does not even stand without a push, as ``verify_stand`` finds; empty if it
+            stands, as predicted or not.
     """
 
     directions: Array
@@ -59,6 +61,7 @@ class PushRecovery(Pushed, Tabular):
     mass: float
     resolution: float
     rollouts: int
+    unpushed: tuple[str, ...]
 
     def _columns(self) -> dict[str, ArrayLike]:
         names = ("direction", "impulse", "velocity_step", "failure", "tipping_estimate")
@@ -97,9 +100,13 @@ def push_recovery(
     against the joints. The servos do nothing but hold the stand. (Without feed-forward the robot
     starts to sag as it is pushed.)
 
+    It must stand first: what ``verify_stand`` finds not to stay on its feet withstands no push.
+
     The robot recovers if, at the end, it is upright (its vertical tilted by less than 0.5 rad), not
     lower than half of its height, and at rest, and nothing but its feet ever touched the ground. It
-    may have slid, or turned about the vertical.
+    may have slid, or turned about the vertical. A simulation ends early once something else touches
+    the ground, or all is at rest and no mode grows (``step_stability``); the limits that are
+    returned were simulated to the end.
 
     All directions are simulated at once; impulses are doubled until the robot falls, then bisected.
     What it survives need not be monotonic: it may fall from a push and stand a larger one, as one
@@ -119,7 +126,7 @@ def push_recovery(
         resolution: Of the impulses (N s).
 
     Returns:
-        The limits. All are 0 if the stand does not last without a push; ``failures`` says why.
+        The limits. All are 0 if it does not stand without a push; ``unpushed`` says why.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the base is fixed.
@@ -163,6 +170,7 @@ def push_recovery(
         mass=robot.total_mass,
         resolution=float(resolution),
         rollouts=bench.rollouts,
+        unpushed=bench.unpushed,
         **bench.told(),
     )
 
@@ -228,9 +236,9 @@ def _limits(
 ) -> tuple[Array, Array, tuple[str, ...]]:
     """Returns the limits, those before the check of smaller pushes, and how it fails."""
     count = len(bench.axes)
-    (idle,) = bench.push(np.zeros(1, dtype=np.int64), np.zeros(1))
-    if idle is not None:
-        return np.zeros(count), np.zeros(count), (f"without a push: {idle}",) * count
+    if bench.unpushed:
+        idle = "without a push: " + "; ".join(bench.unpushed)
+        return np.zeros(count), np.zeros(count), (idle,) * count
     search = _Search(bench, np.zeros(count), np.full(count, np.inf), [""] * count)
     first = np.where(np.isfinite(estimate), estimate, 1.0).clip(resolution)
     search.bisect(first, resolution)
@@ -246,6 +254,7 @@ def _limits(
                 search.failed[index] = level * step[index]
                 search.failures[index] = failure
     search.bisect(first, resolution)
+    search.prove(first, resolution)
     return search.survived, bisected, tuple(search.failures)
 
 
@@ -257,6 +266,18 @@ class _Search:
     survived: Array
     failed: Array
     failures: list[str]
+
+    def prove(self, first: Array, resolution: float) -> None:
+        """Simulates what is survived to the end; where it is not, the limit is below."""
+        doubtful = np.flatnonzero(self.survived > 0)
+        while doubtful.size:
+            ends = self.bench.whole(doubtful, self.survived[doubtful])
+            doubtful = doubtful[[failure is not None for failure in ends]]
+            for index, failure in zip(doubtful, filter(None, ends), strict=True):
+                self.failed[index], self.failures[index] = self.survived[index], failure
+                self.survived[index] = 0.0
+            self.bisect(first, resolution)
+            doubtful = doubtful[self.survived[doubtful] > 0]
 
     def bisect(self, first: Array, resolution: float) -> None:
         """Doubles from ``first`` (n,) until the robot falls, and halves down to the resolution."""

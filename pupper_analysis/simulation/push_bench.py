@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -19,6 +20,8 @@ from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground, roll_out
+from pupper_analysis.simulation.stability import judged_at
+from pupper_analysis.simulation.verify import verify_stand
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
@@ -28,9 +31,21 @@ PULSE = 0.02
 """How long a push lasts (s), rounded to whole time steps: short against a fall of some 0.3 s."""
 
 REST_SPEED = 0.01
-"""A base that is faster than this in the last half second has not come to rest (m/s)."""
+"""A base that is faster than this in the last half second has not come to rest (m/s), where it
+creeps by no more without a push."""
 
 _REST = 0.5  # s
+
+_PART = 0.25
+"""After each such part of its time a simulation may end early (s)."""
+
+_LULL = 0.1
+"""Time for which all must be slow before its spectrum is looked at (s)."""
+
+_SLOW = 0.02
+"""What is faster in it, of all coordinates, is not at rest yet (m/s, rad/s). A robot that almost
+tips is as slow for a while: its spectrum tells it from one that stands."""
+
 _SAMPLE = 0.004  # s between the states whose contacts are looked at
 _BATCH = 2**25  # numbers (of 8 bytes) that a rollout may take
 
@@ -61,6 +76,8 @@ class Bench:
         axes: (n, 2) the directions, unit vectors in the world.
         duration: Of a simulation (s).
         feedforward: Whether the command feeds the stand's torques forward.
+        unpushed: Why it does not even stand without a push, as ``verify_stand`` finds; empty if it
+            does, as predicted or not.
     """
 
     robot: Robot
@@ -71,6 +88,7 @@ class Bench:
     axes: Array
     duration: float
     feedforward: bool
+    unpushed: tuple[str, ...]
     rollouts: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
@@ -81,9 +99,47 @@ class Bench:
         self.watcher = monitor.Watcher(self.robot, model)
         self.workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
 
-    def push(self, directions: NDArray[np.int64], impulses: Array) -> list[str | None]:
-        """Simulates pushes, all at once, and says of each how the robot fails, or None."""
+    @cached_property
+    def creep(self) -> float:
+        """How fast the base moves at the end without a push (m/s): on a slope friction creeps."""
+        (states,) = self.simulate(np.zeros(1, dtype=np.int64), np.zeros(1))
+        return self._last_speed(states)
+
+    def whole(self, directions: NDArray[np.int64], impulses: Array) -> list[str | None]:
+        """Simulates pushes to the end, and says of each how the robot fails, or None."""
         return [self.failure(run) for run in self.simulate(directions, impulses)]
+
+    def push(self, directions: NDArray[np.int64], impulses: Array) -> list[str | None]:
+        """Says the same, but ends each simulation once its result is known.
+
+        That is where something else than feet touches the ground, and where it is at rest with no
+        mode that grows.
+        """
+        count = len(directions)
+        found: list[str | None] = [None] * count
+        tails = [np.empty((0, len(self.start)))] * count
+        going, starts = list(range(count)), np.tile(self.start, (count, 1))
+        forces = self._forces(directions, impulses)
+        part = max(self.pulse_steps, round(_PART / self.timestep))
+        self.rollouts += count
+        for begin in range(0, self.steps, part):
+            steps = min(part, self.steps - begin)
+            ended, last = [], begin + steps == self.steps
+            runs = self._run(starts[going], forces[going], steps, pushed=begin == 0)
+            for index, states in zip(list(going), runs, strict=True):
+                starts[index] = states[-1]
+                tails[index] = np.concatenate([tails[index], states])[-self._resting :]
+                sure = self._broken(states)
+                if sure is None and last:
+                    sure = "; ".join(self._unsettled(tails[index])) or None
+                    ended.append(index)
+                elif sure is not None or self._rests(states):
+                    ended.append(index)
+                found[index] = sure
+            going = [index for index in going if index not in ended]
+            if not going:
+                break
+        return found
 
     def simulate(self, directions: NDArray[np.int64], impulses: Array) -> Iterator[Array]:
         """Simulates pushes and yields, of each, the states after each step (n, size).
@@ -92,39 +148,81 @@ class Bench:
             directions: (n,) which of the axes.
             impulses: (n,) how hard (N s).
         """
+        self.rollouts += len(directions)
+        starts = np.tile(self.start, (len(directions), 1))
+        yield from self._run(starts, self._forces(directions, impulses), self.steps, pushed=True)
+
+    def _forces(self, directions: NDArray[np.int64], impulses: Array) -> Array:
+        """Returns the forces (n, 2) of pushes (N)."""
+        forces: Array = impulses[:, None] * self.axes[directions]
+        return forces / (self.pulse_steps * self.timestep)
+
+    def _run(self, starts: Array, forces: Array, steps: int, *, pushed: bool) -> Iterator[Array]:
+        """Simulates some steps from states on (n, size), with forces in the first ones or not."""
         model = self.drive.model
         width = model.nu + 6 * model.nbody
-        size = max(1, _BATCH // (self.steps * (width + len(self.start))))
-        forces = impulses[:, None] * self.axes[directions] / (self.pulse_steps * self.timestep)
+        size = max(1, _BATCH // (steps * (width + len(self.start))))
         for begin in range(0, len(forces), size):
             batch = forces[begin : begin + size]
-            control, force = forced_commands(self.robot, model, self.ctrl, len(batch), self.steps)
-            force[:, : self.pulse_steps, :2] = batch[:, None]
-            starts = np.tile(self.start, (len(batch), 1))
+            control, force = forced_commands(self.robot, model, self.ctrl, len(batch), steps)
+            if pushed:
+                force[:, : self.pulse_steps, :2] = batch[:, None]
             workers = self.workers[: len(batch)]
-            self.rollouts += len(batch)
-            yield from roll_out(model, workers, starts, control, control_spec=FORCED)
+            first = starts[begin : begin + size]
+            yield from roll_out(model, workers, first, control, control_spec=FORCED)
 
     def failure(self, states: Array) -> str | None:
         """Returns why a run is no recovery, or None if it is one."""
+        broken = self._broken(states)
+        if broken is not None and monitor.diverged(states, self.timestep):
+            return broken
+        failures = [] if broken is None else [broken]
+        return "; ".join(failures + self._unsettled(states)) or None
+
+    def _broken(self, states: Array) -> str | None:
+        """Says so if some states cannot be part of a recovery, whatever comes next."""
         if monitor.diverged(states, self.timestep):
             return monitor.divergence(self.drive.integrator, self.timestep)
-        failures = []
         for state in states[:: max(1, round(_SAMPLE / self.timestep))]:
             if touching := sorted(self.watcher.touching(state)):
-                moment = self.watcher.data.time
-                failures.append(f"{touching[0]} touches the ground at {moment:.2f} s")
-                break
+                return f"{touching[0]} touches the ground at {self.watcher.data.time:.2f} s"
+        return None
+
+    def _unsettled(self, states: Array) -> list[str]:
+        """Says how it does not stand at the end of some states, of half a second or more."""
+        failures = []
         upright = float(self.stand.qpos[2])
         leaning = monitor.lean(self.robot, self.stand.task.rotation(), states[-1])
         height = float(monitor.base_heights(self.robot, states[-1]))
         if monitor.has_fallen(leaning, height, upright):
             failures.append(monitor.fall(leaning, height))
-        last = states[-round(_REST / self.timestep) :]
-        speed = monitor.base_speed(self.robot, self.drive.model, last, upright)
-        if speed > REST_SPEED:
+        speed = self._last_speed(states)
+        if speed > REST_SPEED and speed > REST_SPEED + self.creep:
             failures.append(f"it has not come to rest: {1e3 * speed:.0f} mm/s at the end")
-        return "; ".join(failures) or None
+        return failures
+
+    @property
+    def _resting(self) -> int:
+        """In how many states at the end it must rest."""
+        return round(_REST / self.timestep)
+
+    def _last_speed(self, states: Array) -> float:
+        """Returns the greatest speed of the base at the end (m/s)."""
+        last, lever = states[-self._resting :], float(self.stand.qpos[2])
+        return monitor.base_speed(self.robot, self.drive.model, last, lever)
+
+    def _rests(self, states: Array) -> bool:
+        """Tells whether it has come to rest where it stands, and stays."""
+        model = self.drive.model
+        rates = states[-round(_LULL / self.timestep) :, 1 + model.nq :][:, : model.nv]
+        if np.abs(rates).max(initial=0.0) > _SLOW:
+            return False
+        end = states[-1]
+        height = float(monitor.base_heights(self.robot, end))
+        leaning = monitor.lean(self.robot, self.stand.task.rotation(), end)
+        if monitor.has_fallen(leaning, height, float(self.stand.qpos[2])):
+            return False
+        return judged_at(self.drive, end, self.ctrl, 0.0).lasts()
 
     def point(self) -> Array:
         """Returns where MuJoCo applies the push (3,), at the com of the base's body (m)."""
@@ -176,6 +274,7 @@ def bench_of(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     forward = Configuration(robot, stand.qpos).base_rotation()[:2, 0]
+    alone = verify_stand(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     torques = stand_statics(
         robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
@@ -192,4 +291,5 @@ def bench_of(
         axes=np.column_stack([np.cos(in_world), np.sin(in_world)]),
         duration=duration,
         feedforward=feedforward,
+        unpushed=() if alone.stays else alone.failures,
     )

@@ -61,7 +61,8 @@ def push_trial(
 ) -> PushTrial:
     """Pushes a stand once; ``push_recovery`` finds the largest push from which it recovers.
 
-    The push and what counts as recovery are those of ``push_recovery``.
+    The push and what counts as recovery are those of ``push_recovery``; what does not stand without
+    a push recovers from none.
 
     Args:
         robot: The robot.
@@ -101,6 +102,8 @@ def push_trial(
     )
     (states,) = bench.simulate(np.zeros(1, dtype=np.int64), np.array([impulse]))
     failure = bench.failure(states)
+    if bench.unpushed:
+        failure = "without a push: " + "; ".join(bench.unpushed)
     # What a run was before it broke down can still be looked at.
     shown = states[:: max(1, round(_FRAME / bench.timestep))]
     shown = shown[np.isfinite(shown).all(axis=1)]

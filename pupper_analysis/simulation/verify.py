@@ -68,6 +68,8 @@ class StandVerification(Held, Tabular):
     Attributes:
         passed: Whether the stand is verified.
         failures: If not, why.
+        stays: Whether it stands still on its feet and does so again after the nudge, as predicted
+            or not.
         base_height: Settled (m).
         height_deviation: Standard deviation of the base's height in that second (m).
         height_drift: Rate of the base's height in that second (m/s): still sinking if negative.
@@ -98,6 +100,7 @@ class StandVerification(Held, Tabular):
 
     passed: bool
     failures: tuple[str, ...]
+    stays: bool
     base_height: float
     height_deviation: float
     height_drift: float
@@ -203,10 +206,11 @@ def verify_stand(
     if failures:
         failures += [*too_stiff(robot, stand, drive), *creeping(robot, stand, prediction)]
     failures += unstable(found.stability, found.nudge)
+    stays = not failures
     if feedforward:
-        failures += _deviations(robot, stand, watch, found, prediction, alone=not failures)
+        failures += _deviations(robot, stand, watch, found, prediction, alone=stays)
     failures += rattling(robot, drive, states, ctrl) if failures else []
-    return replace(found, passed=not failures, failures=tuple(failures))
+    return replace(found, passed=not failures, failures=tuple(failures), stays=stays)
 
 
 def _time_after(duration: float, nudged: float | None) -> float:
@@ -273,6 +277,7 @@ def _measured(
     return StandVerification(
         passed=True,
         failures=(),
+        stays=True,
         feedforward=True,
         integrator=drive.integrator,
         timestep=timestep,

@@ -127,6 +127,8 @@ def push_section(pushed: PushedStance, robot: Robot | None) -> doc.Section:
         speed=f"{recovery.weakest_impulse / recovery.mass:.2f}",
         mass=f"{recovery.mass:.2f}",
     )
+    if recovery.unpushed:
+        weakest = text("It does not stand, so it withstands no push:")
     table = doc.Table(
         text("Largest push that the stand survives"),
         (
@@ -158,7 +160,11 @@ def push_section(pushed: PushedStance, robot: Robot | None) -> doc.Section:
         ),
         pushed.passed,
         text("LASTS") if pushed.passed else text("FAILS"),
-        (weakest, said(recovery.weakest_failure), *_made_up(pushed.servos)),
+        (
+            weakest,
+            *map(said, recovery.unpushed or (recovery.weakest_failure,)),
+            *_made_up(pushed.servos),
+        ),
     )
 
 
