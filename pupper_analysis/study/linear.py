@@ -17,7 +17,7 @@ from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.support_polygon import drop_at
 from pupper_analysis.study.design import Maker
-from pupper_analysis.study.named import Named, joints_of
+from pupper_analysis.study.named import AXES, Named, joints_of
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def torque_derivatives(
     wanted: Sequence[str],
     point: Sequence[float],
 ) -> dict[str, Array]:
-    """Derives the motors' torques in a stand by masses and payload, in closed form.
+    """Derives the motors' torques in a stand by masses, coms and payload, in closed form.
 
     With pi the inertial parameters, gravity is Y(q) pi (Pinocchio's regressor), and in balance
     tau = g - J^T f in the joints' rows. A number moves the com, and so the base, to keep it over
@@ -66,7 +66,7 @@ def torque_derivatives(
         robot: The robot.
         stand: Its stand, on level ground, with the com over the centre.
         numbers: Of the design: {number: its value}.
-        wanted: The numbers by which: ``mass:PATTERN``, ``payload``.
+        wanted: The numbers by which: ``mass:PATTERN``, ``com_x:PATTERN``, ``payload``.
         point: (3,) where a payload is, in the base's frame (m).
 
     Returns:
@@ -141,11 +141,25 @@ def _inertial(
         grown += [(body, share, model.inertias[body]) for body in bodies]
         if _BASE in bodies:  # the payload is welded on when the factors have been applied
             grown.append((_BASE, -share * numbers.get("payload", 0.0), load))
-    elif named is None or named.kind != "inertia":  # which gravity does not see
-        problem = f"{name!r} has no derivative of torques; masses and the payload have"
+    elif named is None or named.kind not in ("inertia", *AXES):  # gravity sees no inertia
+        problem = f"{name!r} has no derivative of torques; masses, coms and the payload have"
         raise ConfigurationError("vary", problem)
     change = np.zeros((model.njoints - 1, 10))
     mass, moment = 0.0, np.zeros(3)
+    if named is not None and named.kind in AXES:
+        axis = np.eye(3)[AXES.index(named.kind)]
+        for joint in joints_of(robot, named):
+            body = model.getJointId(joint) if joint else _BASE
+            own = float(model.inertias[body].mass)
+            # Of the base without the payload, which is welded on when its com has been moved.
+            own -= 0.0 if joint else numbers.get("payload", 0.0)
+            turn = (
+                np.eye(3)
+                if joint
+                else model.frames[model.getFrameId(robot.base)].placement.rotation
+            )
+            change[body - 1, 1:4] += own * turn @ axis
+            moment += own * data.oMi[body].rotation @ turn @ axis
     for body, times, inertia in grown:
         change[body - 1] += times * np.array(inertia.toDynamicParameters())
         mass += times * float(inertia.mass)

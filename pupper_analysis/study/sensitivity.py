@@ -146,7 +146,7 @@ def linear_shares(study: Study, measures: Sequence[str]) -> dict[str, LinearShar
     Independent variables of deviations s_i make a deviation of sqrt(sum (dy/dx_i s_i)^2).
 
     Args:
-        study: Its variables are masses (``mass:PATTERN``), ``payload``, or, of measures at rest,
+        study: Its variables are masses, coms (``com_x:PATTERN``), ``payload``, or, at rest,
             any.
         measures: ``base_height``, ``sag``, ``servo_sag``, ``contact_sag`` and ``torque.JOINT``.
 
