@@ -19,6 +19,8 @@ REFUSED = {
     "timestep 1e-300": ("<option ", '<option timestep="1e-300" ', "1e-05 to 0.1 s"),
     "timestep 10": ("<option ", '<option timestep="10" ', 'timestep="10"'),
     "impratio -1": ("<option ", '<option impratio="-1" ', "it is a positive number"),
+    "iterations 0": ("<option ", '<option iterations="0" ', "needs one at least"),
+    "tolerance 1e9": ("<option ", '<option tolerance="1e9" ', "before contact forces mean"),
     "armature -0.01": ('name="FL_knee"', 'armature="-0.01" name="FL_knee"', "negative inertia"),
     "gear 1e-300": ('kp="150"', 'gear="1e-300" kp="150"', "joint 'FL_roll' has gear"),
     "gear 1e300": ('kp="150"', 'gear="1e300" kp="150"', "joint 'FL_roll' has gear"),

@@ -12,6 +12,10 @@ from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 _TIMESTEPS = 1e-5, 0.1
 """s: a stand of 12 s is 1.2 million steps of the first; in one of the second a base falls 5 cm."""
 
+_TOLERANCE = 1e-2
+"""Of the solver of contacts, in units of the robot's own inertia and accelerations: a robot hangs
+in the air at 1e9."""
+
 _GEARS = 1e-6, 1e6
 """Screws of a millimetre's pitch have some thousand rad/m; beyond, squares leave a double's range
 of digits."""
@@ -36,6 +40,19 @@ def check_simulable(mjcf: MjcfFile) -> None:
             float(model.opt.impratio),
             "it is a positive number; 1 is MuJoCo's own",
             0 < model.opt.impratio < math.inf,
+        ),
+        (
+            "iterations",
+            float(model.opt.iterations),
+            "the solver of contacts needs one at least; 100 is MuJoCo's own",
+            model.opt.iterations >= 1,
+        ),
+        (
+            "tolerance",
+            float(model.opt.tolerance),
+            f"the solver ends before contact forces mean anything; it is {_TOLERANCE:g} at most, "
+            "1e-8 is MuJoCo's own",
+            0 <= model.opt.tolerance <= _TOLERANCE,
         ),
     ):
         if not good:

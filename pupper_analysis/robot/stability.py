@@ -89,8 +89,12 @@ class Mode(Result):
 
     @property
     def shakes(self) -> bool:
-        """Whether it swings faster than it grows; what grows otherwise buckles."""
-        return 2 * math.pi * self.frequency * self.time_constant > 1
+        """Whether it swings faster than it grows; what grows otherwise buckles.
+
+        What takes longer for a swing than a stand is to last is no shaking, but creep.
+        """
+        swings = 2 * math.pi * self.frequency * self.time_constant > 1
+        return swings and self.frequency * LASTING > 1
 
     def grows_within(self, duration: float) -> bool:
         """Tells whether it leaves the state in that time (s).

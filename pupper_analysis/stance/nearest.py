@@ -17,9 +17,9 @@ from pupper_analysis.statics.support_polygon import polygon_sides
 Array = NDArray[np.float64]
 
 
-_MOST_CLEAR = 60
-"""Steps with the ground kept clear: where there is a way it takes some ten, and where a part cannot
-be lifted out SLSQP stalls at each of them."""
+_MOST_CLEAR = 120
+"""Steps with the ground kept clear: where there is a way it takes some ten, in hard cases 80, and
+where a part cannot be lifted out SLSQP stalls at each of them."""
 
 
 def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) -> Stand:

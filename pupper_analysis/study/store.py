@@ -137,7 +137,9 @@ class Store:
 
         if not rows:
             return
-        columns = dict.fromkeys(name for row in rows for name in row)
+        # A design that failed has fewer columns: those of one that has all are in their order.
+        whole = sorted(rows, key=len, reverse=True)
+        columns = dict.fromkeys(name for row in whole for name in row)
         fields = [pa.field(name, _kind(pa, name)) for name in columns]
         table = pa.Table.from_pylist(list(rows), schema=pa.schema(fields))
         named = "".join(sorted(row["design"] for row in rows))
@@ -165,7 +167,7 @@ class Store:
         import pandas as pd
         import pyarrow as pa
 
-        tables = list(self._tables(None))
+        tables = sorted(self._tables(None), key=lambda table: -table.num_columns)
         if not tables:
             return pd.DataFrame({"design": pd.Series(dtype=str)})
         joined = pa.concat_tables(tables, promote_options="default")
