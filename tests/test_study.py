@@ -18,6 +18,7 @@ from scipy import stats
 
 import pupper_analysis as pa
 from pupper_analysis.models.xml import parse_text
+from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.measures import MEASURES
@@ -376,6 +377,18 @@ def test_coms_move_in_both_files_alike(name: str, axis: int) -> None:
                 assert abs(change).max() > 1e-4
             else:
                 assert change[6:] == pytest.approx(np.zeros(before.nu), abs=1e-10)
+
+
+def test_coms_move_where_the_files_masses_differ() -> None:
+    """By each file's own shares of the mass: neither is refused."""
+    robot = load("v3")
+    spec = robot.description.mjcf.copy()
+    spec.body(robot.mj_base).mass *= 1.1
+    heavier = rebuilt(robot, mjcf=spec)
+    after = scaled(heavier, {f"com_y:{robot.base}": 0.01})
+    at = heavier.mj_model.body(heavier.mj_base).id
+    moved = after.mj_model.body_ipos[at] - heavier.mj_model.body_ipos[at]
+    assert np.linalg.norm(moved) == pytest.approx(0.01)
 
 
 def bias(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:

@@ -91,15 +91,28 @@ def check_coms(before: Robot, after: Robot, offsets: Mapping[str, Array]) -> Non
     """
     config = Configuration(before, before.neutral())
     links = links_of(etree.fromstring(before.description.urdf.encode()))
-    asked = np.zeros(3)
-    for joint, offset in offsets.items():
-        mass = after.pin_model.inertias[after.pin_model.getJointId(joint) if joint else 1].mass
-        asked += mass * config.frame_rotation(links.get(joint, before.base)) @ offset
-    asked /= after.total_mass
-    for place, old, new in zip(("URDF", "MJCF"), _centres(before), _centres(after), strict=True):
+    shares = {joint: _shares(after, joint) for joint in offsets}
+    both = zip(("URDF", "MJCF"), _centres(before), _centres(after), strict=True)
+    for at, (place, old, new) in enumerate(both):
+        asked = sum(
+            (shares[joint][at] * config.frame_rotation(links.get(joint, before.base)) @ offset
+             for joint, offset in offsets.items()), np.zeros(3),
+        )  # fmt: skip
         if np.abs(new - old - asked).max() > _SAME:
             problem = f"the com moved by {new - old} m in the {place}, not by {asked} m"
             raise ModelError(before.description.mjcf_source, problem)
+
+
+def _shares(robot: Robot, joint: str) -> tuple[float, float]:
+    """Returns the share of a body in the whole's mass, by either file: they may differ."""
+    pin_model, model = robot.pin_model, robot.mj_model
+    body = model.body(bodies_of(robot)[joint] if joint else robot.mj_base).id
+    welded = model.body_mass[model.body_weldid == model.body_weldid[body]].sum()
+    own = pin_model.inertias[pin_model.getJointId(joint) if joint else 1].mass
+    return (
+        float(own / sum(one.mass for one in pin_model.inertias)),
+        float(welded / model.body_subtreemass[model.body(robot.mj_base).id]),
+    )
 
 
 def _centres(robot: Robot) -> tuple[Array, Array]:
