@@ -36,8 +36,9 @@ creeps by no more without a push."""
 
 _REST = 0.5  # s
 
-_PART = 0.25
-"""After each such part of its time a simulation may end early (s)."""
+_PART = 0.5
+"""After each such part of its time a simulation may end early (s). In half as long, v3-long-leg's
+lulls on the way down pass for rest, and the proof of its limits has to begin anew."""
 
 _LULL = 0.1
 """Time for which all must be slow before its spectrum is looked at (s)."""
