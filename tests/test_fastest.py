@@ -149,7 +149,7 @@ def test_weak_motors_slow_ones_and_smooth_floors_bind() -> None:
     assert found.lower_bound == pytest.approx(2 * math.sqrt(way / (0.1 * 9.81)), rel=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_forces_are_chosen_so_that_motors_bear_them() -> None:
     """Motors that cannot bear the minimum-tangential forces, and can bear others."""
     robot, tasks = load("v3"), aside("v3")

@@ -449,7 +449,7 @@ def test_randomisation_as_terms_of_isaac_lab(tmp_path: Path) -> None:
         write_randomisation(SPREADS, tmp_path / "no", "gym")  # type: ignore[arg-type]
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_tolerances_for_criteria_of_ones_own(tmp_path: Path, thread: Executor) -> None:
     """Legs of a length between bounds: uniform about 1, kept to where it is within +-0.1."""
     study = pa.Study("v3", {"leg_scale": pa.uniform(0.95, 1.05)}, ["base_height"], samples=32)
