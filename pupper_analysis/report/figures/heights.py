@@ -50,7 +50,7 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.axhline(task, color=style.BLACK, lw=1.2, ls=":")
         low = high = task
         for run, look in ((analysis.verification, _WITH), (analysis.sagging, _WITHOUT)):
-            label = f"{1e3 * run.height_loss:.2f} mm"
+            label = f"{round(1e3 * run.height_loss, 2) + 0.0:.2f} mm"  # no -0.00
             if run.failures:
                 label += ", fails"
                 end = np.flatnonzero(np.isfinite(run.height))[-1]
