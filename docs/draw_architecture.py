@@ -48,7 +48,11 @@ def imported(path: Path) -> Iterator[str]:
     for module in modules:
         package, *rest = module.split(".")
         if package == PACKAGE.name and rest:
-            yield rest[0] if (PACKAGE / rest[0]).is_dir() else SHARED
+            yield _room(rest[0]) if (PACKAGE / rest[0]).is_dir() else SHARED
+
+
+def _room(folder: str) -> str:
+    return SHARED if folder == "diagnostics" else folder  # which errors use
 
 
 def room_graph() -> dict[str, Counter[str]]:
@@ -58,7 +62,7 @@ def room_graph() -> dict[str, Counter[str]]:
         parts = path.relative_to(PACKAGE).parts
         if parts[0] in ("__init__.py", "__main__.py"):  # the door: it names what all rooms have
             continue
-        room = parts[0] if len(parts) > 1 else SHARED
+        room = _room(parts[0]) if len(parts) > 1 else SHARED
         graph.setdefault(room, Counter()).update(there for there in imported(path) if there != room)
     return graph
 
@@ -78,7 +82,8 @@ def floors(graph: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
 def purpose(room: str) -> str:
     """Returns the first sentence of a room's docstring, without its full stop."""
     if room == SHARED:
-        return ", ".join(sorted(p.stem for p in PACKAGE.glob("*.py") if not p.stem.startswith("_")))
+        modules = [path.stem for path in PACKAGE.glob("*.py") if not path.stem.startswith("_")]
+        return ", ".join(sorted([*modules, "diagnostics"]))
     text = ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text())) or ""
     return text.splitlines()[0].removesuffix(".")
 

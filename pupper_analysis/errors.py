@@ -6,7 +6,12 @@ import reprlib
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from os import PathLike
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeAlias, TypeVar
+
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+
+Problem: TypeAlias = Diagnostic | str
+"""What is wrong: a diagnostic, or words of another program's, which are in its language."""
 
 _E = TypeVar("_E", bound="PupperAnalysisError")
 
@@ -18,15 +23,24 @@ class PupperAnalysisError(Exception):
     from other processes.
 
     Attributes:
+        diagnostic: The same as data: a code, values with units, and words in both languages.
         where: In which part of a longer task it happened ("at 0.50 s, ..."); empty otherwise.
     """
 
+    diagnostic: Diagnostic
     where: str = ""
 
-    def at(self, where: str) -> Self:
+    def __init__(self, problem: Problem) -> None:
+        told = problem if isinstance(problem, Diagnostic) else diagnose("problem", problem=problem)
+        self.diagnostic = told
+        super().__init__(str(told))
+
+    def at(self, where: Problem) -> Self:
         """Returns the same error, with all it carries, whose message begins with where it was."""
-        error = _restore(type(self), (f"{where}: {self}",), vars(self))
-        error.where = where
+        told = diagnose("error-at", where=where, what=self.diagnostic)
+        error = _restore(type(self), (str(told),), vars(self))
+        error.diagnostic = told
+        error.where = str(where)
         return error
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -48,10 +62,11 @@ class VariantError(PupperAnalysisError):
         value: The offending value.
     """
 
-    def __init__(self, field: str, value: object, valid: str) -> None:
+    def __init__(self, field: str, value: object, valid: Problem) -> None:
         self.field = field
         self.value = value
-        super().__init__(f"{field} {reprlib.repr(value)} is not valid; {valid}")
+        given = reprlib.repr(value)
+        super().__init__(diagnose("variant-not-valid", field=field, value=given, valid=valid))
 
 
 class ModelError(PupperAnalysisError):
@@ -62,10 +77,12 @@ class ModelError(PupperAnalysisError):
         problem: What is wrong, and what would be valid.
     """
 
-    def __init__(self, source: str | PathLike[str], problem: str) -> None:
+    def __init__(self, source: str | PathLike[str], problem: Problem) -> None:
         self.source = str(source)
-        self.problem = problem
-        super().__init__(f"{self.source}: {problem}")
+        self.problem = str(problem)
+        super().__init__(
+            diagnose("model-unusable", source=self.source, problem=problem, sources=self.source)
+        )
 
 
 class UnknownNameError(ModelError):
@@ -83,7 +100,8 @@ class UnknownNameError(ModelError):
         self.kind = kind
         self.name = name
         self.known = tuple(known)
-        super().__init__(source, f"no {kind} {name!r}; there are: {', '.join(self.known) or '-'}")
+        problem = diagnose("name-unknown", kind=Term(kind), unknown=name, known=self.known)
+        super().__init__(source, problem)
 
 
 class ConfigurationError(PupperAnalysisError):
@@ -93,9 +111,9 @@ class ConfigurationError(PupperAnalysisError):
         field: The name of the argument.
     """
 
-    def __init__(self, field: str, problem: str) -> None:
+    def __init__(self, field: str, problem: Problem) -> None:
         self.field = field
-        super().__init__(f"{field}: {problem}")
+        super().__init__(diagnose("argument-not-valid", field=field, problem=problem))
 
 
 class StanceUnreachableError(PupperAnalysisError):
@@ -117,14 +135,14 @@ class StanceUnreachableError(PupperAnalysisError):
 
     def __init__(
         self,
-        task: str,
+        task: Problem,
         shortfall: Mapping[str, float],
         at_limit: Mapping[str, float],
-        possible: Mapping[str, str] | None = None,
+        possible: Mapping[str, Problem] | None = None,
         nearest: Any = None,
-        blocked: Iterable[str] = (),
+        blocked: Iterable[Problem] = (),
         limits: Mapping[str, Mapping[str, Any]] | None = None,
-        lacks: str = "",
+        lacks: Problem = "",
     ) -> None:
         self.lacks = lacks
         self.limits = dict(limits or {})
@@ -139,26 +157,25 @@ class StanceUnreachableError(PupperAnalysisError):
             foot = name if name and number.isdigit() else point
             if gap > 0:
                 missing[foot] = max(gap, missing.get(foot, 0.0))
-        feet = ", ".join(f"{foot} by {_short(1e3 * gap)} mm" for foot, gap in missing.items())
-        missed = [f"the feet miss their targets: {feet}"] if feet else []
-        text = f"stance out of reach ({task}): {'; '.join((*missed, *self.blocked))}"
-        if self.at_limit:
-            joints = ", ".join(
-                f"{name} ({limit:+.2f} rad)" for name, limit in self.at_limit.items()
+        missed = [
+            diagnose("foot-misses-target", subject=("foot", foot), gap=Quantity(gap, "m"))
+            for foot, gap in missing.items()
+        ]
+        joints = [
+            diagnose("joint-at-limit", subject=("joint", name), limit=Quantity(limit, "rad"))
+            for name, limit in self.at_limit.items()
+        ]
+        feet = [diagnose("feet-miss-targets", feet=missed)] if missed else []
+        super().__init__(
+            diagnose(
+                "stance-out-of-reach",
+                task=task,
+                obstacles=(*feet, *self.blocked),
+                joints=joints,
+                possible=self.possible.values(),
+                advice=None if self.possible else lacks or diagnose("try-another-height"),
             )
-            text += f"; joints at a limit: {joints}"
-        if self.possible:
-            text += f". Possible with all else as asked: {', or '.join(self.possible.values())}"
-        elif lacks:
-            text += f". {lacks}"
-        else:
-            text += ". Try another height, or less roll, pitch or yaw"
-        super().__init__(f"{text}.")
-
-
-def _short(value: float) -> str:
-    """Returns a number with one decimal; a smaller one with one digit, as it is not zero."""
-    return f"{value:.1f}" if value >= 0.05 else f"{value:.0e}"
+        )
 
 
 class Infeasibility(StrEnum):
@@ -186,7 +203,7 @@ class StaticsInfeasibleError(PupperAnalysisError):
     def __init__(
         self,
         reason: Infeasibility,
-        detail: str,
+        detail: Problem,
         *,
         margin: float,
         friction_needed: float | None = None,
@@ -196,7 +213,8 @@ class StaticsInfeasibleError(PupperAnalysisError):
         self.margin = margin
         self.friction_needed = friction_needed
         self.feet = tuple(feet)
-        super().__init__(f"no static balance: {reason.value}: {detail}")
+        why = Term(reason.value)
+        super().__init__(diagnose("no-static-balance", reason=why, detail=detail))
 
 
 class OutputError(PupperAnalysisError):
@@ -208,7 +226,8 @@ class OutputError(PupperAnalysisError):
 
     def __init__(self, path: str | PathLike[str], problem: object) -> None:
         self.path = path
-        super().__init__(f"cannot write {path}: {problem}")
+        told = problem if isinstance(problem, Diagnostic) else str(problem)
+        super().__init__(diagnose("output-not-written", path=str(path), problem=told))
 
 
 class NoEquilibriumError(PupperAnalysisError):
@@ -219,9 +238,9 @@ class NoEquilibriumError(PupperAnalysisError):
             where that is not how it was looked for.
     """
 
-    def __init__(self, share: float | None, problem: str) -> None:
+    def __init__(self, share: float | None, problem: Problem) -> None:
         self.share = share
-        super().__init__(f"no equilibrium: {problem}")
+        super().__init__(diagnose("no-equilibrium", problem=problem))
 
 
 class NotStandingError(PupperAnalysisError):
@@ -231,9 +250,9 @@ class NotStandingError(PupperAnalysisError):
         problems: Why: ``failures`` of the ``SteadyState``.
     """
 
-    def __init__(self, problems: tuple[str, ...]) -> None:
+    def __init__(self, problems: tuple[Problem, ...]) -> None:
         self.problems = problems
-        super().__init__("; ".join(problems))
+        super().__init__(diagnose("not-standing", problems=problems))
 
 
 class NoStiffnessError(PupperAnalysisError):
@@ -244,13 +263,11 @@ class NoStiffnessError(PupperAnalysisError):
         problem: Why it does not stand so with these.
     """
 
-    def __init__(self, robot: str, kp: float, problem: str) -> None:
+    def __init__(self, robot: str, kp: float, problem: Problem) -> None:
         self.kp = kp
         self.problem = problem
-        super().__init__(
-            f"{robot} does not stand so without feed-forward with any kp: with {kp:.3g} N m/rad "
-            f"{problem}"
-        )
+        stiffest = Quantity(kp, "N m/rad")
+        super().__init__(diagnose("no-stiffness", robot=robot, kp=stiffest, problem=problem))
 
 
 class NotSettlingError(PupperAnalysisError):
@@ -260,9 +277,9 @@ class NotSettlingError(PupperAnalysisError):
         change: How much they still change from round to round, in their unit.
     """
 
-    def __init__(self, change: float, problem: str) -> None:
+    def __init__(self, change: float, problem: Problem) -> None:
         self.change = change
-        super().__init__(problem)
+        super().__init__(diagnose("not-settling", problem=problem))
 
 
 class MissingPackageError(PupperAnalysisError):
@@ -275,10 +292,7 @@ class MissingPackageError(PupperAnalysisError):
 
     def __init__(self, package: str, extra: str) -> None:
         self.package, self.extra = package, extra
-        super().__init__(
-            f"{package} is not installed: pip install {package}, or pip install "
-            f"'pupper-analysis[{extra}]'"
-        )
+        super().__init__(diagnose("package-missing", package=package, extra=extra))
 
 
 class StudyError(PupperAnalysisError):
@@ -289,7 +303,7 @@ class StudyError(PupperAnalysisError):
         problem: What is wrong, and what would help.
     """
 
-    def __init__(self, folder: str | PathLike[str], problem: str) -> None:
+    def __init__(self, folder: str | PathLike[str], problem: Problem) -> None:
         self.folder = str(folder)
-        self.problem = problem
-        super().__init__(f"study {self.folder}: {problem}")
+        self.problem = str(problem)
+        super().__init__(diagnose("study-unusable", folder=self.folder, problem=problem))

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import orjson
 from numpy.typing import ArrayLike
 
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import ConfigurationError, MissingPackageError
+from pupper_analysis.frozen import frozen
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-_K = TypeVar("_K")
-_V = TypeVar("_V")
 
 
 def to_json(result: object) -> str:
@@ -30,7 +28,12 @@ def to_json(result: object) -> str:
     Raises:
         ConfigurationError: If something in it has no form in JSON, such as bytes.
     """
-    options = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS
+    options = (
+        orjson.OPT_SERIALIZE_NUMPY
+        | orjson.OPT_INDENT_2
+        | orjson.OPT_NON_STR_KEYS
+        | orjson.OPT_PASSTHROUGH_DATACLASS
+    )
     try:
         return orjson.dumps(result, default=_fallback, option=options).decode()
     except orjson.JSONEncodeError as error:
@@ -40,6 +43,10 @@ def to_json(result: object) -> str:
 
 
 def _fallback(value: Any) -> Any:
+    if isinstance(value, Diagnostic):
+        return value.to_dict()
+    if is_dataclass(value):
+        return {f.name: getattr(value, f.name) for f in fields(value) if f.name[0] != "_"}
     if hasattr(value, "tolist"):  # an array that is not contiguous
         return value.tolist()
     if hasattr(value, "keys"):  # a mapping that is no dict
@@ -68,7 +75,7 @@ class Result:
     def __post_init__(self) -> None:
         own = vars(self)
         for name, value in own.items():
-            if type(value) in _OPEN:
+            if type(value) in (np.ndarray, dict):
                 own[name] = frozen(value)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -98,40 +105,6 @@ class Result:
         """Returns the result as plain dictionaries, lists and numbers."""
         value: dict[str, Any] = orjson.loads(self.to_json())
         return value
-
-
-class FrozenDict(dict[_K, _V]):
-    """A dictionary that cannot be changed, and so can be hashed if its values can."""
-
-    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
-        raise TypeError("it belongs to a result or a task, and cannot be changed: dict(it) copies")
-
-    __setitem__ = __delitem__ = clear = pop = popitem = setdefault = update = _refuse
-    __ior__ = _refuse
-
-    def __hash__(self) -> int:  # type: ignore[override]
-        return hash(frozenset(self.items()))
-
-    def __reduce__(self) -> tuple[Callable[[Any], Any], tuple[dict[_K, _V]]]:
-        return frozen, (dict(self),)  # arrays that were pickled can be written to
-
-
-_OPEN = (np.ndarray, dict)
-
-
-def frozen(value: Any) -> Any:
-    """Returns an array or a dictionary that cannot be written to, with the same content.
-
-    Of an array it is a view: whoever made it may go on with its own.
-    """
-    kind = type(value)
-    if kind is np.ndarray:
-        view = value.view()
-        view.flags.writeable = False
-        return view
-    if kind is dict:
-        return FrozenDict({name: frozen(one) for name, one in value.items()})
-    return value
 
 
 class Tabular(Result):

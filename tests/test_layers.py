@@ -13,7 +13,17 @@ import pupper_analysis
 PACKAGE = Path(pupper_analysis.__file__).parent
 
 ROOMS = (
-    ("errors", "results", "files", "together", "arguments", "arrays", "drivers"),  # serve all
+    (
+        "diagnostics",
+        "frozen",
+        "errors",
+        "results",
+        "files",
+        "together",
+        "arguments",
+        "arrays",
+        "drivers",
+    ),  # serve all
     ("models",),
     ("robot",),
     ("statics",),

@@ -252,7 +252,7 @@ def refusal(
         parts += [headed(say("Feet miss their places by")), rows(missing)]
     if error.at_limit:
         parts += [headed(say("Joints at a limit")), line(_at_limits(answer, error.at_limit))]
-    parts += [line(say.sentence(text)) for text in error.blocked]
+    parts += [line(say.sentence(str(text))) for text in error.blocked]
     if error.nearest is not None:
         parts += [headed(say("The ghost: the nearest stance in reach")),
                   line(say.task(error.nearest.task))]  # fmt: skip

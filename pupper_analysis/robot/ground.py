@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_fields, checked, finite, length
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import FrozenDict
+from pupper_analysis.frozen import FrozenDict
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arguments import FARTHEST, check_fields, finite, length
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import FrozenDict
+from pupper_analysis.frozen import FrozenDict
 from pupper_analysis.robot.ground import Ground
 
 Array = NDArray[np.float64]

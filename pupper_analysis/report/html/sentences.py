@@ -14,6 +14,7 @@ from functools import cache, lru_cache
 from importlib.resources import files
 from types import MappingProxyType
 
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.report.html.document import Said, Text
 from pupper_analysis.report.html.words import catalogue
 
@@ -61,12 +62,14 @@ def sentences() -> Mapping[str, str]:
     return MappingProxyType(tomllib.loads(file.read_text(encoding="utf-8")))
 
 
-def said(sentence: str) -> Text | Said:
-    """Returns a result's sentence in both languages, or as it is where no pattern fits.
+def said(sentence: str | Diagnostic) -> Text | Said:
+    """Returns what a result says in both languages, or a text as it is where no pattern fits.
 
     Args:
-        sentence: The sentence; several may be joined by semicolons.
+        sentence: A diagnostic, or a sentence; several may be joined by semicolons.
     """
+    if isinstance(sentence, Diagnostic):
+        return Text(sentence.text("en"), sentence.text("zh"))
     chinese = _chinese(sentence)
     return Said(sentence) if chinese is None else Text(sentence, chinese)
 

@@ -238,7 +238,7 @@ def loaded_pose(
         balance = stand_statics(loaded, sunk, distribution=ForceDistribution.MIN_TANGENTIAL)
     except StanceUnreachableError as error:
         if error.blocked:
-            return Bound(mass, Failure.GROUND, tuple(error.blocked))
+            return Bound(mass, Failure.GROUND, tuple(map(str, error.blocked)))
         return Bound(mass, Failure.REACH, tuple(error.shortfall))
     except StaticsInfeasibleError as error:
         needed = error.friction_needed

@@ -1,0 +1,35 @@
+"""Facts as data: what was found, about what, with which numbers, from where; and their words.
+
+Whoever finds something makes a ``Diagnostic`` by ``diagnose``, with a code of the catalogue. Words,
+in English and in Simplified Chinese, are in ``catalogue/*.toml`` and nowhere else.
+"""
+
+from pupper_analysis.diagnostics.catalogue import LANGUAGES, Entry, codes, entry, term
+from pupper_analysis.diagnostics.diagnostic import (
+    Diagnostic,
+    Group,
+    Quantity,
+    Severity,
+    Source,
+    Subject,
+    Term,
+    Value,
+    diagnose,
+)
+
+__all__ = [
+    "LANGUAGES",
+    "Diagnostic",
+    "Entry",
+    "Group",
+    "Quantity",
+    "Severity",
+    "Source",
+    "Subject",
+    "Term",
+    "Value",
+    "codes",
+    "diagnose",
+    "entry",
+    "term",
+]

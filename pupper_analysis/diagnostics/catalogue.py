@@ -1,0 +1,88 @@
+"""The catalogue of diagnostics: per code its severity and its words in each language.
+
+A file a room: ``catalogue/statics.toml`` has what ``statics`` finds. An entry is a table:
+
+    [effort-limit-differs]
+    severity = "warning"
+    en = "{subject}: the effort limit is {urdf} in the URDF, {mjcf} in the MJCF"
+    zh = "..."
+
+``severity`` is ``note`` where it is left out, and ``group`` ``found`` for notes and ``wrong`` for
+all else. See ``templates`` for what may stand in braces. ``terms.toml`` has the words for kinds of
+things, such as ``joint``.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+
+LANGUAGES = ("en", "zh")
+
+_TABLE = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
+_TERMS = "terms.toml"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What the catalogue says of a code.
+
+    Attributes:
+        severity: ``"error"``, ``"warning"`` or ``"note"``.
+        group: ``"wrong"``, ``"assumed"`` or ``"found"``.
+        templates: {language: its words}.
+    """
+
+    severity: str
+    group: str
+    templates: Mapping[str, str]
+
+
+def codes() -> Iterator[str]:
+    """Returns all codes, in no particular order."""
+    return iter(_tables())
+
+
+@cache
+def entry(code: str) -> Entry:
+    """Returns what the catalogue says of a code.
+
+    Raises:
+        KeyError: If it has no such code.
+    """
+    stated = tomllib.loads(_tables()[code])
+    severity = stated.get("severity", "note")
+    group = stated.get("group", "found" if severity == "note" else "wrong")
+    words = {language: stated[language] for language in LANGUAGES}
+    return Entry(severity, group, MappingProxyType(words))
+
+
+def term(name: str, language: str) -> str:
+    """Returns a word for a kind of thing; the name itself where the catalogue has none."""
+    return _terms().get(name, {}).get(language, name)
+
+
+@cache
+def _tables() -> Mapping[str, str]:
+    """Returns {code: its table's text}.
+
+    TOML is slow to read (1,000 entries take 50 ms, a tenth of a command's start), and a command
+    says a few things only: tables are told apart by their headers and read when they are needed.
+    """
+    tables: dict[str, str] = {}
+    for file in files(__package__).joinpath("catalogue").iterdir():
+        if file.name.endswith(".toml") and file.name != _TERMS:
+            _, *parts = _TABLE.split(file.read_text(encoding="utf-8"))
+            tables.update(zip(parts[::2], parts[1::2], strict=True))
+    return MappingProxyType(tables)
+
+
+@cache
+def _terms() -> Mapping[str, Mapping[str, str]]:
+    file = files(__package__).joinpath("catalogue", _TERMS)
+    return MappingProxyType(tomllib.loads(file.read_text(encoding="utf-8")))

@@ -1,0 +1,53 @@
+"""Numbers with units, and words of the catalogue, as diagnostics carry them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+_SHOWN_IN = {
+    ("m", "mm"): 1e3,
+    ("m", "um"): 1e6,
+    ("rad", "deg"): math.degrees(1.0),
+    ("rad/s", "deg/s"): math.degrees(1.0),
+    ("kg", "g"): 1e3,
+    ("s", "ms"): 1e3,
+    ("1", "%"): 1e2,
+}
+"""{(SI unit, unit that is shown): factor}."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its unit.
+
+    Attributes:
+        value: In SI units.
+        unit: ``"kg"``, ``"N m"``, ``"rad"`` ...; ``"1"`` for a ratio.
+    """
+
+    value: float
+    unit: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "value", float(self.value))
+
+    def __format__(self, spec: str) -> str:
+        """Returns digits and unit: by ``"mm:.1f"`` in mm, by ``".3g"`` in the unit it has."""
+        shown, colon, digits = spec.rpartition(":")
+        if not colon and not digits[:1].isalpha() and digits != "%":
+            shown = self.unit
+        elif not colon:
+            shown, digits = digits, ""
+        factor = 1.0 if shown == self.unit else _SHOWN_IN[self.unit, shown]
+        number = format(factor * self.value, digits or ".4g")
+        return number if shown == "1" else f"{number} {shown}"
+
+    def __str__(self) -> str:
+        return format(self, "")
+
+
+class Term(str):
+    """A word of the catalogue's terms, such as ``joint``, said in the reader's language."""
+
+    __slots__ = ()

@@ -1,0 +1,41 @@
+"""Dictionaries and arrays that cannot be written to."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any, NoReturn, TypeVar
+
+_K = TypeVar("_K")
+_V = TypeVar("_V")
+
+
+class FrozenDict(dict[_K, _V]):
+    """A dictionary that cannot be changed, and so can be hashed if its values can."""
+
+    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+        raise TypeError("it belongs to a result or a task, and cannot be changed: dict(it) copies")
+
+    __setitem__ = __delitem__ = clear = pop = popitem = setdefault = update = _refuse
+    __ior__ = _refuse
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(frozenset(self.items()))
+
+    def __reduce__(self) -> tuple[Callable[[Any], Any], tuple[dict[_K, _V]]]:
+        return frozen, (dict(self),)  # arrays that were pickled can be written to
+
+
+def frozen(value: Any) -> Any:
+    """Returns an array or a dictionary that cannot be written to, with the same content.
+
+    Of an array it is a view: whoever made it may go on with its own.
+    """
+    if type(value) is dict:
+        return FrozenDict({name: frozen(one) for name, one in value.items()})
+    numpy = sys.modules.get("numpy")  # without it there are no arrays, and it is slow to import
+    if numpy is not None and type(value) is numpy.ndarray:
+        view = value.view()
+        view.flags.writeable = False
+        return view
+    return value

@@ -1,0 +1,244 @@
+"""Diagnostics: facts as data, and the catalogue that has their words."""
+
+from __future__ import annotations
+
+import ast
+import json
+import pickle
+import re
+import tomllib
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from string import Formatter
+
+import numpy as np
+import pytest
+
+import pupper_analysis
+from pupper_analysis.diagnostics import (
+    LANGUAGES,
+    Diagnostic,
+    Quantity,
+    Severity,
+    Source,
+    Term,
+    codes,
+    diagnose,
+    entry,
+    term,
+)
+from pupper_analysis.diagnostics.templates import fill
+from pupper_analysis.errors import ModelError
+from pupper_analysis.results import to_json
+
+PACKAGE = Path(pupper_analysis.__file__).parent
+CATALOGUE = sorted(Path(str(files("pupper_analysis.diagnostics"))).joinpath("catalogue").iterdir())
+CODES = sorted(codes())
+HAN = re.compile("[\u4e00-\u9fff]")
+
+
+def uses(template: str) -> set[str]:
+    """The names of the values that a template needs or asks for."""
+    optional = re.findall(r"\[!?(\w+)\?", template)
+    holes = [name.split("|")[0] for _, name, _, _ in Formatter().parse(template) if name]
+    return {*optional, *holes}
+
+
+def calls() -> Iterator[tuple[str, str, set[str] | None]]:
+    """(where, code, the names that are given, None if not known) of each call of ``diagnose``.
+
+    Codes stand in the call as literals, so that they can be found; a choice of literals will do.
+    """
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = getattr(getattr(node, "func", None), "id", None)
+            if not isinstance(node, ast.Call) or name != "diagnose":
+                continue
+            named = {word.arg for word in node.keywords if word.arg}
+            if "subject" in named:
+                named.add("name")
+            given = None if any(word.arg is None for word in node.keywords) else named
+            for code in literals(node.args[0], f"{path.relative_to(PACKAGE)}:{node.lineno}"):
+                yield f"{path.relative_to(PACKAGE)}:{node.lineno}", code, given
+
+
+def literals(node: ast.expr, where: str) -> Iterator[str]:
+    if isinstance(node, ast.IfExp):
+        yield from literals(node.body, where)
+        yield from literals(node.orelse, where)
+    else:
+        assert isinstance(node, ast.Constant), f"{where}: a code is a literal"
+        yield str(node.value)
+
+
+CALLS = list(calls())
+
+STILL_READ = {
+    "convert/to_mjcf.py",
+    "live/language.py",
+    "prepare/load.py",
+    "report/html/sentences.py",
+}
+"""Modules that still look at sentences; none is to be added."""
+
+
+@pytest.mark.parametrize("file", CATALOGUE, ids=lambda file: file.name)
+def test_the_tables_are_those_that_toml_reads(file: Path) -> None:
+    read = tomllib.loads(file.read_text(encoding="utf-8"))
+    if file.name != "terms.toml":
+        assert set(read) <= set(CODES)
+        for code, stated in read.items():
+            assert set(stated) <= {"severity", "group", *LANGUAGES}, code
+            assert dict(entry(code).templates) == {one: stated[one] for one in LANGUAGES}
+
+
+def test_no_code_is_in_two_files() -> None:
+    found = [
+        code
+        for file in CATALOGUE
+        if file.name != "terms.toml"
+        for code in tomllib.loads(file.read_text(encoding="utf-8"))
+    ]
+    assert sorted(found) == CODES
+
+
+def test_every_code_is_said_in_both_languages() -> None:
+    for code in CODES:
+        told = entry(code)
+        assert told.severity in list(Severity), code
+        assert told.group in ("wrong", "assumed", "found"), code
+        assert uses(told.templates["en"]) == uses(told.templates["zh"]), code
+        words = re.sub(r"\{[^}]*\}|\[!?\w+\?", "", told.templates["en"])
+        if re.search("[a-z]{4}", words) and "pip install" not in words:
+            assert HAN.search(told.templates["zh"]), code
+
+
+def test_every_code_that_is_used_is_in_the_catalogue_and_the_other_way_round() -> None:
+    used = {code for _, code, _ in CALLS}
+    assert used - set(CODES) == set()
+    assert set(CODES) - used == set()
+
+
+@pytest.mark.parametrize(("where", "code", "given"), CALLS, ids=[f"{w} {c}" for w, c, _ in CALLS])
+def test_every_template_gets_its_values(where: str, code: str, given: set[str] | None) -> None:
+    if given is not None:
+        assert uses(entry(code).templates["en"]) <= given, where
+
+
+def test_terms_have_both_languages() -> None:
+    words = tomllib.loads((CATALOGUE[0].parent / "terms.toml").read_text(encoding="utf-8"))
+    assert all(set(both) == set(LANGUAGES) and HAN.search(both["zh"]) for both in words.values())
+    assert term("joint", "zh") == "关节"
+    assert term("no such term", "zh") == "no such term"
+
+
+def test_no_program_reads_its_own_prose() -> None:
+    """No test on a sentence: neither on a note's words, nor on an error's."""
+    reads = re.compile(
+        r"""["'] (?:not )?in (?:note|sentence|str\(error\)|error\.problem)\b"""
+        r"""|\b(?:note|sentence|message|problem)\.(?:startswith|endswith|partition)\("""
+    )
+    found = {
+        str(path.relative_to(PACKAGE))
+        for path in sorted(PACKAGE.rglob("*.py"))
+        if any(map(reads.search, path.read_text(encoding="utf-8").splitlines()))
+    }
+    assert found == STILL_READ
+
+
+# --- templates
+
+
+@pytest.mark.parametrize(
+    ("template", "values", "english"),
+    [
+        ("{mass}", {"mass": Quantity(1.5, "kg")}, "1.5 kg"),
+        ("{mass:g:.0f}", {"mass": Quantity(1.5, "kg")}, "1500 g"),
+        ("{gap:mm:.1f}", {"gap": Quantity(0.01234, "m")}, "12.3 mm"),
+        ("{turn:deg:.1f}", {"turn": Quantity(np.pi / 6, "rad")}, "30.0 deg"),
+        ("{share:%:.0f}", {"share": Quantity(0.25, "1")}, "25 %"),
+        ("{share:.2f}", {"share": Quantity(0.25, "1")}, "0.25"),
+        ("{x:.2f} {x}", {"x": 2 / 3}, "0.67 0.6666666666666666"),
+        ("{name!r}", {"name": "a b"}, "'a b'"),
+        ("{n} {n|foot|feet}", {"n": 1}, "1 foot"),
+        ("{n} {n|foot|feet}", {"n": 3}, "3 feet"),
+        ("{all|foot|feet} {all}", {"all": ("FR", "FL")}, "feet FR, FL"),
+        ("{all:2}", {"all": ("a", "b", "c", "d")}, "a, b and 2 more"),
+        ("{all:2}", {"all": ("a", "b", "c")}, "a, b, c"),
+        ("{all:;2|mm:.0f}", {"all": (Quantity(0.001, "m"), Quantity(0.002, "m"))}, "1 mm; 2 mm"),
+        ("{all!r:or}", {"all": ("a", "b")}, "'a', or 'b'"),
+        ("it[limit? ends at {limit}].", {"limit": Quantity(2, "m")}, "it ends at 2 m."),
+        ("it[limit? ends at {limit}].", {"limit": None}, "it."),
+        ("it[limit? ends][!limit? goes on].", {"limit": ()}, "it goes on."),
+        ("{name}", {"name": "{mass} [limit? x]"}, "{mass} [limit? x]"),
+    ],
+)
+def test_templates(template: str, values: dict[str, object], english: str) -> None:
+    assert fill(template, values, "en") == english
+
+
+def test_what_is_within_is_said_in_the_same_language() -> None:
+    told = diagnose("name-unknown", kind=Term("joint"), unknown="knee", known=("hip", "foot"))
+    assert told.text("en") == "no joint 'knee'; there are: hip, foot"
+    assert told.text("zh") == "没有关节 'knee'；现有：hip、foot"
+    within = diagnose("argument-not-valid", field="feet", problem=told)
+    assert within.text("zh") == "feet：没有关节 'knee'；现有：hip、foot"
+
+
+# --- diagnostics
+
+
+def told() -> Diagnostic:
+    return diagnose(
+        "foot-misses-target",
+        subject=("foot", "FL"),
+        gap=Quantity(np.float64(0.002), "m"),
+        sources=Source("a.urdf", 7, "joint/limit", "effort"),
+    )
+
+
+def test_it_survives_pickling_and_can_be_compared() -> None:
+    assert pickle.loads(pickle.dumps(told())) == told()
+    assert len({told(), told()}) == 1
+    other = diagnose("foot-misses-target", subject=("foot", "FR"), gap=Quantity(0.002, "m"))
+    assert other != told()
+    with pytest.raises(TypeError, match="cannot be changed"):
+        told().values["gap"] = 3  # type: ignore[index]
+
+
+def test_in_json_it_has_its_code_values_units_sources_and_words() -> None:
+    assert json.loads(to_json({"notes": [told()]}))["notes"] == [
+        {
+            "code": "foot-misses-target",
+            "severity": "error",
+            "message": "FL by 2 mm",
+            "subject": {"kind": "foot", "name": "FL"},
+            "values": {"gap": {"value": 0.002, "unit": "m"}},
+            "sources": [
+                {"file": "a.urdf", "line": 7, "element": "joint/limit", "attribute": "effort"}
+            ],
+        }
+    ]
+
+
+def test_an_unknown_code_is_refused() -> None:
+    with pytest.raises(KeyError):
+        diagnose("no-such-code")  # diagnose's own calls are looked at in the package alone
+
+
+def test_arrays_become_tuples_and_what_is_no_value_is_refused() -> None:
+    assert diagnose("problem", problem=np.array([1, 2])).values["problem"] == (1, 2)
+    assert diagnose("problem", problem=Path("a/b")).values["problem"] == "a/b"
+    with pytest.raises(TypeError):
+        diagnose("problem", problem=object())
+
+
+def test_an_error_says_where_it_was_and_carries_its_facts() -> None:
+    error = ModelError("a.urdf", diagnose("feet-miss-targets", feet=("FL",))).at("at 0.5 s")
+    assert str(error) == "at 0.5 s: a.urdf: the feet miss their targets: FL"
+    assert error.problem == "the feet miss their targets: FL"
+    assert error.diagnostic.text("zh") == "at 0.5 s：a.urdf：各足未到达目标：FL"
+    again = pickle.loads(pickle.dumps(error))
+    assert again.diagnostic == error.diagnostic
+    assert str(again) == str(error)
