@@ -82,8 +82,8 @@ def floors(graph: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
 def purpose(room: str) -> str:
     """Returns the first sentence of a room's docstring, without its full stop."""
     if room == SHARED:
-        modules = [path.stem for path in PACKAGE.glob("*.py") if not path.stem.startswith("_")]
-        return ", ".join(sorted([*modules, "diagnostics"]))
+        parts = [*PACKAGE.glob("*.py"), *PACKAGE.glob("diagnostics")]
+        return ", ".join(sorted(p.stem for p in parts if not p.stem.startswith("_")))
     text = ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text())) or ""
     return text.splitlines()[0].removesuffix(".")
 
