@@ -26,6 +26,7 @@ from pupper_analysis.diagnostics import (
     codes,
     diagnose,
     entry,
+    grouped,
     term,
 )
 from pupper_analysis.diagnostics.templates import fill
@@ -220,6 +221,13 @@ def test_in_json_it_has_its_code_values_units_sources_and_words() -> None:
             ],
         }
     ]
+
+
+def test_what_is_wrong_is_shown_first_and_nothing_twice() -> None:
+    near, wrong = diagnose("try-another-height"), diagnose("joint-at-limit", subject=("joint", "a"))
+    lesser = diagnose("problem", problem="less", severity=Severity.WARNING)
+    worst = diagnose("problem", problem="worst")
+    assert grouped([near, lesser, wrong, worst, near]) == (worst, lesser, near, wrong)
 
 
 def test_an_unknown_code_is_refused() -> None:

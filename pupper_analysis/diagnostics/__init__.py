@@ -15,6 +15,7 @@ from pupper_analysis.diagnostics.diagnostic import (
     Term,
     Value,
     diagnose,
+    grouped,
 )
 
 __all__ = [
@@ -31,5 +32,6 @@ __all__ = [
     "codes",
     "diagnose",
     "entry",
+    "grouped",
     "term",
 ]

@@ -13,7 +13,17 @@ from pupper_analysis.diagnostics.templates import fill
 from pupper_analysis.diagnostics.values import Quantity, Term
 from pupper_analysis.frozen import FrozenDict
 
-__all__ = ["Diagnostic", "Group", "Quantity", "Severity", "Source", "Subject", "Term", "diagnose"]
+__all__ = [
+    "Diagnostic",
+    "Group",
+    "Quantity",
+    "Severity",
+    "Source",
+    "Subject",
+    "Term",
+    "diagnose",
+    "grouped",
+]
 
 
 class Severity(StrEnum):
@@ -164,6 +174,20 @@ def diagnose(
         subject,
         FrozenDict({name: _plain(value) for name, value in values.items()}),
         tuple(sources),
+    )
+
+
+def grouped(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
+    """Returns diagnostics in the order in which they are shown, each once.
+
+    What is wrong first, then what was assumed, then what was found; of each the worst first.
+    """
+    order = list(Group)
+    return tuple(
+        sorted(
+            dict.fromkeys(diagnostics),
+            key=lambda one: (order.index(one.group), one.severity.rank),
+        )
     )
 
 
