@@ -7,7 +7,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from conftest import load, stand_of
+from conftest import changed, load, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis.models.efforts import EffortStatement, effort_of, gear_left_out
@@ -186,3 +186,28 @@ def test_found_and_named_feet_give_the_same_limits(tmp_path: object) -> None:
         actuator.forcerange = np.array(actuator.forcerange) / 2
     scaled = rebuilt(made, mjcf=half)
     np.testing.assert_allclose(scaled.effort_limits, 0.4, rtol=1e-15)
+
+
+@pytest.mark.parametrize("feedforward", [False, True])
+def test_a_command_that_ctrlrange_cuts_off_is_predicted(feedforward: bool) -> None:
+    """Knees that must be commanded further hold v3 higher; feed-forward cut off lets it sag."""
+    stand, plain = stand_of("v3"), load("v3")
+    knees = [index for index, name in enumerate(plain.joint_names) if name.endswith("_3")]
+    lead = np.sign(pa.stand_statics(plain, stand).joint_torques[knees])
+    shares = (-1.0, 0.04) if feedforward else (0.04, 1.0)  # rad, beyond the stand's angles
+
+    def change(model: mujoco.MjModel) -> None:
+        cut = plain.mj_convention.actuator_index[knees]
+        model.actuator_ctrllimited[cut] = 1
+        ends = stand.qpos[7:][knees][:, None] + lead[:, None] * np.array(shares)
+        model.actuator_ctrlrange[cut] = np.sort(ends, axis=1)
+        model.dof_frictionloss[:] = 0
+        model.geom_condim[:] = 3
+
+    robot = changed(plain, change)
+    pose = pa.steady_state(robot, stand, feedforward=feedforward)
+    assert pose.failures == ()
+    free = pa.steady_state(plain, stand, feedforward=feedforward)
+    assert abs(pose.height_loss - free.height_loss) > 2e-3
+    run = pa.verify_stand(robot, stand, feedforward=feedforward, duration=4, nudged=0)
+    assert pose.height_loss == pytest.approx(run.height_loss, abs=1e-4)

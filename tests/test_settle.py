@@ -1,6 +1,7 @@
 """The predicted sag, each number two ways: against differences, balances, MuJoCo, simulations."""
 
 import contextlib
+import math
 from dataclasses import replace
 
 import mujoco
@@ -153,7 +154,8 @@ def test_random_stands(name: str) -> None:
             tolerance = 1e-5 if name in SKELETON_NAMES else 1.5e-4
             assert pose.base_height == pytest.approx(run.base_height, abs=tolerance)
         elif pose and pose.failures and name == "v3-heavy":
-            assert all("touches the ground" in failure for failure in pose.failures)
+            touches = ["touches the ground" in failure for failure in pose.failures]
+            assert all(touches) or pose.lasts < 12
             assert any("touches the ground" in failure for failure in run.failures)
         else:  # it says that it does not last, and the simulation sinks
             assert name == "v3-long-leg"
@@ -446,10 +448,40 @@ def test_a_little_above_the_minimum_no_stiffness_is_left_out() -> None:
     robot, stand = load("v3"), stand_of("v3")
     found = [steady_state(robot, stand, kp=kp) for kp in np.arange(2.30, 2.72, 0.02)]
     assert all(one.stable for one in found)
-    assert not any(one.failures for one in found)
+    # What is wrong with some is only where creep takes them later: a knee comes to the ground.
+    assert not any(one.failures for one in found if math.isinf(one.lasts))
+    lasting = [one.lasts for one in found]
+    assert lasting == sorted(lasting)
+    assert lasting[0] < 12
     heights = [float(one.qpos[2]) for one in found]
     assert (np.diff(heights) > 0).all()
     assert heights[0] == pytest.approx(0.1004, abs=5e-4)  # MuJoCo's, after 12 s: 0.1004 m
+
+
+def test_an_equilibrium_that_creep_ends_is_no_stand() -> None:
+    """2 % above the least kp of feet that stay original was said to stand; MuJoCo falls in 8 s."""
+    robot, stand = load("original"), stand_of("original")
+    pose = steady_state(robot, stand, kp=2.38)
+    assert pose.stable
+    assert pose.lasts == pytest.approx(5.4)
+    assert len(pose.failures) == 1
+    heights = {}
+    for noslip in (0, 20):  # with that solver nothing creeps
+
+        def grip(model: mujoco.MjModel, noslip: int = noslip) -> None:
+            model.opt.noslip_iterations = noslip
+
+        still = changed(robot, grip)
+        drive = servos(still, 2.38, 0.1)
+        data = mujoco.MjData(drive.model)
+        robot.mj_convention.set_state(data, pose.qpos)
+        data.ctrl[:] = drive.command(robot, stand.joint_positions(robot))
+        while data.time < 8.0:
+            mujoco.mj_step(drive.model, data)
+        heights[noslip] = float(data.qpos[2])
+        assert bool(steady_state(still, stand, kp=2.38).failures) == (noslip == 0)
+    assert heights[0] < 0.125 < pose.base_height
+    assert heights[20] == pytest.approx(pose.base_height, abs=1e-4)
 
 
 @pytest.mark.slow

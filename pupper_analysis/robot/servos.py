@@ -238,6 +238,23 @@ def gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
     return Gains(stiffness, damping, gear, servo)
 
 
+def command_ranges(robot: Robot) -> Array:
+    """Returns between which joint positions (nu, 2) servos can be commanded (rad, m).
+
+    MuJoCo cuts the command of a servo off at its ``ctrlrange``. A motor that is driven as a servo
+    has none, nor has a joint without a motor: infinite.
+    """
+    model, actuators = robot.mj_model, robot.mj_convention.actuator_index
+    ranges = np.tile((-math.inf, math.inf), (robot.nu, 1))
+    driven = np.flatnonzero(actuators >= 0)
+    _, _, gear, servo = _of_model(model, actuators[driven])
+    controls = model.actuator_ctrladr[actuators[driven]]
+    cut = servo & model.actuator_ctrllimited[controls].astype(bool)
+    stated = model.actuator_ctrlrange[controls[cut]] / gear[cut, None]
+    ranges[driven[cut]] = np.sort(stated, axis=1)
+    return ranges
+
+
 def own_servos(robot: Robot) -> dict[str, tuple[float, float]]:
     """Returns the joints whose motor is a position servo in the robot's model.
 

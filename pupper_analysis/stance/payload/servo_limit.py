@@ -20,7 +20,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import lead, own_servos, servos
+from pupper_analysis.robot.servos import command_ranges, lead, own_servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.payload.first_order import FirstOrder
 from pupper_analysis.stance.payload.nudge import lost
@@ -300,14 +300,10 @@ def _judge(
     def joints(chosen: NDArray[np.bool_]) -> tuple[str, ...]:
         return tuple(robot.joint_names[index] for index in np.flatnonzero(chosen))
 
-    model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     if pose.saturated:
         return Failure.MOTOR, pose.saturated
-    ctrl = target * model.actuator_gear[actuators, 0]
-    controls = model.actuator_ctrladr[actuators]
-    low, high = model.actuator_ctrlrange[controls].T
-    limited = model.actuator_ctrllimited[controls].astype(bool) & (actuators >= 0)
-    if (beyond := limited & ((ctrl < low) | (ctrl > high))).any():
+    low, high = command_ranges(robot).T
+    if (beyond := (target < low) | (target > high)).any():
         return Failure.COMMAND, joints(beyond)
     angles = pose.qpos[7:]
     if (beyond := (angles < robot.lower_limits) | (angles > robot.upper_limits)).any():

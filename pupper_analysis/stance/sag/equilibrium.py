@@ -14,7 +14,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import gains
+from pupper_analysis.robot.servos import command_ranges, gains
 from pupper_analysis.stance.sag.pliancy import foot_pliancy, sole_pliancy
 from pupper_analysis.stance.sag.rigid import RigidSoles
 from pupper_analysis.stance.sag.rubbing import rub
@@ -76,7 +76,8 @@ class Equilibrium:
         self.ground, self.normal = stand.task.ground, stand.task.ground.normal()
         self.frame = pin.Quaternion.FromTwoVectors(self.normal, UP).matrix()
         self.laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
-        self.target = stand.qpos[7:]
+        self._commands = command_ranges(robot).T
+        self.command(stand.qpos[7:])
         self._sole = {point: sole for sole, points in robot.soles.items() for point in points}
         config = Configuration(robot, stand.qpos)
         self.anchors = {
@@ -91,6 +92,7 @@ class Equilibrium:
         self._touch: tuple[object, Touch] | None = None
         self._rigid = RigidSoles(self._sole, self.frame)
         self._sunk: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
+        self._creeps = robot.mj_model.opt.noslip_iterations == 0  # with that solver feet stay
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
         self.yielding: dict[str, float] = {}  # m/N: creep in this step per force
         self.friction, self.lift = DryFriction.of(robot), lift
@@ -121,6 +123,11 @@ class Equilibrium:
                 depths.append(depth)
             self._sunk = asked, np.array(depths)
         return self._sunk[1].copy()
+
+    def command(self, target: Array) -> None:
+        """Commands the servos joint positions (nu,), which are cut off where the file has it so."""
+        low, high = self._commands
+        self.target: Array = np.minimum(np.maximum(target, low), high)
 
     def torques(self, qpos: Array) -> Array:
         """Returns the servos' torques (nu,)."""
@@ -380,6 +387,6 @@ class Equilibrium:
         }
 
     def viscosity(self, foot: str, depth: float) -> float:
-        """Returns tangential force per velocity (N s/m); infinite where a foot pulls."""
+        """Returns tangential force per velocity (N s/m); infinite where a foot pulls or stays."""
         law = self.laws[foot]
-        return law.viscosity(depth) if depth > -law.margin else math.inf
+        return law.viscosity(depth) if self._creeps and depth > -law.margin else math.inf

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -16,12 +17,13 @@ from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoSti
 from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
 from pupper_analysis.stance.sag.slip import sliding
 from pupper_analysis.stance.sag.solution import Solution
 from pupper_analysis.stance.sag.units import Units
-from pupper_analysis.stance.sag.way import Way
+from pupper_analysis.stance.sag.way import CREEP_STEPS, Way
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.support_polygon import drop_at
 
@@ -29,6 +31,10 @@ Array = NDArray[np.float64]
 
 RELEASE_MARGIN = 0.06
 """A ``release_margin`` that keeps the feet in place: what contacts add to the first order."""
+
+HARDLY = 0.002
+"""Share of the stand's height: where creep goes on to take less of it within ``LASTING``, it does
+not end the equilibrium. original's, 2 % above its least kp, ends after 5 s, and begins at 0.025."""
 
 HIGHEST_KP = 2500.0
 """The stiffest servos that ``minimum_stiffness`` tries, in weights times heights of the stand per
@@ -72,6 +78,9 @@ class SteadyState(Result):
             (``steady_state_band``).
         sliding_feet: The feet that slide: of one point that slips, or soles that slip as a whole,
             and further than they do on their way to a rest (``SMALL_SLIP``).
+        lasts: How long it stands until creep ends the equilibrium, or brings another part to the
+            ground (s); infinite if that is longer than ``LASTING``, or was not looked at, as with
+            soles.
         failures: Why the robot will not stand so; empty if it will.
     """
 
@@ -94,6 +103,7 @@ class SteadyState(Result):
     stable: bool
     release_margin: float
     sliding_feet: tuple[str, ...]
+    lasts: float
     failures: tuple[str, ...]
 
 
@@ -119,7 +129,9 @@ def steady_state(
     sliding, its tangential force is zero. Newton's iteration follows the equilibrium from the stand
     itself, which full feed-forward holds, while feed-forward is taken away. Where on that way a
     swing foot touches the ground it is pinned there and carries from then on; where a foot would
-    have to pull it lets go. Then backward Euler steps follow the creep.
+    have to pull it lets go. Then backward Euler steps follow the creep. Where that goes on to take
+    the robot down within ``LASTING`` (12 s) it does not stand: just above the least stiffness an
+    equilibrium is there, and a millimetre of creep ends it.
 
     Dry friction, of joints and of rolling feet, is left out; ``steady_state_band`` has it.
 
@@ -145,7 +157,28 @@ def steady_state(
     check_request(robot, stand, feet, seconds)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     way = Way(Equilibrium(robot, stand, kp, feet), exact=feedforward)
-    return settle(way, feedforward=feedforward, seconds=seconds)
+    pose = settle(way, feedforward=feedforward, seconds=seconds)
+    moves = abs(pose.height_drift) * LASTING > HARDLY * float(stand.qpos[2])
+    # The points of a sole creep as one body, to where it is no longer twisted, and not for good.
+    flat = any(len(points) > 1 for points in robot.soles.values())
+    if pose.failures or feet == "sliding" or flat or not moves:
+        return pose
+    lasts = _lasts(way, seconds)
+    if math.isinf(lasts):
+        return pose
+    return replace(pose, lasts=lasts, failures=(f"after {lasts:.1f} s the feet's creep fells it",))
+
+
+def _lasts(way: Way, begun: float) -> float:
+    """Lets feet creep for ``LASTING`` more; returns how long the robot stands (s)."""
+    with contextlib.suppress(NoEquilibriumError):
+        for _ in range(CREEP_STEPS):
+            way.creep_step(LASTING / CREEP_STEPS)
+            if _failures(way.system, way.solution, way.look(way.solution)[1]):
+                break
+        else:
+            return math.inf
+    return way.crept - begun
 
 
 LONGEST = 1e9
@@ -214,7 +247,8 @@ def minimum_stiffness(
     """Finds the least uniform kp with which a robot stands without feed-forward, by bisection.
 
     It stands if ``steady_state`` has no failures (so a swing foot that comes down to the ground
-    is none of its standing) and keeps half of the stand's height.
+    is none of its standing, and creep does not take it down within 12 s) and keeps half of the
+    stand's height.
 
     Args:
         robot: The robot.
@@ -295,6 +329,7 @@ def pose_at(way: Way, margin: float) -> SteadyState:
         stable=stiffness > 0,
         release_margin=margin,
         sliding_feet=sliding(system, solution),
+        lasts=math.inf,
         failures=_failures(system, solution, stiffness),
     )
 

@@ -22,7 +22,8 @@ _CAREFUL = 1 / 64  # likewise: an unstable equilibrium is one only if such small
 _SHARE_TOLERANCE = 1e-7  # of the feed-forward: when a foot touches or lets go, to nanometres
 _MAX_EVENTS = 24  # feet that touch or let go on the way: more is chatter
 _NEARLY = 0.95  # of its friction: a foot that is about to slide, as far as a step can tell
-_CREEP_STEPS = 20
+CREEP_STEPS = 20
+"""Backward Euler steps in which feet creep: with 20 a robot that falls after 15 s does after 14."""
 
 
 class Way:
@@ -40,6 +41,7 @@ class Way:
         share: Of the feed-forward, how much is taken away.
         solution: The equilibrium there.
         iterations: Newton steps so far.
+        crept: For how long feet have crept (s).
 
     Raises:
         StaticsInfeasibleError: If no contact forces balance the stand itself.
@@ -55,7 +57,7 @@ class Way:
         self.balance: GravityCompensation = stand_statics(
             system.robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
         )
-        self.share, self.iterations, self._events = 0.0, 0, 0
+        self.share, self.iterations, self._events, self.crept = 0.0, 0, 0, 0.0
         forces = {f: system.frame @ force for f, force in self.balance.contact_forces.items()}
         sunk = system.sunk(np.array(list(forces.values())))
         qpos = stand.qpos.copy()
@@ -112,10 +114,19 @@ class Way:
         Raises:
             NoEquilibriumError: If the equilibrium ends before.
         """
-        for number in range(_CREEP_STEPS):
-            self.system.begin_creep(self.solution, seconds / _CREEP_STEPS)
-            after = f"after {number * seconds / _CREEP_STEPS:.1f} s of creep"
-            self.solution = self._settled(self.solution, after)
+        for _ in range(CREEP_STEPS):
+            self.creep_step(seconds / CREEP_STEPS)
+
+    def creep_step(self, seconds: float) -> None:
+        """Lets pinned feet creep, by one backward Euler step.
+
+        Raises:
+            NoEquilibriumError: If the equilibrium ends in it.
+        """
+        self.system.begin_creep(self.solution, seconds)
+        after = f"after {self.crept:.1f} s of creep"
+        self.solution = self._settled(self.solution, after)
+        self.crept += seconds
 
     def rub(self, goal: float) -> float:
         """Brings in dry friction, from where it is to ``lift`` = goal, in one step or in smaller.
@@ -159,7 +170,7 @@ class Way:
     def _command(self, share: float) -> None:
         system = self.system
         full = system.stand.qpos[7:] + lead(self.balance.joint_torques, system.kp)
-        system.target = full + share * (self.end - full)
+        system.command(full + share * (self.end - full))
 
     def _at(self, share: float) -> Solution | None:
         """Returns the equilibrium at a share, the feet touching as they do; None if none."""
