@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import servos
-from pupper_analysis.robot.stability import LASTING, Stability, step_stability
+from pupper_analysis.robot.stability import LASTING, Mode, Stability, step_stability
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.nudge import LEFT, NUDGE
 from pupper_analysis.simulation.rollout import STATE, full_state, place_on_ground, run
@@ -30,12 +30,12 @@ Array = NDArray[np.float64]
 
 NUDGES = 3
 
-SLOW = 60.0
-"""What doubles more slowly than this (s) is not waited for."""
-
 DOUBLINGS = 14.0
 """After so many a nudge of 1e-3 (some 1e-5 rad) is 0.1 rad: what is refused is simulated for so
 long, if that is longer than 12 s."""
+
+SLOW = DOUBLINGS * LASTING
+"""Longer is not waited (s): what buckles more slowly than in ``LASTING`` is not refused."""
 
 
 @dataclass
@@ -106,8 +106,18 @@ def judged(case: Case) -> tuple[Stability, float]:
     return found, 1e3 * (time.process_time() - begun)
 
 
-def worst(case: Case, duration: float, speed: float = NUDGE) -> float:
-    """Returns how far a joint is from where it was at the end, at worst (rad)."""
+def waited(mode: Mode) -> float:
+    """Returns for how long a stand is simulated that a mode is said to take away (s)."""
+    return min(max(LASTING, DOUBLINGS * (mode.doubling_time or 0.0)), SLOW)
+
+
+def worst(
+    case: Case, duration: float, speed: float = NUDGE, *, enough: float = float("inf")
+) -> float:
+    """Returns how far a joint is from where it was at the end, at worst (rad).
+
+    Nudges after one that takes it ``enough`` away (rad) are not tried.
+    """
     model, steps = case.model, round(duration / case.model.opt.timestep)
     hinges = 1 + model.jnt_qposadr[model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value]
     settled = run(model, case.start, np.tile(case.ctrl, (round(1 / model.opt.timestep), 1)))[-1]
@@ -122,6 +132,8 @@ def worst(case: Case, duration: float, speed: float = NUDGE) -> float:
         whole = np.isfinite(states).all() and (np.diff(states[:, 0]) > 0).all()
         way = np.abs(states[-steps // 4 :, hinges] - settled[hinges]).max()
         ways.append(float(way) if whole else np.inf)
+        if ways[-1] > enough:
+            break
     return max(ways)
 
 
@@ -144,8 +156,8 @@ def main() -> None:
         way = worst(case, LASTING)
         if leaving and way < LEFT:
             # It is refused, and stays for 12 s: longer, or with a push beyond dry friction.
-            longer = max(mode.doubling_time or 0.0 for mode in leaving[:1]) * DOUBLINGS
-            way = worst(case, min(longer, SLOW)) if longer > LASTING else way
+            longer = waited(leaving[0])
+            way = worst(case, longer, enough=LEFT) if longer > LASTING else way
             if way < LEFT:
                 way = worst(case, LASTING, 0.3)
         saw = "stays" if way < LEFT else "leaves"

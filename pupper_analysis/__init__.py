@@ -58,7 +58,12 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.robot.stability import Stability, step_stability
     from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
-    from pupper_analysis.simulation.payload import PayloadTrial, payload_trial
+    from pupper_analysis.simulation.payload import (
+        Buckling,
+        PayloadTrial,
+        payload_buckling,
+        payload_trial,
+    )
     from pupper_analysis.simulation.push import PushRecovery, push_recovery
     from pupper_analysis.simulation.push_trial import PushTrial, push_trial
     from pupper_analysis.simulation.stability import stand_stability
@@ -138,7 +143,9 @@ _HOME = {
     "Stability": "robot.stability",
     "step_stability": "robot.stability",
     "stand_stability": "simulation.stability",
+    "Buckling": "simulation.payload",
     "PayloadTrial": "simulation.payload",
+    "payload_buckling": "simulation.payload",
     "payload_trial": "simulation.payload",
     "with_payload": "robot.payload",
     "NoEquilibriumError": "errors",
@@ -225,6 +232,7 @@ __all__ = [
     "BaseWorkspace",
     "BestStance",
     "Binding",
+    "Buckling",
     "Command",
     "Comparison",
     "Configuration",
@@ -298,6 +306,7 @@ __all__ = [
     "minimum_stiffness",
     "normal",
     "pareto_front",
+    "payload_buckling",
     "payload_limit",
     "payload_trial",
     "push_recovery",

@@ -256,7 +256,7 @@ def test_gain_figure_marks_what_fell_and_what_is_not_stable(
     sweep = analysis_of("v3").sweep
     deviation = np.array([[1.5e-3, np.inf, 2e-3], [0.25e-3, 3e-3, np.inf]])
     fields = {**vars(sweep), "height_deviation": deviation, "fell": np.isinf(deviation)}
-    fields["doubling_time"] = np.array([[np.inf, 1.0, 20.0], [0.3, np.inf, np.inf]])
+    fields["lasts"] = np.array([[True, False, True], [False, True, True]])
     analysis = other(analysis_of("v3"), sweep=SimpleNamespace(**fields))
     gain_figure([analysis], tmp_path / "gains.png")
     check_picture(tmp_path / "gains.png")

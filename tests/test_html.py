@@ -46,6 +46,7 @@ from pupper_analysis.report.html.tasks import task_text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.push import PushRecovery
+from pupper_analysis.simulation.verdict import judge
 from pupper_analysis.study import design
 from pupper_analysis.study.measures import MEASURES
 from pupper_analysis.study.variables import KINDS
@@ -454,7 +455,8 @@ def test_a_stance_is_told() -> None:
 def test_pushes_are_told_and_compared() -> None:
     from pupper_analysis.analysis.push import PushedStance
 
-    one = PushedStance("v3", stand_of("v3"), pushed(), servos_used(load("v3"), None, None))
+    verdict = judge(analysis().verification, None, servos_used(load("v3")))
+    one = PushedStance("v3", stand_of("v3"), pushed(), verdict)
     other = replace(one, name="b", recovery=replace(pushed(), impulses=pushed().impulses + 1))
     page = Page(written({"v3": one, "b": other}))
     titles = [shown(e.find("figcaption")) for e in page.root.iter("figure")]

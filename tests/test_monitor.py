@@ -101,3 +101,21 @@ def test_a_rollout_that_breaks_down_is_known() -> None:
     assert monitor.diverged(states, timestep)
     states[30, 5] = np.nan
     assert monitor.diverged(states, timestep)
+
+
+@pytest.mark.parametrize(
+    ("leaning", "end", "collapsed"),
+    [
+        (0.0, 0.2, False),
+        (0.45, 0.15, False),
+        (0.0, 0.139, True),  # it lies on its shanks
+        (0.0, 0.261, True),  # it was thrown up
+        (0.51, 0.2, True),
+        (math.nan, 0.2, True),
+        (0.0, math.nan, True),
+    ],
+)
+def test_what_has_fallen_sunk_or_been_thrown_up_has_collapsed(
+    leaning: float, end: float, collapsed: bool
+) -> None:
+    assert monitor.has_collapsed(leaning, 0.2, end) is collapsed

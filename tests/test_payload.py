@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 
+import mujoco
 import numpy as np
 import pytest
 from conftest import NAMES, load, mujoco_at, random_state, stand_of, with_efforts
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
+from pupper_analysis.analysis.payload import NEAR, study_payload
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import servos
+from pupper_analysis.simulation import payload
 from pupper_analysis.simulation.payload import payload_trial
 from pupper_analysis.stance.payload.first_order import FirstOrder
 from pupper_analysis.stance.payload.limit import _problem, contact_limit, motor_limit, payload_limit
@@ -313,3 +316,39 @@ def test_bad_points(point: object) -> None:
         payload_limit(load("v3"), stand_of("v3"), point)  # type: ignore[arg-type]
     with pytest.raises(pa.ConfigurationError, match="point"):
         payload_trial(load("v3"), stand_of("v3"), 1.0, point)  # type: ignore[arg-type]
+
+
+# ---------------------------------------------------------------------------------- buckling
+
+
+def test_it_buckles_as_fast_as_a_simulation_leaves() -> None:
+    """Above the limit of 5.64 kg, without dry friction: from one that is nudged, by bare MuJoCo."""
+    robot, stand, point = load("v3"), stand_of("v3"), np.array([0.0, 0.0, 0.08])
+    found = pa.payload_buckling(robot, stand, 6.2, point)  # type: ignore[arg-type]
+    laid = payload._laid(robot, stand, 6.2, point, Command.LOADED, None, None)
+    laid.free()
+    model = laid.drive.model
+    still, nudged = mujoco.MjData(model), mujoco.MjData(model)
+    laid.robot.mj_convention.set_state(still, laid.qpos)
+    still.ctrl[:] = laid.ctrl
+    mujoco.mj_copyData(nudged, model, still)
+    nudged.qvel[0] += 1e-6
+    passed = []
+    for way in (3e-5, 3e-4):
+        while np.abs(nudged.qpos - still.qpos)[7:].max() < way:
+            mujoco.mj_step(model, still)
+            mujoco.mj_step(model, nudged)
+        passed.append(still.time)
+    doubling = (passed[1] - passed[0]) * np.log(2) / np.log(10)
+    assert found.free_doubling_time == pytest.approx(doubling, rel=0.02)
+    assert found.doubling_time > 10 * found.free_doubling_time
+
+
+@pytest.mark.longest
+def test_the_study_of_a_payload_tells_how_fast_it_buckles_near_the_limit() -> None:
+    found = study_payload(load("v3"), pa.StandTask(), (0.0, 0.0, 0.08))
+    assert [one.mass / found.payload.mass for one in found.buckling] == pytest.approx(NEAR)
+    times = np.array([(one.doubling_time, one.free_doubling_time) for one in found.buckling])
+    assert (np.diff(times, axis=0) < 0).all()
+    assert times[0, 1] > 60.0
+    assert times[-1, 1] < 1.0

@@ -17,6 +17,7 @@ from pupper_analysis.robot.as_published import (
     ServoSource,
     ServosUsed,
 )
+from pupper_analysis.simulation.monitor import has_collapsed
 from pupper_analysis.simulation.verdict import Ending, VerdictCode, judge
 
 
@@ -26,9 +27,7 @@ def run(loss: float = 0.001, *, passed: bool = True) -> Any:
         passed=passed,
         failures=() if passed else ("it sank",),
         duration=12.0,
-        base_height=0.2 - loss,
-        height_loss=loss,
-        tilt=0.0,
+        collapses=has_collapsed(0.0, 0.2, 0.2 - loss),
         torque_error=1e-8,
         force_error=2e-8,
         stability=Stub(doubling_time=None),

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 from numpy.typing import ArrayLike
 
 from pupper_analysis.results import Result
+from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.tracking import PathTracking, track_path
 from pupper_analysis.stance.path.fastest import fastest_path
 from pupper_analysis.stance.path.leg_time import Binding
@@ -30,6 +32,7 @@ class PathThere(Result):
         reserve: Share of every limit that the least time leaves unused, likewise.
         lower_bound: The least time of an acceleration that may jump (s), likewise; see
             ``FastestPath``.
+        servos: The servos that follow it.
     """
 
     name: str
@@ -39,6 +42,7 @@ class PathThere(Result):
     binding: Binding | None
     reserve: float | None
     lower_bound: float | None
+    servos: ServosUsed
 
     @property
     def passed(self) -> bool:
@@ -86,6 +90,7 @@ def study_path(
         binding=binding,
         reserve=reserve,
         lower_bound=lower_bound,
+        servos=servos_used(robot, kp, kd),
     )
 
 

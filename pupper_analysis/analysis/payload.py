@@ -11,14 +11,25 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
-from pupper_analysis.simulation.payload import PayloadTrial, payload_trial
+from pupper_analysis.simulation.payload import (
+    Buckling,
+    PayloadTrial,
+    payload_buckling,
+    payload_trial,
+)
 from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
+from pupper_analysis.stance.payload.servo_limit import Failure
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 
 TRIED = 0.95
 """The part of the payload's limit with which the loaded robot is simulated: below it, as no servo,
 floor or hand is exact to a percent."""
+
+
+NEAR = (0.8, 0.95, 1.0, 1.05, 1.2)
+"""Parts of the servos' limit for which it is told how fast the stand buckles: friction that creeps
+leaves no sharp edge there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +42,16 @@ class LoadedStance(Result):
         payload: The greatest mass.
         trial: The simulation with ``TRIED`` of that mass on the robot; None where that is nothing,
             or without limit.
-        servos: The servos that both are of.
+        buckling: How fast it buckles with ``NEAR`` of what the servos' stiffness holds; empty where
+            something else gives way there.
+        servos: The servos that all are of.
     """
 
     name: str
     stand: Stand
     payload: PayloadLimit
     trial: PayloadTrial | None
+    buckling: tuple[Buckling, ...]
     servos: ServosUsed
 
     @property
@@ -81,9 +95,16 @@ def try_payload(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> LoadedStance:
-    """Simulates a stand with almost the greatest payload on it; see ``study_payload``."""
+    """Simulates a stand with almost the greatest payload; see ``study_payload``."""
     trial = None
     if 0 < payload.mass < math.inf:
         point = payload.point.tolist()
         trial = payload_trial(robot, stand, TRIED * payload.mass, point, kp=kp, kd=kd)
-    return LoadedStance(robot.name, stand, payload, trial, servos_used(robot, kp, kd))
+    buckling: tuple[Buckling, ...] = ()
+    if payload.servos.failure is Failure.BUCKLING and payload.servos.mass > 0:
+        masses = (share * payload.servos.mass for share in NEAR)
+        buckling = tuple(
+            payload_buckling(robot, stand, mass, payload.point.tolist(), kp=kp, kd=kd)
+            for mass in masses
+        )
+    return LoadedStance(robot.name, stand, payload, trial, buckling, servos_used(robot, kp, kd))

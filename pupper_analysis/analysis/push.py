@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
+from pupper_analysis.analysis.stance import verdict_of
 from pupper_analysis.results import Result
-from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.push import PushRecovery, push_recovery
-from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.simulation.verdict import Verdict
+from pupper_analysis.simulation.verify import verify_stand
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.sunk import held_stand
 from pupper_analysis.stance.task import StandTask
 
@@ -26,18 +29,19 @@ class PushedStance(Result):
         stand: What is pushed: the stand with its feet sunk into MuJoCo's soft ground; the one on
             rigid ground where that is out of reach.
         recovery: The largest pushes.
-        servos: The servos that hold it.
+        verdict: Whether it holds unpushed, with feed-forward: that of ``study_stance``. What stands
+            and does not hold (another robot's torques, say) is pushed all the same.
     """
 
     name: str
     stand: Stand
     recovery: PushRecovery
-    servos: ServosUsed
+    verdict: Verdict
 
     @property
     def passed(self) -> bool:
-        """Whether it stands unpushed, as ``stand`` judges it, but for how it was predicted."""
-        return not self.recovery.unpushed
+        """Whether it holds unpushed, by its verdict."""
+        return self.verdict.passed
 
 
 def study_pushes(
@@ -65,13 +69,21 @@ def study_pushes(
         ConfigurationError: If the task, or another argument, makes no sense for a robot.
         ModelError: If a robot has no position servos, and kp and kd are not both given.
     """
-    stands = [held_stand(robot, solve_stand(robot, task)) for robot in robots]
-    return {
-        robot.name: PushedStance(
-            robot.name,
-            stand,
-            push_recovery(robot, stand, kp=kp, kd=kd, directions=directions, resolution=resolution),
-            servos_used(robot, kp, kd),
+    stands = [solve_stand(robot, task) for robot in robots]
+    found = {}
+    for robot, stand in zip(robots, stands, strict=True):
+        held = held_stand(robot, stand)
+        fed = verify_stand(robot, held, kp=kp, kd=kd, duration=LASTING)
+        recovery = push_recovery(
+            robot,
+            held,
+            kp=kp,
+            kd=kd,
+            directions=directions,
+            resolution=resolution,
+            verification=fed,
         )
-        for robot, stand in zip(robots, stands, strict=True)
-    }
+        used = servos_used(robot, kp, kd)
+        verdict = verdict_of(robot, stand, stand_statics(robot, held), fed, None, used)
+        found[robot.name] = PushedStance(robot.name, held, recovery, verdict)
+    return found

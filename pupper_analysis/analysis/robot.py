@@ -10,18 +10,18 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.analysis.stance import verdict_of
 from pupper_analysis.arguments import checked
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.models.efforts import EffortStatement
-from pupper_analysis.prepare.self_check import as_published_in
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
-from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge
+from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.sunk import held_stand
@@ -186,15 +186,8 @@ def analyze_variant(
         if not quantity.passed
     ]
     thigh, calf = leg_lengths(robot)
-    statics, used = stand_statics(robot, stand), servos_used(robot)
-    verdict = judge(
-        verification,
-        sagging,
-        used,
-        overloaded=beyond_limits(statics),
-        own=robot.own_run,
-        published=as_published_in(robot, stand, used),
-    )
+    statics = stand_statics(robot, stand)
+    verdict = verdict_of(robot, stand, statics, verification, sagging, servos_used(robot))
     return Analysis(
         name=robot.name,
         nq=robot.nq,

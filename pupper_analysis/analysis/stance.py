@@ -15,7 +15,7 @@ from pupper_analysis.errors import (
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.prepare.self_check import as_published_in
 from pupper_analysis.results import Result
-from pupper_analysis.robot.as_published import ServoSource
+from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING
@@ -119,7 +119,7 @@ def study_stance(
     if stiffness:
         with contextlib.suppress(NoStiffnessError):
             least = minimum_stiffness(robot, held)
-    statics, used = stand_statics(robot, held), servos_used(robot, kp, kd)
+    statics = stand_statics(robot, held)
     fed = verify_stand(robot, held, kp=kp, kd=kd, duration=LASTING)
     alone = verify_stand(robot, held, kp=kp, kd=kd, feedforward=False, duration=LASTING)
     return Stance(
@@ -133,16 +133,37 @@ def study_stance(
         minimum_peak=stand_statics(robot, held, distribution=ForceDistribution.MIN_PEAK),
         verification=fed,
         sagging=alone,
-        verdict=judge(
-            fed,
-            alone,
-            used,
-            overloaded=beyond_limits(statics),
-            own=robot.own_run if used.source is not ServoSource.GIVEN else None,
-            published=as_published_in(robot, stand, used),
-        ),
+        verdict=verdict_of(robot, stand, statics, fed, alone, servos_used(robot, kp, kd)),
         settled=settled,
         unsettled=unsettled,
         loops_open=None if robot.closure is None else robot.closure.open(held.qpos),
         minimum_stiffness=least,
+    )
+
+
+def verdict_of(
+    robot: Robot,
+    stand: Stand,
+    statics: GravityCompensation,
+    fed: StandVerification,
+    alone: StandVerification | None,
+    servos: ServosUsed,
+) -> Verdict:
+    """Weighs what was simulated of a stand, and what the robot's MJCF does by itself.
+
+    Args:
+        robot: The robot.
+        stand: The stand.
+        statics: What its motors hold.
+        fed: The simulation with feed-forward.
+        alone: The simulation without; None if there is none.
+        servos: Those that were simulated.
+    """
+    return judge(
+        fed,
+        alone,
+        servos,
+        overloaded=beyond_limits(statics),
+        own=robot.own_run if servos.source is not ServoSource.GIVEN else None,
+        published=as_published_in(robot, stand, servos),
     )

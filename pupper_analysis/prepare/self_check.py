@@ -40,7 +40,7 @@ from pupper_analysis.robot.as_published import (
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.simulation.monitor import FALLEN_TILT, SUNKEN
+from pupper_analysis.simulation.monitor import has_collapsed, lean_between
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.sunk import sunk_stand
@@ -148,7 +148,7 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
     key, data = names[name], mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, key)
     mujoco.mj_kinematics(model, data)
-    start, up = float(data.xpos[bare.base][2]), data.xmat[bare.base].copy()
+    start, up = float(data.xpos[bare.base][2]), data.xmat[bare.base].reshape(3, 3).copy()
     places = [int(model.jnt_qposadr[model.joint(joint).id]) for joint in robot.joint_names]
     pose = data.qpos[places].copy()
     hold = hold_of(bare, robot, data, None, pose)
@@ -167,7 +167,7 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
         roll(bare, data, hold, (_LONGER - 1) * seconds)
         seconds *= _LONGER
     end = float(data.xpos[bare.base][2])
-    lean = _lean(up, data.xmat[bare.base])
+    lean = lean_between(up, data.xmat[bare.base].reshape(3, 3))
     height = start - (bare.ground or 0.0)
     diverged = _diverged(model, data, float(model.key_time[key]), seconds)
     return OwnRun(
@@ -178,7 +178,7 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
         end_height=end - (bare.ground or 0.0),
         lean=lean,
         diverged=diverged,
-        collapses=diverged or _collapses(start - end, height, lean),
+        collapses=diverged or has_collapsed(lean, height, height + end - start),
         joint_error=float(np.abs(data.qpos[places] - pose).max()),
     )
 
@@ -212,12 +212,6 @@ def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
     return Published(runs, causes, differs=bool(off))
 
 
-def _lean(before: Array, after: Array) -> float:
-    """Returns by how much a body leans off its vertical (rad), of two rotations (9,)."""
-    one, two = before.reshape(3, 3), after.reshape(3, 3)
-    return float(math.acos(min(1.0, max(-1.0, float(one[2] @ two[2])))))
-
-
 def _of_the_pair(robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Cause, ...]:
     """Returns that the two files differ, if what was computed of the MJCF is as far off.
 
@@ -232,11 +226,6 @@ def _of_the_pair(robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Ca
 def _diverged(model: mujoco.MjModel, data: mujoco.MjData, since: float, seconds: float) -> bool:
     """Tells whether MuJoCo began anew, as it does where numbers are no longer any."""
     return not data.time - since > seconds - 1.5 * model.opt.timestep
-
-
-def _collapses(lost: float, height: float, lean: float) -> bool:
-    """Tells whether a robot has fallen or sunk, or was thrown up."""
-    return not abs(lost) <= SUNKEN * height or lean > FALLEN_TILT
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +276,7 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     if data is None:
         return None
     mujoco.mj_kinematics(model, data)
-    start, up = float(data.xpos[bare.base][2]), data.xmat[bare.base].copy()
+    start, up = float(data.xpos[bare.base][2]), data.xmat[bare.base].reshape(3, 3).copy()
     ahead = wanted.torques if wanted.feedforward else None
     hold = hold_of(bare, robot, data, ahead, wanted.targets)
     given = roll(bare, data, hold, SECONDS)
@@ -297,11 +286,12 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     off = np.abs(given[dofs] - wanted.torques)[driven]
     largest = float(np.abs(wanted.torques).max())
     lost = start - float(data.xpos[bare.base][2])
-    lean = _lean(up, data.xmat[bare.base])
+    lean = lean_between(up, data.xmat[bare.base].reshape(3, 3))
     moved = data.qpos[places] - qpos[robot.nq - robot.nu :]
     height = start - (bare.ground or 0.0)
     torque = float(off.max(initial=0.0)) / largest if largest else 0.0
-    collapses = _diverged(model, data, 0.0, SECONDS) or _collapses(lost, height, lean)
+    collapses = _diverged(model, data, 0.0, SECONDS)
+    collapses = collapses or has_collapsed(lean, height, height - lost)
     differs = not (abs(lost) <= SAME_HEIGHT * height and torque <= SAME)
     return PublishedRun(
         feedforward=wanted.feedforward,

@@ -15,7 +15,6 @@ from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.report.console import escape, titled_table
 from pupper_analysis.report.verdict import print_verdict
 from pupper_analysis.robot.efforts import origins_in_words
-from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.gain_sweep import GainSweep
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -303,7 +302,9 @@ def _gains_cell(sweep: GainSweep, row: int, column: int) -> str:
         return "fell"
     text = f"{1e3 * sweep.height_deviation[row, column]:.4f}"
     doubling, damping = sweep.doubling_time[row, column], sweep.damping_ratio[row, column]
-    if doubling < LASTING:
+    if np.isnan(doubling):
+        return f"{text} [red]does not rest[/]"
+    if not sweep.lasts[row, column]:
         return f"{text} [red]doubles in {doubling:.2g} s[/]"
     return f"{text} {damping:.2f}" if np.isfinite(damping) else f"{text} -"
 

@@ -10,8 +10,7 @@ from rich.console import Console
 
 from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.report.console import escape, titled_table
-from pupper_analysis.report.verdict import on_servos
-from pupper_analysis.robot.as_published import ServosUsed
+from pupper_analysis.report.verdict import made_up, print_verdict
 
 
 def print_pushes(out: Console, stances: Mapping[str, PushedStance]) -> None:
@@ -32,11 +31,13 @@ def print_pushes(out: Console, stances: Mapping[str, PushedStance]) -> None:
     out.print(table)
     out.print("directions about the vertical, of the base: forward 0, left 90", style="dim")
     for name, result in results.items():
+        verdict = stances[name].verdict
+        if not verdict.passed:
+            print_verdict(out, verdict, name)
         if result.unpushed:
             out.print(
-                f"[bold]{escape(name)}[/] ({result.mass:.2f} kg): [bold red]FAILS[/]: it does not "
-                f"stand, so it withstands no push: {escape('; '.join(result.unpushed))}"
-                + made_up(stances[name].servos),
+                f"[bold]{escape(name)}[/] ({result.mass:.2f} kg): it does not stand, so it "
+                "withstands no push",
                 soft_wrap=True,
             )
             continue
@@ -46,7 +47,7 @@ def print_pushes(out: Console, stances: Mapping[str, PushedStance]) -> None:
             f"{_direction(result.weakest_direction)}, {result.weakest_impulse:.2f} N s = "
             f"{result.weakest_impulse / result.mass:.2f} m/s; then "
             f"{escape(result.weakest_failure)} (a rigid robot tips at {tipping:.2f} N s)"
-            + made_up(stances[name].servos),
+            + (escape(made_up(verdict.servos)) if verdict.passed else ""),
             soft_wrap=True,
         )
     stands = {name: stance.stand for name, stance in stances.items()}
@@ -56,11 +57,6 @@ def print_pushes(out: Console, stances: Mapping[str, PushedStance]) -> None:
         out.print(sunk_note(depths), soft_wrap=True)
     if rigid:
         out.print(rigid_note(*rigid), soft_wrap=True)
-
-
-def made_up(servos: ServosUsed) -> str:
-    """Says that a limit rests on servos that were made up; nothing where the file has them."""
-    return f", {escape(str(on_servos(servos, good=True)))}" if servos.made else ""
 
 
 def sunk_note(depths: Iterable[float]) -> str:

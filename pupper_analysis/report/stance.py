@@ -14,8 +14,8 @@ from pupper_analysis.analysis.payload import LoadedStance
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.report.analysis import print_loads
 from pupper_analysis.report.console import escape, titled_table
-from pupper_analysis.report.push import made_up, rigid_note, sunk_note
-from pupper_analysis.report.verdict import print_verdict
+from pupper_analysis.report.push import rigid_note, sunk_note
+from pupper_analysis.report.verdict import made_up, print_verdict
 from pupper_analysis.simulation.tracking import PathTracking
 from pupper_analysis.stance.optimize.best import BestStance
 from pupper_analysis.stance.optimize.search import Objective
@@ -134,7 +134,9 @@ def _print_limit(out: Console, loaded: LoadedStance) -> None:
         text += f"; {motors} no effort limit, and set{'s' if count == 1 else ''} no payload"
     out.print(escape(text), soft_wrap=True)
     rests = "static, at the motors' peak torque as the files state it"
-    out.print(f"that is {rests}{made_up(loaded.servos)}", soft_wrap=True)
+    if loaded.buckling:
+        _print_buckling(out, loaded)
+    out.print(escape(f"that is {rests}{made_up(loaded.servos)}"), soft_wrap=True)
     if trial is not None:
         text = f"simulated with {kilograms(trial.mass)} on it, {trial.duration:g} s, nudged: "
         text += (
@@ -143,6 +145,24 @@ def _print_limit(out: Console, loaded: LoadedStance) -> None:
             else f"at {trial.time:.2f} s {trial.failure.value} ({', '.join(trial.where)})"
         )
         out.print(escape(text), soft_wrap=True)
+
+
+def _print_buckling(out: Console, loaded: LoadedStance) -> None:
+    """Prints how fast a stand buckles near what its servos hold."""
+    table = titled_table(
+        out,
+        "How fast it buckles on its servos: in what time a deviation doubles",
+        "payload (kg)",
+        "of the servos' limit",
+        "doubles in (s)",
+        "without dry friction (s)",
+    )
+    limit = loaded.payload.servos.mass
+    for one in loaded.buckling:
+        times = (one.doubling_time, one.free_doubling_time)
+        told = ("-" if math.isinf(time) else f"{time:.3g}" for time in times)
+        table.add_row(f"{one.mass:.2f}", f"{one.mass / limit:.2f}", *told)
+    out.print(table)
 
 
 def kilograms(mass: float) -> str:
@@ -172,11 +192,13 @@ def print_path(out: Console, there: PathThere) -> None:
             "acceleration could jump",
             soft_wrap=True,
         )
-    print_tracking(out, there.path, there.tracking)
+    print_tracking(out, there.path, there.tracking, made_up(there.servos))
 
 
-def print_tracking(out: Console, path: StancePath, tracking: PathTracking) -> None:
-    """Prints how well a path is followed."""
+def print_tracking(
+    out: Console, path: StancePath, tracking: PathTracking, servos: str = ""
+) -> None:
+    """Prints how well a path is followed, and what is said of the servos that follow it."""
     lowest = path.loads.min(axis=0)
     loads = ", ".join(f"{foot} {low:.2f}" for foot, low in zip(path.feet, lowest, strict=True))
     out.print(
@@ -193,7 +215,7 @@ def print_tracking(out: Console, path: StancePath, tracking: PathTracking) -> No
         f"{tracking.joint_error:.3f} rad ({tracking.joint_error_rms:.3f} rms), base height within "
         f"{1e3 * tracking.height_error:.1f} mm, orientation within "
         f"{tracking.orientation_error:.3f} rad, feet within "
-        f"{1e3 * max(tracking.foot_slip.values()):.1f} mm of their places",
+        f"{1e3 * max(tracking.foot_slip.values()):.1f} mm of their places{escape(servos)}",
         soft_wrap=True,
     )
     if tracking.passed:
@@ -231,3 +253,8 @@ def print_workspace(out: Console, name: str, workspace: BaseWorkspace) -> None:
             low, high = (f"{1e3 * end:+.1f} mm" for end in (interval.low, interval.high))
         rows.add_row(direction, low, high)
     out.print(rows)
+    out.print(
+        "of reach and balance alone, whatever motors and servos hold: stand, with a pose of these, "
+        "tells whether it holds",
+        style="dim",
+    )

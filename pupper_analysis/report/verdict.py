@@ -224,6 +224,11 @@ def on_servos(servos: ServosUsed, *, good: bool) -> Clause:
     )
 
 
+def made_up(servos: ServosUsed) -> str:
+    """Says at a line's end that it rests on servos that were made up; nothing if none were."""
+    return f", {on_servos(servos, good=True)}" if servos.made else ""
+
+
 def _listed(names: tuple[str, ...]) -> str:
     more = len(names) - _TOLD
     return ", ".join(names[:_TOLD]) + (f" and {more} more" if more > 0 else "")

@@ -8,20 +8,19 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, gains, retuned, servos
-from pupper_analysis.robot.stability import Stability
+from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
@@ -31,7 +30,9 @@ from pupper_analysis.simulation.rollout import (
     place_on_ground,
     roll_out,
 )
-from pupper_analysis.simulation.stability import judged_at
+from pupper_analysis.simulation.stability import MEETING, judged_at, rest_state
+from pupper_analysis.simulation.verify import RESTING
+from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
@@ -51,10 +52,12 @@ class GainSweep(Tabular):
         height_deviation: (n, m) standard deviation of the base's height in the last second (m);
             infinite where the robot fell or the simulation diverged.
         fell: (n, m) whether it did.
+        lasts: (n, m) whether it comes to rest undisturbed, and no mode grows there with which it
+            leaves within 12 s (``Stability.lasts``).
         doubling_time: (n, m) in which what deviates from the undisturbed rest doubles (s); infinite
-            where nothing grows.
+            where nothing grows, not a number where there is no such rest.
         damping_ratio: (n, m) of the least damped mode there that swings and decays; not a number
-            where none swings, or where it fell.
+            where none swings, or where there is no such rest.
         amplitude: Of the disturbance on the base (N).
         frequency: Of the disturbance (Hz).
         duration: s.
@@ -65,6 +68,7 @@ class GainSweep(Tabular):
     kd: Array
     height_deviation: Array
     fell: NDArray[np.bool_]
+    lasts: NDArray[np.bool_]
     doubling_time: Array
     damping_ratio: Array
     amplitude: float
@@ -79,6 +83,7 @@ class GainSweep(Tabular):
             "kd": kd.ravel(),
             "height_deviation": self.height_deviation.ravel(),
             "fell": self.fell.ravel(),
+            "lasts": self.lasts.ravel(),
             "doubling_time": self.doubling_time.ravel(),
             "damping_ratio": self.damping_ratio.ravel(),
         }
@@ -126,7 +131,6 @@ def sweep_gains(
         ModelError: If the model has no servos, and kp or kd is not given.
     """
     check_stand(robot, stand, duration)
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     if not (math.isfinite(amplitude) and math.isfinite(frequency)):
         raise ConfigurationError("amplitude, frequency", "they must be finite")
     own = None if kp is not None and kd is not None else servos(robot)
@@ -151,24 +155,25 @@ def _values(given: Sequence[float] | None, own: Array | None) -> list[float]:
 
 
 class _Drives:
-    """A model with servos, and data, for each worker, who gives it the gains of its next cell.
+    """A model with servos, and its watcher, for each worker, who gives it its next cell's gains.
 
     Args:
+        robot: The robot.
         make: Returns another one; a worker who finds none makes it.
     """
 
-    def __init__(self, make: Callable[[], Servos]) -> None:
-        self._make = make
-        self._idle: SimpleQueue[tuple[Servos, mujoco.MjData]] = SimpleQueue()
+    def __init__(self, robot: Robot, make: Callable[[], Servos]) -> None:
+        self._robot, self._make = robot, make
+        self._idle: SimpleQueue[tuple[Servos, monitor.Watcher]] = SimpleQueue()
 
     @contextmanager
-    def one(self) -> Iterator[tuple[Servos, mujoco.MjData]]:
+    def one(self) -> Iterator[tuple[Servos, monitor.Watcher]]:
         """Yields one that nobody else has meanwhile."""
         try:
             own = self._idle.get_nowait()
         except Empty:
             drive = self._make()
-            own = drive, mujoco.MjData(drive.model)
+            own = drive, monitor.Watcher(self._robot, drive.model)
         try:
             yield own
         finally:
@@ -188,15 +193,17 @@ class _Trial:
         duration: float,
         progress: bool,
     ) -> None:
-        self.robot, self.stand, self.integrator = robot, stand, integrator
+        self.plain, self.stand, self.integrator = robot, stand, integrator
+        self.robot = robot = on_ground(robot, stand.task.ground, stand.foot_targets)
         self.amplitude, self.frequency, self.progress = amplitude, frequency, progress
         self.timestep = float(robot.mj_model.opt.timestep)
         self.steps = round(duration / self.timestep)
         balance = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
         self.torques = balance.joint_torques
         self.deviations: dict[tuple[float, float], float] = {}
-        self.stabilities: dict[tuple[float, float], Stability] = {}
+        self.stabilities: dict[tuple[float, float], Stability | None] = {}
         self._starts: dict[float, Array] = {}
+        self._rests: dict[float, Array | None] = {}
 
     def run(self, axes: Sequence[Sequence[float]]) -> None:
         """Simulates the cells of a grid, and judges each at rest."""
@@ -209,7 +216,7 @@ class _Trial:
         tuned = {cell: gains(robot, *cell) for cell in cells}
         new = dict.fromkeys(kp for kp, _ in cells if kp not in self._starts)
         soft = {kp: gains(robot, kp, 0.0) for kp in new}
-        drives = _Drives(lambda: servos(robot, *cells[0], self.integrator))
+        drives = _Drives(robot, lambda: servos(robot, *cells[0], self.integrator))
         with drives.one() as (first, _):
             model, ctrl = first.model, first.command(robot, stand.joint_positions(robot))
         control, force = forced_commands(robot, model, ctrl, 1, self.steps)
@@ -220,14 +227,24 @@ class _Trial:
             with drives.one() as (drive, _):
                 drive = retuned(robot, drive, soft[kp])
                 self._starts[kp] = place_on_ground(robot, drive, stand, self.torques)
+                self._rests[kp] = None
+                with suppress(PupperAnalysisError):
+                    pose = steady_state(self.plain, stand, kp=kp)
+                    if not pose.failures:
+                        self._rests[kp] = rest_state(robot, drive, pose, ctrl)
 
-        def simulate(cell: tuple[float, float]) -> tuple[Array, Stability]:
-            with drives.one() as (drive, data):
+        def simulate(cell: tuple[float, float]) -> tuple[float, Stability | None]:
+            with drives.one() as (drive, watcher):
                 own, start = retuned(robot, drive, tuned[cell]), self._starts[cell[0]]
-                states: Array = roll_out(own.model, data, start, control, control_spec=FORCED)[0]
-                return states, judged_at(own, start, ctrl)
+                states = roll_out(own.model, watcher.data, start, control, control_spec=FORCED)[0]
+                deviation = self._deviation(watcher, states)
+                rest = self._rests[cell[0]]
+                if rest is not None:
+                    return deviation, judged_at(own, rest, ctrl, MEETING)
+                if math.isinf(deviation):
+                    return deviation, None
+                return deviation, self._judged_at_the_end(own, watcher, start, ctrl)
 
-        watcher = monitor.Watcher(robot, model)  # gains change no shapes
         began = time.monotonic()
         with (
             ThreadPoolExecutor(min(len(cells), os.cpu_count() or 1)) as pool,
@@ -235,11 +252,23 @@ class _Trial:
         ):
             task = bar.add_task("gain sweep", total=len(cells), visible=False)
             list(pool.map(place, soft))
-            for cell, (states, stability) in zip(cells, pool.map(simulate, cells), strict=True):
-                self.stabilities[cell] = stability
-                self.deviations[cell] = self._deviation(watcher, states)
+            for cell, found in zip(cells, pool.map(simulate, cells), strict=True):
+                self.deviations[cell], self.stabilities[cell] = found
                 bar.update(task, advance=1, visible=time.monotonic() - began > 1.0)
                 bar.refresh()
+
+    def _judged_at_the_end(
+        self, drive: Servos, watcher: monitor.Watcher, start: Array, ctrl: Array
+    ) -> Stability | None:
+        """Judges where it is in the end, undisturbed; None if that is no rest on its feet."""
+        steps = round(LASTING / self.timestep)
+        states = roll_out(drive.model, watcher.data, start, np.tile(ctrl, (1, steps, 1)))[0]
+        if monitor.diverged(states, self.timestep):
+            return None
+        if _lies(self.robot, watcher, self.stand, states[-1]):
+            return None
+        found = judged_at(drive, states[-1], ctrl, 0.0)
+        return found if found.speed <= RESTING else None
 
     def _deviation(self, watcher: monitor.Watcher, states: Array) -> float:
         """Returns the deviation of the height in a rollout's last second; infinite if it fell."""
@@ -256,16 +285,14 @@ class _Trial:
         grid = np.array([[self.deviations[pair] for pair in row] for row in pairs])
         fell = ~np.isfinite(grid)
         found = [[self.stabilities[pair] for pair in row] for row in pairs]
-        damping = np.array([[_damping_ratio(one) for one in row] for row in found])
         return GainSweep(
             kp=np.array(axes[0]),
             kd=np.array(axes[1]),
             height_deviation=grid,
             fell=fell,
-            doubling_time=np.array(
-                [[one.doubling_time or math.inf for one in row] for row in found]
-            ),
-            damping_ratio=np.where(fell, math.nan, damping),
+            lasts=np.array([[one is not None and one.lasts() for one in row] for row in found]),
+            doubling_time=np.array([[_doubling_time(one) for one in row] for row in found]),
+            damping_ratio=np.array([[_damping_ratio(one) for one in row] for row in found]),
             amplitude=self.amplitude,
             frequency=self.frequency,
             duration=self.steps * self.timestep,
@@ -273,9 +300,14 @@ class _Trial:
         )
 
 
-def _damping_ratio(stability: Stability) -> float:
+def _doubling_time(stability: Stability | None) -> float:
+    """Returns in which what grows fastest doubles (s); not a number where nothing is at rest."""
+    return math.nan if stability is None else stability.doubling_time or math.inf
+
+
+def _damping_ratio(stability: Stability | None) -> float:
     """Returns the damping ratio of the least damped mode; not a number where none swings."""
-    mode = stability.least_damped
+    mode = None if stability is None else stability.least_damped
     return math.nan if mode is None else mode.damping_ratio
 
 

@@ -26,7 +26,8 @@ FALLEN_HEIGHT = 0.5
 
 SUNKEN = 0.3
 """A base that has lost this share of its height has collapsed: what sags on servos that carry it
-loses a tenth (v3 at kp 5: 9 %), what lies on its shanks a half."""
+loses a tenth (v3 at kp 5: 9 %), what lies on its shanks a half. One that has gained it was thrown
+up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +108,12 @@ def turned_by(robot: Robot, rotation: Array, state: Array) -> float:
 def lean(robot: Robot, rotation: Array, state: Array) -> float:
     """Returns how far the base of a state leans off a rotation's vertical (rad); yaw is no lean."""
     quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
-    cosine = float(rotation_from_quaternion(quaternion)[2] @ rotation[2])
-    return math.acos(min(1.0, max(-1.0, cosine)))
+    return lean_between(rotation, rotation_from_quaternion(quaternion))
+
+
+def lean_between(one: Array, other: Array) -> float:
+    """Returns the angle between the verticals of two rotations (rad)."""
+    return math.acos(min(1.0, max(-1.0, float(one[2] @ other[2]))))
 
 
 DIVERGED = "the simulation diverged"
@@ -136,6 +141,17 @@ def has_fallen(leaning: float, height: float, upright: float) -> bool:
         upright: What that should be.
     """
     return leaning > FALLEN_TILT or height < FALLEN_HEIGHT * upright
+
+
+def has_collapsed(leaning: float, start: float, end: float) -> bool:
+    """Tells whether a robot has fallen over, sunk on to itself, or was thrown off the ground.
+
+    Args:
+        leaning: How far it leans (rad); not a number of what has diverged, like the next two.
+        start: Its base's height where it began, above the ground (m).
+        end: The same at the end.
+    """
+    return not (abs(end - start) <= SUNKEN * start and leaning <= FALLEN_TILT)
 
 
 def fall(leaning: float, height: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,10 +15,17 @@ from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.payload import point_on_base, with_payload
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.rollout import check_stand, full_state, roll_out
+from pupper_analysis.simulation.rollout import (
+    check_stand,
+    check_standing,
+    full_state,
+    roll_out,
+    settled_activations,
+)
+from pupper_analysis.simulation.stability import judged_at
 from pupper_analysis.stance.payload.nudge import nudges
 from pupper_analysis.stance.payload.servo_limit import (
     LASTING,
@@ -76,6 +84,66 @@ class PayloadTrial(Result):
     dry_friction: bool
 
 
+@dataclass(frozen=True, eq=False)
+class Buckling(Result):
+    """How fast a loaded stand leaves its equilibrium, by the spectrum of a step of MuJoCo's.
+
+    Friction in MuJoCo is viscous near standstill, so that what it carries buckles slowly, without a
+    sharp edge: feet that creep, and joints' dry friction above all.
+
+    Attributes:
+        mass: Of the payload (kg).
+        doubling_time: In which a deviation doubles (s), with the model's dry friction; infinite if
+            none grows.
+        free_doubling_time: The same without it: as fast as once something moves.
+    """
+
+    mass: float
+    doubling_time: float
+    free_doubling_time: float
+
+
+@checked
+def payload_buckling(
+    robot: Robot,
+    stand: Stand,
+    mass: float,
+    point: Sequence[float] = (0.0, 0.0, 0.0),
+    *,
+    command: Command = Command.LOADED,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+) -> Buckling:
+    """Tells how fast a stand buckles with a mass on the robot.
+
+    Args:
+        robot: As for ``payload_trial``, which begins in the same state, like all that follow.
+        stand: Likewise.
+        mass: Likewise.
+        point: Likewise.
+        command: Likewise.
+        kp: Likewise.
+        kd: Likewise.
+
+    Raises:
+        ConfigurationError: As ``payload_trial``, like the next two.
+        ModelError: Likewise.
+        NoEquilibriumError: Likewise.
+    """
+    robot.check_tree("a payload")
+    check_standing(robot, stand)
+    place = point_on_base(point)
+    laid = _laid(robot, stand, mass, place, command, kp, kd)
+    data = mujoco.MjData(laid.drive.model)
+    laid.robot.mj_convention.set_state(data, laid.qpos)
+    data.act[:] = settled_activations(laid.drive.model, laid.ctrl)
+    start = full_state(laid.drive.model, data)
+    rubbing = judged_at(laid.drive, start, laid.ctrl).doubling_time or math.inf
+    laid.free()
+    free = judged_at(laid.drive, start, laid.ctrl).doubling_time or math.inf
+    return Buckling(float(mass), rubbing, free)
+
+
 @checked
 def payload_trial(
     robot: Robot,
@@ -120,18 +188,12 @@ def payload_trial(
     robot.check_tree("a payload")
     check_stand(robot, stand, duration)
     place = point_on_base(point)
-    loaded = with_payload(robot, mass, place.tolist())
-    start = _start(robot, stand, mass, place, command, kp)
-    loaded = on_ground(loaded, start.stand.task.ground, start.stand.foot_targets)
-    drive = servos(loaded, kp, kd)
-    model = drive.model
+    laid = _laid(robot, stand, mass, place, command, kp, kd)
     if not dry_friction:
-        model.dof_frictionloss[:] = 0.0
-        model.geom_condim[:] = np.minimum(model.geom_condim, _SLIDING_CONDIM)
-    ctrl = drive.command(loaded, start.target)
-    qpos = start.start
+        laid.free()
+    loaded, model, qpos, ctrl = laid.robot, laid.drive.model, laid.qpos, laid.ctrl
     states = _rollouts(loaded, model, qpos, ctrl, duration)
-    events = [_first_event(loaded, model, start.stand, qpos, rows, ctrl) for rows in states]
+    events = [_first_event(loaded, model, laid.stand, qpos, rows, ctrl) for rows in states]
     failed = [event for event in events if event is not None]
     time, failure, where = min(failed, key=lambda event: event[0]) if failed else (None, None, ())
     joints = states[:, -1, 1 + loaded.mj_convention.qpos_index[7:]]
@@ -147,6 +209,40 @@ def payload_trial(
         duration=duration,
         dry_friction=dry_friction,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Laid:
+    """A payload on a robot, at rest: the loaded robot on its ground, its servos and command."""
+
+    robot: Robot
+    stand: Stand
+    drive: Servos
+    qpos: Array
+    ctrl: Array
+
+    def free(self) -> None:
+        """Takes the dry friction of joints and of rolling feet away."""
+        model = self.drive.model
+        model.dof_frictionloss[:] = 0.0
+        model.geom_condim[:] = np.minimum(model.geom_condim, _SLIDING_CONDIM)
+
+
+def _laid(
+    robot: Robot,
+    stand: Stand,
+    mass: float,
+    point: Array,
+    command: Command,
+    kp: ArrayLike | None,
+    kd: ArrayLike | None,
+) -> _Laid:
+    """Puts a payload on a robot."""
+    loaded = with_payload(robot, mass, point.tolist())
+    start = _start(robot, stand, mass, point, command, kp)
+    loaded = on_ground(loaded, start.stand.task.ground, start.stand.foot_targets)
+    drive = servos(loaded, kp, kd)
+    return _Laid(loaded, start.stand, drive, start.start, drive.command(loaded, start.target))
 
 
 def _start(

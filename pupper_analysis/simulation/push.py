@@ -18,6 +18,7 @@ from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.push_bench import Bench, Pushed, bench_of
 from pupper_analysis.simulation.rollout import check_stand
+from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
@@ -91,6 +92,7 @@ def push_recovery(
     feedforward: bool = True,
     integrator: str | None = None,
     resolution: float = 0.02,
+    verification: StandVerification | None = None,
 ) -> PushRecovery:
     """Finds the largest horizontal push, in each direction, from which a stand recovers.
 
@@ -124,6 +126,8 @@ def push_recovery(
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo's integrator; the model's own by default.
         resolution: Of the impulses (N s).
+        verification: What ``verify_stand`` finds of it with the same gains, feed-forward and
+            integrator; simulated if it is not given.
 
     Returns:
         The limits. All are 0 if it does not stand without a push; ``unpushed`` says why.
@@ -152,6 +156,7 @@ def push_recovery(
         kd=kd,
         feedforward=feedforward,
         integrator=integrator,
+        verification=verification,
     )
     config = Configuration(robot, stand.qpos)
     estimate = tipping_impulses(config, bench.point(), bench.axes, stand.stance_feet)

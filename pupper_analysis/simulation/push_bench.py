@@ -15,15 +15,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, servos
-from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.held import Held
-from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground, roll_out
+from pupper_analysis.simulation.rollout import (
+    FORCED,
+    Standing,
+    forced_commands,
+    roll_out,
+    standing,
+)
 from pupper_analysis.simulation.stability import judged_at
-from pupper_analysis.simulation.verify import verify_stand
-from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import ForceDistribution
+from pupper_analysis.simulation.verify import StandVerification, verify_stand
+from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 
@@ -69,11 +72,7 @@ class Bench:
     """Where a robot is pushed; counts how often.
 
     Attributes:
-        robot: The robot, on the stand's ground.
-        stand: How it stands.
-        drive: Its servos.
-        start: The state at rest, just before the push.
-        ctrl: (model.nu,) the servos' command.
+        held: What stands there, just before the push.
         axes: (n, 2) the directions, unit vectors in the world.
         duration: Of a simulation (s).
         feedforward: Whether the command feeds the stand's torques forward.
@@ -81,11 +80,7 @@ class Bench:
             does, as predicted or not.
     """
 
-    robot: Robot
-    stand: Stand
-    drive: Servos
-    start: Array
-    ctrl: Array
+    held: Standing
     axes: Array
     duration: float
     feedforward: bool
@@ -93,6 +88,9 @@ class Bench:
     rollouts: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
+        held = self.held
+        self.robot, self.stand, self.drive = held.robot, held.stand, held.drive
+        self.start, self.ctrl = held.start, held.ctrl
         model = self.drive.model
         self.timestep = float(model.opt.timestep)
         self.steps = round(self.duration / self.timestep)
@@ -256,6 +254,7 @@ def bench_of(
     kd: ArrayLike | None,
     feedforward: bool,
     integrator: str | None,
+    verification: StandVerification | None = None,
 ) -> Bench:
     """Puts a robot where it can be pushed; see ``push_recovery``.
 
@@ -268,6 +267,7 @@ def bench_of(
         kd: Servo damping (N m s/rad); the model's own if None.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo's integrator; the model's own if None.
+        verification: What ``verify_stand`` finds so; None: it is asked.
 
     Raises:
         ConfigurationError: If an argument is out of its range.
@@ -275,20 +275,13 @@ def bench_of(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     forward = Configuration(robot, stand.qpos).base_rotation()[:2, 0]
-    alone = verify_stand(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    torques = stand_statics(
-        robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
-    ).joint_torques
-    drive = servos(robot, kp, kd, integrator)
-    positions = stand.joint_positions(robot)
+    alone = verification or verify_stand(
+        robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator
+    )
+    held = standing(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
     in_world = angles + math.atan2(forward[1], forward[0])
     return Bench(
-        robot=robot,
-        stand=stand,
-        drive=drive,
-        start=place_on_ground(robot, drive, stand, torques),
-        ctrl=drive.command(robot, positions, torques if feedforward else None),
+        held=held,
         axes=np.column_stack([np.cos(in_world), np.sin(in_world)]),
         duration=duration,
         feedforward=feedforward,

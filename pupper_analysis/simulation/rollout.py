@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import mujoco.rollout
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos
-from pupper_analysis.stance.stand import Stand
+from pupper_analysis.robot.servos import Servos, servos
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
 
@@ -32,6 +35,59 @@ STATE = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
 
 FORCED = int(mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value)
 """What rollouts with forces on bodies are given."""
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """A stand on its servos, where a simulation of it begins.
+
+    Attributes:
+        robot: The robot, on the stand's ground.
+        stand: How it stands.
+        prediction: Torques and contact forces: those that last.
+        drive: Its servos.
+        start: The state (mjSTATE_FULLPHYSICS) at rest, let down on to the ground.
+        ctrl: (model.nu,) what they are commanded.
+    """
+
+    robot: Robot
+    stand: Stand
+    prediction: GravityCompensation
+    drive: Servos
+    start: Array
+    ctrl: Array
+
+
+def standing(
+    robot: Robot,
+    stand: Stand,
+    *,
+    feedforward: bool = True,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    integrator: str | None = None,
+) -> Standing:
+    """Puts a robot on its ground and on its servos, in a stand.
+
+    Args:
+        robot: The robot.
+        stand: How it stands.
+        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        kp: Servo stiffness (N m/rad); the model's own by default.
+        kd: Servo damping (N m s/rad); the model's own by default.
+        integrator: MuJoCo's integrator; the model's own by default.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range.
+        ModelError: If the model has no servos and no gains are given.
+        StaticsInfeasibleError: If no contact forces balance the stand.
+    """
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
+    prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
+    drive, torques = servos(robot, kp, kd, integrator), prediction.joint_torques
+    start = place_on_ground(robot, drive, stand, torques)
+    ctrl = drive.command(robot, stand.joint_positions(robot), torques if feedforward else None)
+    return Standing(robot, stand, prediction, drive, start, ctrl)
 
 
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:

@@ -14,17 +14,18 @@ from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import (
     STATE,
     check_standing,
-    place_on_ground,
+    full_state,
     settled_activations,
+    standing,
 )
-from pupper_analysis.stance.sag.steady_state import SteadyState
-from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import ForceDistribution
+from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
+from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 
-_MEETING = 0.05
-"""s in which contacts meet their loads, where an equilibrium has been found already."""
+MEETING = 0.05
+"""s in which contacts meet their loads, where an equilibrium has been found already: the prediction
+is of first order in friction's creep."""
 
 
 @checked
@@ -40,7 +41,8 @@ def stand_stability(
     """Judges whether a stand is stable, by the eigenvalues of one of MuJoCo's steps.
 
     It takes milliseconds, where ``verify_stand`` simulates seconds, and finds what no seconds show.
-    It says nothing of where the robot comes to rest, nor of harder pushes.
+    With feed-forward the stand is judged; without, where servos let it rest (``steady_state``, feet
+    pinned). It says nothing of harder pushes.
 
     Args:
         robot: The robot.
@@ -57,37 +59,58 @@ def stand_stability(
         ConfigurationError: If an argument is out of its range, or the base is fixed.
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
+        NoEquilibriumError: If it comes to rest nowhere near without feed-forward.
     """
     check_standing(robot, stand)
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    torques = stand_statics(
-        robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
-    ).joint_torques
-    drive = servos(robot, kp, kd, integrator)
-    start = place_on_ground(robot, drive, stand, torques)
-    fed = torques if feedforward else None
-    return judged_at(drive, start, drive.command(robot, stand.joint_positions(robot), fed))
+    if not feedforward:
+        pose = steady_state(robot, stand, kp=kp)
+        return rest_stability(robot, stand, pose, kp=kp, kd=kd, integrator=integrator)
+    held = standing(robot, stand, kp=kp, kd=kd, integrator=integrator)
+    return judged_at(held.drive, held.start, held.ctrl)
 
 
-def rest_stability(robot: Robot, stand: Stand, pose: SteadyState) -> Stability:
+def rest_stability(
+    robot: Robot,
+    stand: Stand,
+    pose: SteadyState,
+    *,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+    integrator: str | None = None,
+) -> Stability:
     """Judges where the servos, commanded the stand alone, let a robot come to rest.
 
     Args:
         robot: The robot.
         stand: The stand that is commanded.
         pose: Where it comes to rest: ``steady_state``.
+        kp: As for ``stand_stability``, like the next two.
+        kd: Likewise.
+        integrator: Likewise.
 
     Returns:
-        The modes that grow there, and the margin. The prediction is of first order in friction's
-        creep: contacts meet their loads in the first few steps.
+        The modes that grow there, and the margin.
     """
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    drive = servos(robot)
+    drive = servos(robot, kp, kd, integrator)
+    ctrl = drive.command(robot, stand.joint_positions(robot))
+    return judged_at(drive, rest_state(robot, drive, pose, ctrl), ctrl, MEETING)
+
+
+def rest_state(robot: Robot, drive: Servos, pose: SteadyState, ctrl: Array) -> Array:
+    """Returns the state (mjSTATE_FULLPHYSICS) in which servos let a robot come to rest.
+
+    Args:
+        robot: The robot, on its ground.
+        drive: Its servos.
+        pose: Where it comes to rest.
+        ctrl: (model.nu,) what they are commanded.
+    """
     data = mujoco.MjData(drive.model)
     robot.mj_convention.set_state(data, pose.qpos)
-    data.ctrl[:] = drive.command(robot, stand.joint_positions(robot))
+    data.ctrl[:] = ctrl
     data.act[:] = settled_activations(drive.model, data.ctrl)
-    return step_stability(drive.model, data, settle=_MEETING)
+    return full_state(drive.model, data)
 
 
 def judged_at(drive: Servos, state: Array, ctrl: Array, settle: float = SETTLE) -> Stability:

@@ -9,12 +9,9 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-import numpy as np
-
 from pupper_analysis.results import Result
 from pupper_analysis.robot.as_published import OwnRun, Published, ServosUsed
 from pupper_analysis.robot.stability import Stability
-from pupper_analysis.simulation.monitor import FALLEN_TILT, SUNKEN
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -175,10 +172,7 @@ def ending(run: StandVerification) -> Ending:
     """Tells how a simulation of a stand ended."""
     if run.passed:
         return Ending.HOLDS
-    start = run.base_height + run.height_loss
-    sunk = not math.isfinite(run.base_height) or run.height_loss > SUNKEN * start
-    fallen = sunk or not np.isfinite(run.tilt) or run.tilt > FALLEN_TILT
-    return Ending.COLLAPSES if fallen else Ending.FAILS
+    return Ending.COLLAPSES if run.collapses else Ending.FAILS
 
 
 def _code(

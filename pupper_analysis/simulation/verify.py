@@ -4,29 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
-from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, servos
+from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import LASTING, Stability
-from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.balance import balance_by_mujoco
 from pupper_analysis.simulation.causes import creeping, rattling, too_stiff, unstable
 from pupper_analysis.simulation.edges import several_contacts
 from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.loops import closed_loops, give_way
 from pupper_analysis.simulation.nudge import Nudge, nudged_states, response
-from pupper_analysis.simulation.rollout import check_stand, place_on_ground, run
+from pupper_analysis.simulation.rollout import check_stand, run, standing
 from pupper_analysis.simulation.stability import judged_at
 from pupper_analysis.simulation.watch import LAST, Watch, watched
-from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
+from pupper_analysis.stance.stand import Stand
+from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.statics.support_polygon import drop_at
 
 Array = NDArray[np.float64]
@@ -49,11 +47,13 @@ ANOTHER_ROBOT = 1e-3
 SETTLED_DRIFT = 5e-4
 """A base whose height changes faster than this in the last second has not settled (m/s)."""
 
+RESTING = 5e-3
+"""What moves faster does not rest (m/s, rad/s): feet creep by less."""
+
 SOFT = 1e-4
 """Ground into which feet sink deeper than their stand has them by this is soft (m)."""
 
 _SAMPLE = 0.02  # s between the states that are looked at closely
-_RESTING = 5e-3  # m/s, rad/s: feet creep by less
 _NUDGED = 7 / 12  # of the time by default: 5 s to settle, and 7 s in which 1e-3 must be forgotten
 _FRAME = 0.1  # s between those that are kept: an eye sees what it does, and results stay small
 
@@ -70,6 +70,8 @@ class StandVerification(Held, Tabular):
         failures: If not, why.
         stays: Whether it stands still on its feet and does so again after the nudge, as predicted
             or not.
+        collapses: Whether it has diverged, fallen over, sunk or been thrown up by 30 % of its
+            height at the end.
         base_height: Settled (m).
         height_deviation: Standard deviation of the base's height in that second (m).
         height_drift: Rate of the base's height in that second (m/s): still sinking if negative.
@@ -101,6 +103,7 @@ class StandVerification(Held, Tabular):
     passed: bool
     failures: tuple[str, ...]
     stays: bool
+    collapses: bool
     base_height: float
     height_deviation: float
     height_drift: float
@@ -173,12 +176,9 @@ def verify_stand(
     """
     check_stand(robot, stand, duration)
     after = _time_after(duration, nudged)
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
-    drive = servos(robot, kp, kd, integrator)
-    torques = prediction.joint_torques if feedforward else None
-    ctrl = drive.command(robot, stand.joint_positions(robot), torques)
-    start = place_on_ground(robot, drive, stand, prediction.joint_torques)
+    held = standing(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
+    robot, drive, prediction = held.robot, held.drive, held.prediction
+    start, ctrl = held.start, held.ctrl
     timestep = float(drive.model.opt.timestep)
     quiet = run(
         drive.model, start, np.tile(ctrl, (max(2, round((duration - after) / timestep)), 1))
@@ -191,7 +191,7 @@ def verify_stand(
     loaded = {foot for foot, force in predicted.items() if force[2] >= FORCE_TOLERANCE * light}
     watch = watched(robot, drive.model, stand, states, ctrl, len(quiet), loaded)
     judged = judged_at(drive, quiet[-1], ctrl, 0.0)
-    if diverged or judged.speed > _RESTING:  # what threw it off grew where it began
+    if diverged or judged.speed > RESTING:  # what threw it off grew where it began
         judged = judged_at(drive, start, ctrl)
     nudge = (
         None
@@ -273,11 +273,12 @@ def _measured(
         for foot, force in predicted.items()
     )
     step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE, _FRAME))
-    foot_error, residual = _backend_evaluation(robot, stand, prediction)
+    foot_error, residual = balance_by_mujoco(robot, stand, prediction)
     return StandVerification(
         passed=True,
         failures=(),
         stays=True,
+        collapses=_collapses(robot, stand, states, timestep),
         feedforward=True,
         integrator=drive.integrator,
         timestep=timestep,
@@ -311,6 +312,14 @@ def _measured(
         motion_time=states[::frame, 0].copy(),
         motion=np.round(states[::frame, 1 + robot.mj_convention.qpos_index], 6),
     )
+
+
+def _collapses(robot: Robot, stand: Stand, states: Array, timestep: float) -> bool:
+    """Tells whether a robot no longer stands at the end, in any way."""
+    leaning = monitor.lean(robot, stand.task.rotation(), states[-1])
+    height = float(monitor.base_heights(robot, states[-1]))
+    fallen = monitor.has_collapsed(leaning, float(stand.qpos[2]), height)
+    return fallen or monitor.diverged(states, timestep)
 
 
 def _failures(
@@ -371,29 +380,3 @@ def _deviations(
     if off and alone and deepest > SOFT and not any(stand.depths.values()):
         off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")
     return off
-
-
-def _backend_evaluation(
-    robot: Robot, stand: Stand, prediction: GravityCompensation
-) -> tuple[float, float]:
-    """Checks stand and statics with MuJoCo's kinematics and dynamics of the MJCF."""
-    model = robot.mj_model
-    data = mujoco.MjData(model)
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_fwdPosition(model, data)
-    mujoco.mj_fwdVelocity(model, data)
-    remainder = data.qfrc_bias - data.qfrc_passive
-    foot_error = 0.0
-    jacobian = np.zeros((3, model.nv))
-    for foot, centre in monitor.foot_centres(robot, data).items():
-        foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
-        if foot in stand.stance_feet:
-            radius, depth = robot.foot_radius[foot], stand.depths[foot]
-            point = centre + contact_offset(radius, stand.normals[foot], depth)
-            mujoco.mj_jac(model, data, jacobian, None, point, robot.foot_places[foot][0])
-            remainder -= jacobian.T @ prediction.contact_forces[foot]
-    joints = robot.mj_convention.qvel_index[6:]
-    if robot.closure is not None:
-        remainder[joints] -= robot.closure.push(stand.qpos) @ remainder[joints]
-    remainder[joints] -= prediction.joint_torques
-    return foot_error, float(np.abs(remainder).max())

@@ -14,7 +14,6 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogLocator, NullLocator
 
 from pupper_analysis.report.figures import style
-from pupper_analysis.robot.stability import LASTING
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis
@@ -115,7 +114,7 @@ def _write_values(axes: Axes, sweep: GainSweep, norm: LogNorm) -> None:
             va="center",
             color="white" if norm(value) < 0.5 else style.BLACK,
         )
-        if sweep.doubling_time[row, column] < LASTING:
+        if not sweep.lasts[row, column]:
             axes.add_patch(
                 Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, fill=False, ec=style.RED, lw=2.2)
             )

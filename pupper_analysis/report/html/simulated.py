@@ -15,7 +15,6 @@ from pupper_analysis.report.html.scene import Motion
 from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.sources import page
 from pupper_analysis.report.html.words import text
-from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.gain_sweep import GainSweep
 from pupper_analysis.simulation.verify import StandVerification
 
@@ -111,17 +110,24 @@ def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
     yield _by_gains(sweep, text("Height deviation by servo gains"), "mm", deviations, notes)
     damping = [
         [
-            text("doubles in {time} s", time=f"{time:.2g}")
-            if time < LASTING
-            else doc.number(ratio if np.isfinite(ratio) else None, ".2f")
-            for time, ratio in zip(*row, strict=True)
+            _damping_cell(bool(lasts), float(time), float(ratio))
+            for lasts, time, ratio in zip(*row, strict=True)
         ]
-        for row in zip(sweep.doubling_time, sweep.damping_ratio, strict=True)
+        for row in zip(sweep.lasts, sweep.doubling_time, sweep.damping_ratio, strict=True)
     ]
     title = text("Damping ratio of the least damped mode by servo gains")
     how = text("Of the undisturbed stand, by the eigenvalues of a step of MuJoCo.")
     yield _by_gains(sweep, title, "1", damping, [how])
     yield from _sweep_plot(sweep)
+
+
+def _damping_cell(lasts: bool, doubling_time: float, damping_ratio: float) -> doc.Cell:
+    """Returns how a pair of gains is damped, or that it does not last."""
+    if math.isnan(doubling_time):
+        return text("does not rest")
+    if not lasts:
+        return text("doubles in {time} s", time=f"{doubling_time:.2g}")
+    return doc.number(damping_ratio if math.isfinite(damping_ratio) else None, ".2f")
 
 
 def _by_gains(

@@ -128,7 +128,7 @@ def push_section(pushed: PushedStance, robot: Robot | None) -> doc.Section:
         mass=f"{recovery.mass:.2f}",
     )
     if recovery.unpushed:
-        weakest = text("It does not stand, so it withstands no push:")
+        weakest = text("It does not stand, so it withstands no push.")
     table = doc.Table(
         text("Largest push that the stand survives"),
         (
@@ -161,9 +161,10 @@ def push_section(pushed: PushedStance, robot: Robot | None) -> doc.Section:
         pushed.passed,
         text("LASTS") if pushed.passed else text("FAILS"),
         (
+            *(() if pushed.passed else verdict_lines(pushed.verdict)),
             weakest,
-            *map(said, recovery.unpushed or (recovery.weakest_failure,)),
-            *_made_up(pushed.servos),
+            *(() if recovery.unpushed else (said(recovery.weakest_failure),)),
+            *(_made_up(pushed.verdict.servos) if pushed.passed else ()),
         ),
     )
 
@@ -273,5 +274,9 @@ def path_section(there: PathThere, robot: Robot | None) -> doc.Section:
         tuple(blocks),
         there.passed,
         text("TRACKED") if there.passed else text("FAILED"),
-        (task_text(there.stand.task), *map(said, tracking.failures)),
+        (
+            task_text(there.stand.task),
+            *map(said, tracking.failures),
+            *_made_up(there.servos),
+        ),
     )
