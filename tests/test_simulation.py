@@ -392,9 +392,9 @@ def test_each_cell_of_a_sweep_tells_how_stable_its_gains_are() -> None:
 
 
 def test_damping_has_no_part_in_how_fast_soft_servos_buckle() -> None:
-    """Within 10 % of the least stiffness: before, each kd was judged half way down."""
+    """Within 3 % of the least stiffness: before, each kd was judged half way down."""
     robot, stand = load("v3"), stand_of("v3")
-    assert 2.2 < pa.minimum_stiffness(robot, stand) < 2.3
+    assert 2.4 < pa.minimum_stiffness(robot, stand) < 2.5
     found = pa.sweep_gains(robot, stand, kp=[2.0, 2.5], kd=[0.025, 0.1, 0.4], duration=2.0)
     soft, near = found.doubling_time
     assert np.isnan(soft).all()

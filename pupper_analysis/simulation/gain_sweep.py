@@ -227,19 +227,20 @@ class _Trial:
             with drives.one() as (drive, _):
                 drive = retuned(robot, drive, soft[kp])
                 self._starts[kp] = place_on_ground(robot, drive, stand, self.torques)
-                self._rests[kp] = None
                 with suppress(PupperAnalysisError):
                     pose = steady_state(self.plain, stand, kp=kp)
-                    if not pose.failures:
-                        self._rests[kp] = rest_state(robot, drive, pose, ctrl)
+                    start = rest_state(robot, drive, pose, ctrl)
+                    self._rests[kp] = None if pose.failures else start
 
         def simulate(cell: tuple[float, float]) -> tuple[float, Stability | None]:
             with drives.one() as (drive, watcher):
                 own, start = retuned(robot, drive, tuned[cell]), self._starts[cell[0]]
                 states = roll_out(own.model, watcher.data, start, control, control_spec=FORCED)[0]
                 deviation = self._deviation(watcher, states)
-                rest = self._rests[cell[0]]
-                if rest is not None:
+                if cell[0] in self._rests:
+                    rest = self._rests[cell[0]]
+                    if rest is None:
+                        return deviation, None
                     return deviation, judged_at(own, rest, ctrl, MEETING)
                 if math.isinf(deviation):
                     return deviation, None
