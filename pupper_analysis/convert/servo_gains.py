@@ -27,6 +27,10 @@ which is 2 for a step that is explicit in the position."""
 _LEAST_SHARE = 0.02
 """Of the greatest gravity torque: what a joint that holds hardly any is given stiffness for."""
 
+_LEAST_RATE = 4 * math.pi
+"""Least natural frequency of a servo (rad/s), 2 Hz: what turns about a vertical axis holds no
+gravity, and still is to be where it is commanded within some tenths of a second."""
+
 _POSES = 64
 
 
@@ -86,7 +90,8 @@ def held_gains(
 ) -> tuple[Array, Array]:
     """Computes the gains of a robot that is held: an arm, or one that cannot stand.
 
-    Each joint's stiffness is for the greatest gravity torque that it holds in random poses, and its
+    Each joint's stiffness is for the greatest gravity torque that it holds in random poses, or for
+    the greatest inertia that it moves there with the others locked, if that asks for more; and its
     damping for the inertia that it moves there with the other joints free: kd = 2 z sqrt(kp I).
 
     Args:
@@ -104,6 +109,7 @@ def held_gains(
     low = np.where(limited, model.jnt_range[hinges, 0], -math.pi)
     high = np.where(limited, model.jnt_range[hinges, 1], math.pi)
     torque, inertia = np.zeros(len(hinges)), np.full(len(hinges), np.inf)
+    heaviest = np.zeros(len(hinges))
     mass = np.zeros((model.nv, model.nv))
     for _ in range(_POSES):
         data.qpos[places] = random.uniform(low, high)
@@ -112,9 +118,10 @@ def held_gains(
         inverse = np.linalg.inv(mass[np.ix_(dofs, dofs)])
         torque = np.maximum(torque, np.abs(data.qfrc_bias[dofs]))
         inertia = np.minimum(inertia, 1 / np.diag(inverse))
+        heaviest = np.maximum(heaviest, mass[dofs, dofs])
     torque = np.maximum(torque, _LEAST_SHARE * float(torque.max()))
     stable = inertia * (_STEP_SHARE / float(model.opt.timestep)) ** 2
-    kp = np.minimum(torque / (sag or SAG), stable)
+    kp = np.minimum(np.maximum(torque / (sag or SAG), heaviest * _LEAST_RATE**2), stable)
     kd = 2 * (damping_ratio or 1.0) * np.sqrt(kp * inertia)
     return np.array([_digits(v) for v in kp]), np.array([_digits(v) for v in kd])
 
