@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from pupper_analysis.simulation.gain_sweep import GainSweep
 
 
+_ROOMY = 12
+"""Columns of cells across a page in which five digits stand apart at the usual size."""
+
+
 def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """Draws the gain sweeps as heat maps: how much the height deviates, for each kp and kd.
 
@@ -52,7 +56,8 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             aspect="auto",
             origin="lower",
         )
-        _write_values(axes, sweep, norm)
+        columns = len(sweep.kd) * min(style.COLUMNS, len(analyses))
+        _write_values(axes, sweep, norm, style.FONT * min(1.0, _ROOMY / columns))
         style.title_panel(axes, analysis.name)
         axes.set_xticks(range(len(sweep.kd)), [f"{value:g}" for value in sweep.kd])
         axes.set_yticks(range(len(sweep.kp)), [f"{value:g}" for value in sweep.kp])
@@ -72,7 +77,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     style.put_legend(
         figure,
         [
-            Patch(fill=False, edgecolor=style.RED, lw=2, label="not stable at rest"),
+            Patch(fill=False, edgecolor=style.RED, lw=2, label="no stable rest"),
             Patch(facecolor="#F1F1F1", edgecolor=style.GREY, hatch="////", label="fell"),
             Line2D(
                 [],
@@ -85,7 +90,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     style.save(figure, path)
 
 
-def _write_values(axes: Axes, sweep: GainSweep, norm: LogNorm) -> None:
+def _write_values(axes: Axes, sweep: GainSweep, norm: LogNorm, size: float) -> None:
     """Writes the deviation (mm) into each cell, or that it fell; frames what is not stable."""
     for row, column in np.ndindex(sweep.height_deviation.shape):
         if sweep.fell[row, column]:
@@ -98,7 +103,7 @@ def _write_values(axes: Axes, sweep: GainSweep, norm: LogNorm) -> None:
                 column,
                 row,
                 "fell",
-                size=style.FONT,
+                size=size,
                 ha="center",
                 va="center",
                 bbox={"fc": "white", "ec": "none", "pad": 1.0},
@@ -109,7 +114,7 @@ def _write_values(axes: Axes, sweep: GainSweep, norm: LogNorm) -> None:
             column,
             row,
             f"{value:.3f}" if value < 10 else f"{value:.0f}",
-            size=style.FONT,
+            size=size,
             ha="center",
             va="center",
             color="white" if norm(value) < 0.5 else style.BLACK,
