@@ -51,9 +51,13 @@ def test_soles_that_pivot_on_their_way_stand(tmp_path: Path) -> None:
 
 
 @pytest.mark.longest
-@pytest.mark.parametrize("seed", [3, 5, 7, 8])
+@pytest.mark.parametrize("seed", [0, 3, 5, 7, 8, 20])
 def test_irregular_bipeds_stand_as_predicted(seed: int, tmp_path: Path) -> None:
-    """Nothing that is said to stand falls: let go where it is said to rest, MuJoCo stays there."""
+    """Nothing that is said to stand falls: let go where it is said to rest, MuJoCo stays there.
+
+    Or comes to where it is said to creep within these seconds: their soles, twisted, turn by a
+    millimetre within tenths of a second, by which the base may sink 4 % (seeds 0 and 5).
+    """
     robot, random = loaded(seed, tmp_path), np.random.default_rng(seed)
     weight = robot.total_mass * 9.81
     looked_at = 0
@@ -63,8 +67,9 @@ def test_irregular_bipeds_stand_as_predicted(seed: int, tmp_path: Path) -> None:
         kp = float(random.choice([3, 6, 12])) * weight * robot.stand_height
         try:
             task = pa.StandTask(height=height * robot.stand_height, pitch=pitch, roll=roll)
-            stand = pa.solve_stand(robot, task)
+            stand = pa.solve_stand(robot, task, explain=False)
             pose = pa.steady_state(robot, stand, kp=kp)
+            crept = pa.steady_state(robot, stand, kp=kp, seconds=6.0)
         except (pa.StanceUnreachableError, pa.StaticsInfeasibleError, pa.NoEquilibriumError):
             continue
         if pose.failures:
@@ -79,6 +84,6 @@ def test_irregular_bipeds_stand_as_predicted(seed: int, tmp_path: Path) -> None:
         while data.time < 6:
             mujoco.mj_step(drive.model, data)
         found = data.qpos[robot.mj_convention.qpos_index[2]]
-        assert found == pytest.approx(pose.base_height, abs=0.01 * robot.stand_height)
+        assert found == pytest.approx(crept.base_height, abs=1e-3 * robot.stand_height)
         looked_at += 1
     assert looked_at

@@ -386,6 +386,10 @@ class Equilibrium:
             for foot, depth in zip(self.anchors, places[:, 2], strict=True)
         }
 
+    def creeping(self) -> tuple[dict[str, Array], dict[str, float]]:
+        """Returns where creep has taken the feet, and what they give by it in this step."""
+        return dict(self.crept), dict(self.yielding)
+
     def viscosity(self, foot: str, depth: float) -> float:
         """Returns tangential force per velocity (N s/m); infinite where a foot pulls or stays."""
         law = self.laws[foot]

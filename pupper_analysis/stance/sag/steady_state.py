@@ -79,8 +79,7 @@ class SteadyState(Result):
         sliding_feet: The feet that slide: of one point that slips, or soles that slip as a whole,
             and further than they do on their way to a rest (``SMALL_SLIP``).
         lasts: How long it stands until creep ends the equilibrium, or brings another part to the
-            ground (s); infinite if that is longer than ``LASTING``, or was not looked at, as with
-            soles.
+            ground (s); infinite if that is longer than ``LASTING``, or was not looked at.
         failures: Why the robot will not stand so; empty if it will.
     """
 
@@ -159,14 +158,12 @@ def steady_state(
     way = Way(Equilibrium(robot, stand, kp, feet), exact=feedforward)
     pose = settle(way, feedforward=feedforward, seconds=seconds)
     moves = abs(pose.height_drift) * LASTING > HARDLY * float(stand.qpos[2])
-    # The points of a sole creep as one body, to where it is no longer twisted, and not for good.
-    flat = any(len(points) > 1 for points in robot.soles.values())
-    if pose.failures or feet == "sliding" or flat or not moves:
+    if pose.failures or feet == "sliding" or not moves:
         return pose
     lasts = _lasts(way, seconds)
     if math.isinf(lasts):
         return pose
-    return replace(pose, lasts=lasts, failures=(f"after {lasts:.1f} s the feet's creep fells it",))
+    return replace(pose, lasts=lasts, failures=(f"after {lasts:.1f} s the feet's creep ends it",))
 
 
 def _lasts(way: Way, begun: float) -> float:
