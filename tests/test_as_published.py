@@ -49,6 +49,19 @@ def test_what_stands_by_itself_holds(tmp_path: Path) -> None:
     assert not verdict.servos.made
 
 
+def test_a_drop_from_the_air_is_no_height_that_is_lost(tmp_path: Path) -> None:
+    """Pupper v3's own keyframe is 0.15 m above the ground, as many that are dropped from."""
+    pair = standing(tmp_path)
+    text = pair.mjcf.read_text().replace('qpos="0 0 0.35 ', 'qpos="0 0 0.5 ')
+    pair.mjcf.write_text(text.replace("<position ", '<position forcerange="-40 40" '))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.own_run is not None
+    assert not robot.own_run.collapses
+    assert robot.own_run.end_height == pytest.approx(0.35, abs=0.01)
+    assert robot.own_run.height == pytest.approx(0.35, abs=0.02)  # where its feet touch
+    assert "keyframe-falls" not in {found.rule for found in pa.audit_model(pair.mjcf).findings}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "said"),

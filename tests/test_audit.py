@@ -371,6 +371,13 @@ CASES = [
     # ---- start
     mjcf("start-outside-limits", "key 'home'", KEY, "0.9014 -1.5083", "1.5 -1.5083"),
     mjcf("keyframe-ctrl", "key 'home'", KEY, 'ctrl="0 0.9014', 'ctrl="0 1.5'),
+    Case(
+        "keyframe-falls",
+        "mjcf",
+        "key 'home'",
+        (KEY, ""),
+        (Edit("<option", "0 0 -9.81", "0 0 9.81"),),
+    ),
     mjcf("start-in-floor", "key 'home'", KEY, "0 0 0.158", "0 0 0.14"),
     Case(
         "start-self-collision",

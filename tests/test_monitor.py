@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import load, quaternion, stand_of
 
+from pupper_analysis.robot.fall import has_collapsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation import monitor
@@ -118,4 +119,4 @@ def test_a_rollout_that_breaks_down_is_known() -> None:
 def test_what_has_fallen_sunk_or_been_thrown_up_has_collapsed(
     leaning: float, end: float, collapsed: bool
 ) -> None:
-    assert monitor.has_collapsed(leaning, 0.2, end) is collapsed
+    assert has_collapsed(leaning, 0.2, end) is collapsed

@@ -17,7 +17,7 @@ from pupper_analysis.robot.as_published import (
     ServoSource,
     ServosUsed,
 )
-from pupper_analysis.simulation.monitor import has_collapsed
+from pupper_analysis.robot.fall import has_collapsed
 from pupper_analysis.simulation.verdict import Ending, VerdictCode, judge
 
 

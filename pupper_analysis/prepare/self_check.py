@@ -38,9 +38,16 @@ from pupper_analysis.robot.as_published import (
     ServoSource,
     ServosUsed,
 )
+from pupper_analysis.robot.fall import (
+    LONGER,
+    OWN_SECONDS,
+    has_collapsed,
+    height_of_keyframe,
+    lean_between,
+    still_moves,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.simulation.monitor import has_collapsed, lean_between
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.sunk import sunk_stand
@@ -50,13 +57,6 @@ Array = NDArray[np.float64]
 SECONDS = 1.0
 """Of the run from the computed stand (s): servos of some hertz have come to rest, and what slides
 has slid."""
-
-_OWN_SECONDS = 2.0
-"""Of the run from the keyframe (s): it drops by a few centimetres, and servos catch it."""
-
-_LONGER = 3  # times as long, if it still moves then
-
-_MOVES = 0.02  # m/s of the base that still moves
 
 SAME = 0.01
 """Share of the largest torque within which the file does as predicted: a verified stand's."""
@@ -148,7 +148,7 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
     key, data = names[name], mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, key)
     mujoco.mj_kinematics(model, data)
-    start, up = float(data.xpos[bare.base][2]), data.xmat[bare.base].reshape(3, 3).copy()
+    up = data.xmat[bare.base].reshape(3, 3).copy()
     places = [int(model.jnt_qposadr[model.joint(joint).id]) for joint in robot.joint_names]
     pose = data.qpos[places].copy()
     hold = hold_of(bare, robot, data, None, pose)
@@ -159,13 +159,13 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
         nothing = np.zeros(0)
         outside = (nothing.astype(int), nothing, nothing, nothing, nothing)
         hold = Hold(model.key_ctrl[key].copy(), model.key_act[key].copy(), outside, {})
-    seconds = _OWN_SECONDS
+    before, seconds = copy.copy(data), OWN_SECONDS
+    before.ctrl[:], before.act[:] = hold.ctrl, hold.act
     roll(bare, data, hold, seconds)
-    moving = np.zeros(6)
-    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, bare.base, moving, 0)
-    if np.abs(moving[3:]).max() > _MOVES:
-        roll(bare, data, hold, (_LONGER - 1) * seconds)
-        seconds *= _LONGER
+    if still_moves(model, data, bare.base):
+        roll(bare, data, hold, (LONGER - 1) * seconds)
+        seconds *= LONGER
+    start = height_of_keyframe(model, before, data, bare.base)
     end = float(data.xpos[bare.base][2])
     lean = lean_between(up, data.xmat[bare.base].reshape(3, 3))
     height = start - (bare.ground or 0.0)

@@ -55,11 +55,12 @@ class OwnRun:
         keyframe: Its name.
         own_ctrl: Whether ``ctrl`` is the keyframe's; else its servos are told to hold its joints.
         duration: s.
-        height: Of the base above the ground in the keyframe (m).
+        height: Of the base above the ground in the keyframe, or where the robot first touches the
+            ground from there (m).
         end_height: At the end (m).
         lean: Of the base against the keyframe at the end (rad).
         diverged: Whether MuJoCo began anew, as numbers were no longer any.
-        collapses: Whether it has, or has fallen, or sunk by ``simulation.monitor.SUNKEN`` of its
+        collapses: Whether it has, or has fallen, or sunk by ``robot.fall.SUNKEN`` of its
             height.
         joint_error: By how much a joint ends off the keyframe, at most (rad, m).
     """
@@ -90,7 +91,7 @@ class PublishedRun:
         torque_error: Largest deviation of a joint's torque / largest predicted torque.
         height_error: Base's height less the predicted one (m).
         joint_error: Largest deviation of a joint (rad).
-        collapses: Whether it has fallen, or sunk by ``simulation.monitor.SUNKEN`` of its height,
+        collapses: Whether it has fallen, or sunk by ``robot.fall.SUNKEN`` of its height,
             or diverged.
         differs: Whether it does, or is off by more than a verified stand may be.
     """

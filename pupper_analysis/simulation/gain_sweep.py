@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.results import Tabular
+from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, gains, retuned, servos
 from pupper_analysis.robot.stability import LASTING, Stability
@@ -315,4 +316,4 @@ def _damping_ratio(stability: Stability | None) -> float:
 def _lies(robot: Robot, watcher: monitor.Watcher, stand: Stand, state: Array) -> bool:
     """Tells whether a robot has fallen over, or rests on something else than its feet."""
     leaning = monitor.lean(robot, stand.task.rotation(), state)
-    return leaning > monitor.FALLEN_TILT or bool(watcher.touching(state))
+    return leaning > FALLEN_TILT or bool(watcher.touching(state))

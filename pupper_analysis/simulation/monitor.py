@@ -13,21 +13,14 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.robot import contact
+from pupper_analysis.robot.fall import FALLEN_TILT, lean_between
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.rollout import STATE
 
 Array = NDArray[np.float64]
 
-FALLEN_TILT = 0.5
-"""A base that leans by more than this against its task has fallen over (rad)."""
-
 FALLEN_HEIGHT = 0.5
 """A base that is lower than this share of the height that it should have has fallen."""
-
-SUNKEN = 0.3
-"""A base that has lost this share of its height has collapsed: what sags on servos that carry it
-loses a tenth (v3 at kp 5: 9 %), what lies on its shanks a half. One that has gained it was thrown
-up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +104,6 @@ def lean(robot: Robot, rotation: Array, state: Array) -> float:
     return lean_between(rotation, rotation_from_quaternion(quaternion))
 
 
-def lean_between(one: Array, other: Array) -> float:
-    """Returns the angle between the verticals of two rotations (rad)."""
-    return math.acos(min(1.0, max(-1.0, float(one[2] @ other[2]))))
-
-
 DIVERGED = "the simulation diverged"
 
 
@@ -141,17 +129,6 @@ def has_fallen(leaning: float, height: float, upright: float) -> bool:
         upright: What that should be.
     """
     return leaning > FALLEN_TILT or height < FALLEN_HEIGHT * upright
-
-
-def has_collapsed(leaning: float, start: float, end: float) -> bool:
-    """Tells whether a robot has fallen over, sunk on to itself, or was thrown off the ground.
-
-    Args:
-        leaning: How far it leans (rad); not a number of what has diverged, like the next two.
-        start: Its base's height where it began, above the ground (m).
-        end: The same at the end.
-    """
-    return not (abs(end - start) <= SUNKEN * start and leaning <= FALLEN_TILT)
 
 
 def fall(leaning: float, height: float) -> str:

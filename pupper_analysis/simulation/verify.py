@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
+from pupper_analysis.robot.fall import has_collapsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import LASTING, Stability
@@ -318,7 +319,7 @@ def _collapses(robot: Robot, stand: Stand, states: Array, timestep: float) -> bo
     """Tells whether a robot no longer stands at the end, in any way."""
     leaning = monitor.lean(robot, stand.task.rotation(), states[-1])
     height = float(monitor.base_heights(robot, states[-1]))
-    fallen = monitor.has_collapsed(leaning, float(stand.qpos[2]), height)
+    fallen = has_collapsed(leaning, float(stand.qpos[2]), height)
     return fallen or monitor.diverged(states, timestep)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,6 +17,15 @@ from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.rules.actuators import drives
 from pupper_analysis.checks.audit.view import MjcfView, View
 from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.robot.contact import ground_geom
+from pupper_analysis.robot.fall import (
+    LONGER,
+    OWN_SECONDS,
+    has_collapsed,
+    height_of_keyframe,
+    lean_between,
+    still_moves,
+)
 
 FLOOR_DEPTH = 5e-3
 """How deep a start may be in the floor (m): a standing robot sinks a few mm into soft contacts."""
@@ -25,6 +35,9 @@ MOST_KEYFRAMES = 100
 
 LARGEST_SAG = 0.5
 """How far a servo without a torque limit may be commanded ahead of its joint (rad, m)."""
+
+_SHORTEST = 1e-4
+"""s: of a time step with which that takes more than 20,000 steps nothing is simulated here."""
 
 OVERLAP = 1e-3
 """How deep bodies may be in each other (m)."""
@@ -129,6 +142,65 @@ def keyframe_ctrl(view: MjcfView) -> Iterator[Found]:
             )
             said = len(view.file.spec.keys[key].ctrl) > 0
             yield Found("key", name, text, severity=None if said else Severity.INFO)
+
+
+@rule
+def keyframe_falls(view: MjcfView) -> Iterator[Found]:
+    """Simulates the first keyframe (``home``, if there is one) with its own actuators and ctrl.
+
+    For 2 s, and 6 if the base still moves then. Where the keyframe states no ctrl, position servos
+    are told to hold its joints, if half of them have one; motors would need a controller.
+    """
+    model = view.model
+    if model is None or view.refusal is not None or not model.nkey or not view.base:
+        return
+    base, step = view.body_names.index(view.base), float(model.opt.timestep)
+    joint = int(model.body_jntadr[base])
+    free = joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+    if not free or not step >= _SHORTEST:
+        return
+    names = [model.key(key).name for key in range(model.nkey)]
+    key = names.index("home") if "home" in names else 0
+    before = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, before, key)
+    ground = ground_geom(model)
+    if ground is None or (not model.key_ctrl[key].any() and not _held(view, before)):
+        return
+    mujoco.mj_kinematics(model, before)
+    data, seconds = copy.copy(before), OWN_SECONDS
+    _run(model, data, seconds)
+    if still_moves(model, data, base):
+        _run(model, data, (LONGER - 1) * seconds)
+        seconds *= LONGER
+    floor, end = float(before.geom_xpos[ground][2]), float(data.xpos[base][2])
+    start = height_of_keyframe(model, before, data, base)
+    lean = lean_between(before.xmat[base].reshape(3, 3), data.xmat[base].reshape(3, 3))
+    began_anew = data.time - before.time < seconds - 1.5 * step
+    if began_anew:
+        text = "its numbers end in nothing that can be reckoned with"
+    elif has_collapsed(lean, start - floor, end - floor):
+        text = (
+            f"after {seconds:g} s on its own actuators its base is {end - floor:.3g} m above the "
+            f"ground, of {start - floor:.3g} m, and leans by {lean:.2g} rad"
+        )
+    else:
+        return
+    yield Found("key", names[key], text)
+
+
+def _held(view: MjcfView, data: mujoco.MjData) -> bool:
+    """Commands position servos to a pose; tells whether they are at half of the joints or more."""
+    assert view.model is not None
+    holding = [drive for drive in drives(view.model) if drive.servo]
+    for drive in holding:
+        angle = float(data.qpos[view.model.jnt_qposadr[drive.joint]])
+        data.ctrl[drive.control] = drive.gear * angle * drive.stiffness / (drive.kp or 1.0)
+    return 2 * len(holding) >= max(1, sum(joint.moves for joint in view.joints.values()))
+
+
+def _run(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
 
 
 @rule

@@ -21,7 +21,7 @@ _SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("
 _JOINT_NUMBERS = {"dynamics": ("damping", "friction"), "limit": ("effort", "velocity")}
 
 _PASSIVE = ("damping", "frictionloss", "armature", "stiffness")
-"""Of an MJCF's joints: what resists a motion, and not drives it."""
+"""Of an MJCF's joints and tendons: what resists a motion, and not drives it."""
 
 
 @rule
@@ -49,6 +49,12 @@ def value_impossible(view: UrdfView | MjcfView) -> Iterator[Found]:
             if value < 0:
                 place = None if joint.name else around
                 yield Found("joint", joint.name, f"its {attribute} is {value:g}", place=place)
+    for at, tendon in enumerate(view.file.spec.tendons):
+        for attribute in _PASSIVE:
+            value = float(np.atleast_1d(getattr(tendon, attribute))[0])
+            if value < 0:
+                place = None if tendon.name else view.file.numbered("tendon", at)
+                yield Found("tendon", tendon.name, f"its {attribute} is {value:g}", place=place)
     for geom in view.file.spec.geoms:
         if min(geom.friction) < 0:
             place = None if geom.name else line_of(view.file, geom, geom.parent.name)
