@@ -49,8 +49,10 @@ def test_a_stand_that_does_not_last_is_exit_status_1(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from pupper_analysis.robot import fall
+    from pupper_analysis.simulation import monitor
 
-    monkeypatch.setattr(fall, "FALLEN_TILT", -1.0)
+    for module in (fall, monitor):
+        monkeypatch.setattr(module, "FALLEN_TILT", -1.0)
     status, out, _ = run_command(capfd, "push", "original", *COARSE)
     assert status == 1
     assert "COLLAPSES in MuJoCo: it fell over" in out
