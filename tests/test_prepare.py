@@ -582,6 +582,14 @@ def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
     assert max(found[name] for name in names) <= 0.6
     stands(robot)
     assert not [note for note in load(quadruped(tmp_path)).notes if "limits" in note]
+    # And where the URDF's joints turn round and round, without a <limit>, as NimbRo-OP2X's.
+    text = re.sub(r'<limit lower="-1.5" [^>]*>', "", pair.urdf.read_text())
+    pair.urdf.write_text(re.sub(r'(_pitch" type=)"revolute"', r'\1"continuous"', text))
+    robot = load(pair)
+    pitches = [robot.joint_names.index(name) for name in names]
+    np.testing.assert_array_equal(robot.upper_limits[pitches], 2.5)
+    np.testing.assert_array_equal(robot.effort_limits[pitches], 30.0)  # the MJCF's
+    stands(robot)
 
 
 @pytest.mark.slow

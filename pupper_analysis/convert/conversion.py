@@ -8,6 +8,7 @@ from pathlib import Path
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.convert.last_check import KeyframeRun
 from pupper_analysis.convert.repair import Repair
+from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.results import Result
 from pupper_analysis.simulation.verify import StandVerification
 
@@ -22,6 +23,7 @@ class Draft:
         notes: What was added, or assumed.
         left: What the new format cannot say, or what was left out.
         repairs: Inertials that were repaired.
+        urdf: The URDF with them, if the draft is of one: what the new file is proven against.
         stands: Whether it is a robot that shall stand.
         failure: Why it does not, if that is known already.
     """
@@ -31,6 +33,7 @@ class Draft:
     notes: tuple[str, ...]
     left: tuple[str, ...]
     repairs: tuple[Repair, ...] = ()
+    urdf: UrdfFile | None = None
     stands: bool = False
     failure: str | None = None
 

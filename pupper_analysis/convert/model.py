@@ -19,8 +19,9 @@ from pupper_analysis.errors import ConfigurationError, OutputError
 from pupper_analysis.files import check_writable
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import quiet
-from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.prepare.load import Feet, load_robot
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sunk import sunk_stand
 from pupper_analysis.sync.models import FINE
@@ -116,10 +117,9 @@ def convert_model(
     verification, kept, failures = None, None, list(_disagreements(comparison, draft.repairs))
     agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
     if draft.failure is not None:
-        hint = "" if fixed_base is not None else HELD
-        failures.append(f"it does not stand: {draft.failure}{hint}")
+        failures.append(f"it does not stand: {draft.failure}")
     elif draft.stands:
-        verification = _stood(urdf, mjcf, feet)
+        verification = _stood(draft.urdf or read_urdf(urdf), mjcf, feet)
         failures += verification.failures
         if mjcf == output:
             kept = keyframe_run(mjcf)
@@ -138,9 +138,6 @@ def convert_model(
         agree=agree,
         passed=not failures,
     )
-
-
-HELD = "; if it is a hand, an arm or a torso, --fixed-base keeps its base in the world"
 
 
 def _refuse_given(options: MjcfOptions, source: Path) -> None:
@@ -164,8 +161,8 @@ def _disagreements(comparison: Comparison, repairs: Sequence[Repair]) -> Iterato
     yield from comparison.objections
 
 
-def _stood(urdf: Path, mjcf: Path, feet: Feet | None) -> StandVerification:
-    robot = load_robot(urdf=urdf, mjcf=mjcf, feet=feet)
+def _stood(urdf: UrdfFile, mjcf: Path, feet: Feet | None) -> StandVerification:
+    robot = robot_of(urdf, read_mjcf(mjcf), feet=feet)
     return verify_stand(robot, sunk_stand(robot))
 
 

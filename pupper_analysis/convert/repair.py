@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,9 +11,12 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.convert.inertials import add_to, inertia_of, placement_of, put_inertia
+from pupper_analysis.convert.xml_text import element, words
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
@@ -107,6 +110,33 @@ def mend_inertials(
                 raise _weightless(urdf, body, joints[-1])
             repairs.append(_repaired(body))
     return moved, repairs
+
+
+def repaired_urdf(urdf: UrdfFile, worldbody: etree._Element, repairs: list[Repair]) -> UrdfFile:
+    """Returns a URDF with the inertials that were repaired: what the new MJCF is of.
+
+    Args:
+        urdf: What was read.
+        worldbody: The bodies made of it, with their inertials.
+        repairs: Which of them were repaired.
+    """
+    if not repairs:
+        return urdf
+    root = parse_text(urdf.text)
+    links = {str(link.get("name")): link for link in root.findall("link")}
+    bodies = {str(body.get("name")): body for body in worldbody.iter("body")}
+    for repair in repairs:
+        link = links[repair.link]
+        for old in link.findall("inertial"):
+            link.remove(old)
+        inertia = inertia_of(bodies[repair.link].find("inertial"))
+        inertial = element(link, "inertial")
+        element(inertial, "origin", xyz=words(inertia.lever))
+        element(inertial, "mass", value=words(inertia.mass))
+        tensor = np.array(inertia.inertia)
+        entries = {name: words(tensor[place]) for name, place in INERTIA_ENTRIES.items()}
+        element(inertial, "inertia", **entries)
+    return replace(urdf, text=to_text(root), root=root)
 
 
 def is_possible(inertia: pin.Inertia) -> bool:

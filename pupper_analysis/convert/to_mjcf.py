@@ -20,14 +20,14 @@ from pupper_analysis.convert.conversion import Draft
 from pupper_analysis.convert.from_urdf import WORLD, UrdfBodies
 from pupper_analysis.convert.merge import carry_shapes, merge_fixed
 from pupper_analysis.convert.meshes import Meshes
-from pupper_analysis.convert.repair import mend_inertials
+from pupper_analysis.convert.repair import mend_inertials, repaired_urdf
 from pupper_analysis.convert.servo_gains import held_gains, stand_gains
 from pupper_analysis.convert.tidy import put_defaults, to_text
 from pupper_analysis.convert.xml_text import element, words
-from pupper_analysis.errors import ModelError, PupperAnalysisError
+from pupper_analysis.errors import ModelError, PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.prepare.load import Feet, load_robot
+from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.sunk import sunk_stand
@@ -107,6 +107,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     worldbody = root.find("worldbody")
     bodies.add(worldbody, free=free)
     moved, repairs = mend_inertials(urdf, worldbody, repair=options.repair_inertia)
+    mended = repaired_urdf(urdf, worldbody, repairs)
     notes = [*urdf.notes, *moved, *map(str, repairs)]
     left = [*bodies.notes, *meshes.notes, *_unsaid(urdf)]
     if options.merge_fixed:
@@ -132,7 +133,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     equip.add_mimics(root, bodies)
     failure = None
     if free:
-        found, failure = _put_stand(root, urdf, meshes, bodies, options)
+        found, failure = _put_stand(root, mended, meshes, bodies, options)
         notes += [note for note in found if note not in notes]
         notes.append(equip.add_imu(root, bodies))
     else:
@@ -149,6 +150,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
         notes=tuple(notes),
         left=tuple(left),
         repairs=tuple(repairs),
+        urdf=mended,
         stands=free,
         failure=failure,
     )
@@ -225,7 +227,7 @@ def _put_stand(
     except ModelError as error:
         if options.feet is not None:
             raise
-        problem = f"{meshes.missing}; {error.problem}" if meshes.missing else error.problem
+        problem = _first(meshes.missing, error.problem)
         model = _trial(root, urdf, meshes)
         if not (meshes.missing or sure or _has_bare_legs(model, bodies.root)):
             raise _LeglessError(problem) from error
@@ -245,13 +247,31 @@ def _put_stand(
             notes = [note for note in notes if "no position servos" not in note]
             notes.append(_said(kp, kd))
     except PupperAnalysisError as error:
-        failure = f"{error}{_MOUNTED}"
+        if not (sure or meshes.missing) and _reaches_no_ground(robot, error):
+            raise _LeglessError(f"{', '.join(robot.feet)} reach no level ground") from error
+        failure = f"{_first(meshes.missing, str(error))}{_MOUNTED}"
         kp, kd = held_gains(robot.mj_model, options.sag, options.damping_ratio)
     equip.lift_base(root, bodies, robot.mj_model)
     _put_option(root, timestep=words(robot.mj_model.opt.timestep))
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
     equip.add_servos(root, bodies, dict(zip(robot.joint_names, gains, strict=True)))
     return notes, failure
+
+
+def _reaches_no_ground(robot: Robot, error: PupperAnalysisError) -> bool:
+    """Says whether what was taken for feet misses the ground by more than the base is high.
+
+    Legs miss it by millimetres, where something is in the way; so do not a hand's fingertips.
+    """
+    return (
+        isinstance(error, StanceUnreachableError)
+        and max(error.shortfall.values(), default=0.0) > robot.stand_height
+    )
+
+
+def _first(cause: str | None, problem: str) -> str:
+    """Says what is behind a problem before the problem."""
+    return f"{cause}; {problem}" if cause else problem
 
 
 def _has_bare_legs(model: mujoco.MjModel, base: str) -> bool:
@@ -323,7 +343,7 @@ def _said(kp: Array, kd: Array) -> str:
 def _loaded(root: etree._Element, urdf: UrdfFile, meshes: Meshes, feet: Feet | None) -> Robot:
     """Loads the robot from the MJCF as far as it is made."""
     with _draft(root, urdf, meshes) as path:
-        return load_robot(urdf=urdf.path, mjcf=path, feet=feet)
+        return robot_of(urdf, read_mjcf(path), feet=feet)
 
 
 def _trial(root: etree._Element, urdf: UrdfFile, meshes: Meshes) -> mujoco.MjModel:

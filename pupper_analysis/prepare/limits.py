@@ -17,6 +17,9 @@ _NARROWER = 1e-3
 _TOLD = 3  # joints that a note tells
 
 
+_NO_LIMIT = {"effort": "0", "velocity": "0"}
+"""What a <limit> must state, and means none: the readers of both engines take no ``inf``."""
+
 _TURNS = 2 * math.pi
 """What a joint without limits may turn, either way, where loops bind it (rad): round."""
 
@@ -36,7 +39,7 @@ def bounded(robot: Robot, _notes: list[str]) -> Description | None:
             continue
         limit = element.find("limit")
         if limit is None:
-            limit = etree.SubElement(element, "limit", effort="inf", velocity="inf")
+            limit = etree.SubElement(element, "limit", _NO_LIMIT)
         joint = robot.mj_model.joint(name).id
         limited = bool(robot.mj_model.jnt_limited[joint])
         ends = robot.mj_model.jnt_range[joint].tolist() if limited else (-_TURNS, _TURNS)
@@ -73,8 +76,7 @@ def within_both(robot: Robot, notes: list[str]) -> Description | None:
             element.set("type", "revolute")
         limit = element.find("limit")
         if limit is None:
-            limit = element.makeelement("limit", {"effort": "inf", "velocity": "inf"})
-            element.append(limit)
+            limit = etree.SubElement(element, "limit", _NO_LIMIT)
         for word, value in zip(("lower", "upper"), narrower[name], strict=True):
             limit.set(word, repr(value))
     told = [f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in narrower.items()]

@@ -37,7 +37,7 @@ from pupper_analysis.prepare.mimics import coupled
 from pupper_analysis.prepare.motors import one_at_each_joint, several
 from pupper_analysis.prepare.parts import with_parts
 from pupper_analysis.prepare.self_check import self_checked
-from pupper_analysis.prepare.simulable import check_simulable
+from pupper_analysis.prepare.simulable import check_masses, check_simulable
 from pupper_analysis.prepare.solver import inexact, solvable
 from pupper_analysis.prepare.start_pose import started
 from pupper_analysis.robot.build import build_robot
@@ -106,8 +106,34 @@ def load_robot(
         UnknownNameError: If a foot, joint or keyframe is not there; the message lists what is.
     """
     folders = {name: Path(folder) for name, folder in (packages or {}).items()}
-    files = read_urdf(urdf, folders), read_mjcf(mjcf)
-    check_simulable(files[1])
+    return robot_of(
+        read_urdf(urdf, folders),
+        read_mjcf(mjcf),
+        feet=feet,
+        fixed_base=fixed_base,
+        name=name,
+        joints=joints,
+        keyframe=keyframe,
+        self_check=self_check,
+        as_is=as_is,
+    )
+
+
+def robot_of(
+    urdf: UrdfFile,
+    mjcf: MjcfFile,
+    *,
+    feet: Feet | None = None,
+    fixed_base: bool = False,
+    name: str | None = None,
+    joints: Mapping[str, str] | None = None,
+    keyframe: str | None = None,
+    self_check: bool = True,
+    as_is: bool = False,
+) -> Robot:
+    """Makes a robot of two files that have been read; see ``load_robot``."""
+    files = urdf, mjcf
+    check_simulable(mjcf)
     frames = None if feet is None else _frames(feet)
     if frames is not None and not joints and keyframe is None:
         robot = _as_it_is(*files, frames, fixed_base=fixed_base, name=name)
@@ -117,8 +143,8 @@ def load_robot(
         prepared = partial(
             _prepared, *files, frames, name=name, joints=joints, keyframe=keyframe, as_is=as_is
         )
-        robot = prepared(fixed_base=True) if fixed_base else _free_if_it_stands(files[1], prepared)
-    return self_checked(robot, files[1], keyframe) if self_check else robot
+        robot = prepared(fixed_base=True) if fixed_base else _free_if_it_stands(mjcf, prepared)
+    return self_checked(robot, mjcf, keyframe) if self_check else robot
 
 
 def _frames(feet: Feet) -> dict[str, tuple[str, str]]:
@@ -274,6 +300,7 @@ def _prepared(
     for limited in (bounded, within_both):
         other = limited(bare, notes)
         bare = bare if other is None else build_robot(other)
+    check_masses(bare, urdf)
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
     try:
         feet = _feet(bare, frames, poses)

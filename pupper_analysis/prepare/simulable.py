@@ -1,13 +1,18 @@
-"""Numbers of an MJCF with which no simulation means anything: refused, with their place."""
+"""Numbers with which no simulation, or no equation of motion, means anything: they are refused."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, source_name
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
 
 _TIMESTEPS = 1e-5, 0.1
 """s: a stand of 12 s is 1.2 million steps of the first; in one of the second a base falls 5 cm."""
@@ -83,4 +88,21 @@ def check_simulable(mjcf: MjcfFile) -> None:
                 source_name(place.file, place.line),
                 f'the actuator of joint {joint!r} has gear="{gear:g}": no motor has less than '
                 f"{_GEARS[0]:g} or more than {_GEARS[1]:g}",
+            )
+
+
+def check_masses(robot: Robot, urdf: UrdfFile) -> None:
+    """Checks that each joint moves a mass in the URDF, as it has to in MuJoCo.
+
+    Raises:
+        ModelError: If one does not: its acceleration would be anything.
+    """
+    felt = np.diag(Configuration(robot, robot.home).mass_matrix())[robot.nv - robot.nu :]
+    for name, inertia in zip(robot.joint_names, felt.tolist(), strict=True):
+        if inertia <= 0:
+            place = urdf.place("joint", name)
+            raise ModelError(
+                source_name(place.file, place.line),
+                f"joint {name!r} moves nothing that has a mass, and has no armature: give the link "
+                "that it moves an <inertial>, or the joint an armature in the MJCF",
             )
