@@ -164,7 +164,7 @@ def test_a_mass_without_inertia_gets_one() -> None:
     assert is_possible(inertia)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_robot_whose_links_were_repaired_stands(tmp_path: Path) -> None:
     """As NimbRo-OP2X, whose mimic joints move frames without mass: it is proven as repaired."""
     path = standing_urdf(tmp_path)

@@ -158,7 +158,7 @@ def test_the_keyframe_of_a_robot_with_a_mimic_stands(factor: float, tmp_path: Pa
     assert _drift(mjcf, but="arm2") < 1e-5  # MuJoCo's couplings are soft: it sags by 3 mrad
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_light_finger_is_not_thrown_by_a_nudge(tmp_path: Path) -> None:
     """As of H1's hands: 1e-3 rad/s threw the end of a finger by 33 mrad, on a servo for legs."""
     urdf = _with_arm(tmp_path, '<mimic joint="arm1" multiplier="2.4"/>')
