@@ -354,7 +354,10 @@ def test_it_goes_on_in_chinese_and_back(browser: Any, served: Page) -> None:  # 
     one.set("俯仰 (°)", 3)
     both = pa.StandTask(roll=np.radians(4.0), pitch=np.radians(3.0))
     one.takes(pa.sunk_stand(load("v3"), both))
+    one.tab("分享")
     one.button("English")
+    one.page.get_by_text("as Python").first.wait_for()  # the tab stays
+    one.tab("Stance")
     one.page.get_by_text("pitch (°)").first.wait_for()
     one.takes(pa.sunk_stand(load("v3"), both))
     assert "in balance, within" in one.words()

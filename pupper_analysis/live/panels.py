@@ -10,6 +10,7 @@ from pupper_analysis.live.controls import Controls
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Answer, Model, Sag
 from pupper_analysis.live.state import State
+from pupper_analysis.live.viser_parts import clear_but_tabs, named_tabs
 from pupper_analysis.report.formats import visible
 
 
@@ -59,15 +60,24 @@ class Panels:
         address: Host and port, as the browser reaches the server.
         acts: What buttons do.
         say: The language.
+        before: The panels before, in the place of which these are; their tabs stay.
     """
 
     def __init__(
-        self, client: Any, model: Model, address: str, acts: Acts, say: Language | None = None
+        self,
+        client: Any,
+        model: Model,
+        address: str,
+        acts: Acts,
+        say: Language | None = None,
+        before: Panels | None = None,
     ) -> None:
         self._client, self._model, self._address, self._acts = client, model, address, acts
         self.say = say = say or Language()
         gui = client.gui
         robot = model.robot(State())
+        if before is not None:
+            clear_but_tabs(gui, before.tabs)
         left = gui.add_panel()
         with left.add_tab(say("What it takes")):
             self._numbers = gui.add_html(text.waiting(say("solving …")))
@@ -77,16 +87,18 @@ class Panels:
         gui.add_html(text.PHONE)
         self._brief = gui.add_html("")
         other = gui.add_button(say.other.name, color="gray")
-        tabs = gui.add_tab_group()
-        with tabs.add_tab(say("Stance")):
+        names = (say("Stance"), say("Body"), "MuJoCo", say("Share"))
+        kept = None if before is None else before.tabs
+        self.tabs, (stance, body, simulated, share) = named_tabs(gui, names, other, kept)
+        with stance:
             self.controls.stance()
             self._nearest = gui.add_button(say("Go to the nearest stance"), visible=False)
             reset = gui.add_button(say("Reset all"), color="gray")
-        with tabs.add_tab(say("Body")):
+        with body:
             self.controls.body()
-        with tabs.add_tab("MuJoCo"):
+        with simulated:
             self._simulation(gui, robot.total_mass)
-        with tabs.add_tab(say("Share")):
+        with share:
             self._share(gui)
         other.on_click(lambda _: acts.speak(say.other))
         self._nearest.on_click(lambda _: acts.go_to_nearest())

@@ -115,8 +115,7 @@ class Session:
         with self._lock, self._client.atomic():
             before = self._panels
             state = before.controls.state
-            self._client.gui.reset()
-            self._panels = Panels(self._client, self._model, self._address, self, language)
+            self._panels = Panels(self._client, self._model, self._address, self, language, before)
             self._panels.like(before)
             self._panels.controls.put(state, told=False)
             if self._answer is None:

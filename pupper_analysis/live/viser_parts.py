@@ -6,7 +6,7 @@ import contextlib
 import io
 import logging
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from http import HTTPStatus
 from importlib import import_module
@@ -165,3 +165,43 @@ def mark(slider: Any, values: tuple[float, ...]) -> None:
     with contextlib.suppress(AttributeError):
         kind = viser()._messages.GuiSliderMark
         slider._marks = tuple(kind(value=float(value), label="◆") for value in values) or None
+
+
+def clear_but_tabs(gui: Any, tabs: Any) -> None:
+    """Takes everything away but a group of tabs, which are left empty.
+
+    viser's ``reset`` takes the tabs, too, and a browser then shows the first of the new ones.
+
+    Args:
+        gui: viser's handle of a browser's controls.
+        tabs: That of the group.
+    """
+    for tab in tabs._tab_handles:
+        for child in tuple(tab._children.values()):
+            child.remove()
+    for child in tuple(gui._container_handle_from_uuid["root"]._children.values()):
+        if child is not tabs:
+            child.remove()
+    for panel in tuple(gui._panel_handle_from_uuid.values()):
+        panel.remove()
+
+
+def named_tabs(
+    gui: Any, names: Sequence[str], last: Any, tabs: Any = None
+) -> tuple[Any, list[Any]]:
+    """Returns a group of tabs, and the tabs; if it is there already, they get these names.
+
+    Args:
+        gui: viser's handle of a browser's controls.
+        names: Of the tabs.
+        last: The control below which they are, the last of all.
+        tabs: The group, if it is there already.
+    """
+    if tabs is None:
+        tabs = gui.add_tab_group()
+        return tabs, [tabs.add_tab(name) for name in names]
+    for tab, name in zip(tabs._tab_handles, names, strict=True):
+        tab._label = name
+    tabs._rebuild_tab_props()
+    tabs.order = last.order + 0.5  # viser counts in whole numbers
+    return tabs, list(tabs._tab_handles)
