@@ -89,6 +89,7 @@ class Panels:
         other = gui.add_button(say.other.name, color="gray")
         names = (say("Stance"), say("Body"), "MuJoCo", say("Share"))
         kept = None if before is None else before.tabs
+        self.tabs: Any
         self.tabs, (stance, body, simulated, share) = named_tabs(gui, names, other, kept)
         with stance:
             self.controls.stance()
