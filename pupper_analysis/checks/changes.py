@@ -125,11 +125,12 @@ def body_changes(
             "com", name, one.com, two.com, "m", message, _take_body(name, "com"), felt=True
         )
     size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
-    if float(np.abs(two.inertia - one.inertia).max()) > tolerances.inertia * size:
+    differs = np.abs(two.inertia - one.inertia) > tolerances.inertia * size
+    if differs.any():
         entries = []
         for label, place in INERTIA_ENTRIES.items():
             a, b = float(one.inertia[place]), float(two.inertia[place])
-            if abs(b - a) > tolerances.inertia * size:
+            if differs[place]:
                 entries.append(f"{label} {sides.pair(a, b, 'kg m^2')}{ratio(a, b)}")
         message = f"body of {name}: inertia about the com: {'; '.join(entries)}{_turned(one, two)}"
         yield Change(

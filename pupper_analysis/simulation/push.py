@@ -220,8 +220,8 @@ def tipping_impulses(
     for first, second in pairwise(corners):
         pivot = np.append(first, ground[:, 2].mean())
         hinge = np.append(second - first, 0.0) / np.linalg.norm(second - first)
-        # Turning about it moves the com outwards.
-        hinge *= -math.copysign(1.0, np.cross(hinge, com - pivot) @ UP)
+        # Turning about it moves the com up, and outwards.
+        hinge *= math.copysign(1.0, np.cross(hinge, com - pivot) @ UP)
         lever = com - pivot - radius * UP
         rise = np.linalg.norm(np.cross(hinge, lever)) - lever[2]
         energy = robot.total_mass * np.linalg.norm(robot.gravity) * rise

@@ -188,8 +188,9 @@ def _torques(plan: PathCommands, states: Array) -> tuple[list[str], float]:
     limit = np.where(limited, limits.min(axis=1), np.inf)
     given = np.clip(asked, -limit, limit)
     events = []
-    for column in np.flatnonzero((np.abs(asked) > limit).any(axis=0)):
-        moment = plan.time[int(np.argmax(np.abs(asked[:, column]) > limit[column]))]
+    over = np.abs(asked) > limit
+    for column in np.flatnonzero(over.any(axis=0)):
+        moment = plan.time[int(np.argmax(over[:, column]))]
         name = robot.joint_names[int(column)]
         events.append(f"the motor of {name} is at its limit at {moment:.2f} s")
     largest = float(np.abs(plan.path.torques).max())
