@@ -11,6 +11,11 @@ LOWEST_TESTS := $(addprefix tests/test_,$(addsuffix .py,audit_report cli_quantit
 # Inputs of the fuzzer, and more options of tests/fuzz.py.
 N ?= 2000
 FUZZ ?=
+# Rooms of the package whose code `make mutate` changes (all that compute, if empty), how many changes
+# of each, and more options of tests/mutate.py.
+ROOM ?=
+SAMPLE ?= 40
+MUTATE ?=
 MINOR := $(shell sed -n 's/^requires-python = ">=3\.\([0-9]*\)".*/\1/p' pyproject.toml)
 
 # What else is installed on the machine stays out of the way.
@@ -18,7 +23,7 @@ export PYTHONNOUSERSITE := 1
 unexport PYTHONPATH PYTHONHOME
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow test-lowest test-longest fuzz coverage benchmark benchmark-quick lint types docs wheel clean
+.PHONY: help setup analyze test test-slow test-lowest test-longest mutate fuzz coverage benchmark benchmark-quick lint types docs wheel clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s  %s\n", $$1, $$2}' Makefile
@@ -39,6 +44,9 @@ test-longest: $(VENV)/.ready ## run the longest proofs: some four minutes
 
 test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed
 	$(LOWEST)/bin/python -m pytest -m "not slow" -W ignore::DeprecationWarning $(LOWEST_TESTS)
+
+mutate: $(VENV)/.ready-mutation ## change SAMPLE operators and numbers of each ROOM; does a test notice?
+	$(BIN)/python tests/mutate.py $(ROOM) --sample $(SAMPLE) $(MUTATE)
 
 fuzz: $(VENV)/.ready ## spoil N files and commands; no traceback, hang or lost file may come of it
 	$(BIN)/python tests/fuzz.py $(N) $(FUZZ)
@@ -79,6 +87,10 @@ $(VENV)/.ready-dev: $(VENV)/.ready
 
 $(VENV)/.ready-benchmark: $(VENV)/.ready
 	$(BIN)/python -m pip install --quiet --group benchmark
+	@touch $@
+
+$(VENV)/.ready-mutation: $(VENV)/.ready
+	$(BIN)/python -m pip install --quiet --group mutation
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

@@ -82,9 +82,8 @@ def imported(tree: ast.AST) -> Iterator[str]:
                 yield inner if inner in modules() else node.module
         elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.Attribute) and node.attr in public():
-            if isinstance(node.value, ast.Name) and node.value.id in ("pa", PACKAGE):
-                yield public()[node.attr]
+        elif isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("pa", PACKAGE):
+            yield public().get(node.attr, PACKAGE)
 
 
 @cache

@@ -8,6 +8,8 @@ import struct
 from pathlib import Path
 from typing import Final
 
+from lxml import etree
+
 READABLE: Final = (".stl", ".obj", ".msh")
 """Endings of the mesh files that MuJoCo reads."""
 
@@ -19,6 +21,9 @@ MOST_BYTES: Final = 200_000_000
 
 MOST_VERTICES: Final = 5_000_000
 """Most vertices of a mesh: some 1 GB while it is written."""
+
+MOST_PARTS: Final = 10_000
+"""Most places of a file's scene in which a part stands: a robot's link has dozens, at most."""
 
 _GLB: Final = struct.Struct("<4sIIII")
 """Magic number, version, length; length and kind of the first chunk, which is JSON."""
@@ -44,6 +49,8 @@ def obj_of(path: Path) -> bytes:
     try:
         if ending in (".glb", ".gltf"):
             _check_gltf(path.read_bytes())
+        if ending == ".dae":
+            _check_collada(path.read_bytes())
         scene = trimesh.load_scene(
             io.BytesIO(path.read_bytes()), file_type=ending[1:], resolver=_Beside(path)
         )
@@ -84,6 +91,35 @@ def _check_gltf(data: bytes) -> None:
         data = data[_GLB.size : _GLB.size + size]
     counts = [int(accessor.get("count", 0)) for accessor in json.loads(data).get("accessors", ())]
     _check_count(max(counts, default=0))
+
+
+def _check_collada(data: bytes) -> None:
+    """Counts the parts of a COLLADA scene, without making them.
+
+    A node may stand in another twice, and that one twice in a third: thirty lines make a thousand
+    million parts.
+    """
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
+    root = etree.fromstring(data, parser)
+    nodes = {f"#{node.get('id')}": node for node in root.iter("{*}node")}
+    counts: dict[etree._Element, int] = {}
+
+    def parts(node: etree._Element) -> int:
+        if node not in counts:
+            counts[node] = MOST_PARTS + 1  # where it stands in itself, there is no end
+            inner = [*node.iterfind("{*}node")]
+            inner += [
+                nodes[url]
+                for use in node.iterfind("{*}instance_node")
+                if (url := str(use.get("url"))) in nodes
+            ]
+            shapes = sum(1 for _ in node.iterfind("{*}instance_geometry"))
+            counts[node] = 1 + shapes + sum(map(parts, inner))
+        return counts[node]
+
+    scenes = root.iter("{*}visual_scene")
+    if any(sum(map(parts, scene.iterfind("{*}node"))) > MOST_PARTS for scene in scenes):
+        raise UnreadableError(f"for they have more than {MOST_PARTS} parts")
 
 
 class _Beside:
