@@ -398,7 +398,7 @@ def test_a_sample_out_of_reach_names_the_moment(monkeypatch: pytest.MonkeyPatch)
         return solve(robot, task, explain=explain)
 
     monkeypatch.setattr("pupper_analysis.stance.path.geometry.solve_stand", refuse)
-    where = r"^at 1\.44 s, between stances 2 and 3: stance out of reach .*FL by 10\.0 mm"
+    where = r"^at 1\.44 s, between stances 2 and 3: stance out of reach .*FL by 10 mm"
     with pytest.raises(pa.StanceUnreachableError, match=where) as caught:
         stance_path(load("v3"), [Task(), Task(), Task(roll=0.3)], 2.0, rate=4.0)
     assert caught.value.shortfall == {"FL": 0.01}
