@@ -309,7 +309,7 @@ def _prepared(
         if not gone:
             raise
         gone += [note for note in mjcf.notes if "of Git LFS" in note] or ["put them there"]
-        raise ModelError(mjcf.path, "; ".join([error.problem, *gone])) from error
+        raise ModelError(mjcf.path, "; ".join([*gone, error.problem])) from error
     if not feet:
         return replace(bare, notes=(*notes, *bare.notes))
     notes.append(words.named(bare, feet, given=frames is not None))
