@@ -359,3 +359,42 @@ def _irregular_leg(
     place = random.uniform(0, 0.03)
     links[-1].shape = f'<geom type="box" size="{long} {wide} 0.01" pos="{place} 0 -0.04"/>'
     return links
+
+
+def ring(seed: int, legs: int = 6, strength: float = 2.5, motors: str = "position") -> Robot:
+    """Draws a robot whose legs stand in a ring, each turned outward by its hip.
+
+    Args:
+        seed: What decides.
+        legs: How many: three and more.
+        strength: Of the motors, in parts of what bears the base alone.
+        motors: As in ``Robot``.
+    """
+    random = np.random.default_rng(seed)
+    size = float(random.uniform(0.12, 0.4))
+    mass = float(random.uniform(1, 10)) * (size / 0.2) ** 2
+    effort = strength * 1.6 * mass * 9.81 / legs * size * math.sin(0.6)
+    height = 0.02 + 2 * size * math.cos(0.6)
+    robot = Robot([], mass, (0.0, 0.0, 0.0), motors=motors, height=height, said=[f"{legs} legs"])
+    foot = f'<geom type="sphere" size="0.02" pos="0 0 {-size}"/>'
+    for leg in range(legs):
+        angle = 2 * math.pi * leg / legs + random.normal(0, 0.05)
+        out = (math.cos(angle), math.sin(angle))
+        parent = "base"
+        for number, name in enumerate(("hip", "thigh", "foot")):
+            link = Link(
+                f"{name}{leg}",
+                parent,
+                f"j{leg}_{number}",
+                (-out[1], out[0], 0.0) if number else (0.0, 0.0, 1.0),
+                ((size * out[0], size * out[1], 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, -size))[number],
+                float(random.uniform(0.3, 0.8)) * size,
+                (0.0, 0.0, -0.4 * size if number else 0.0),
+                ((-1.0, 1.0), (-1.6, 1.6), (-2.4, 2.4))[number],
+                effort,
+                foot if number == 2 else "",
+                home=(0.0, -0.9, 1.2)[number],
+            )
+            robot.links.append(link)
+            parent = link.name
+    return robot

@@ -30,6 +30,9 @@ DISAGREEMENT = 1e-4
 """What a stand may leave of the balance in MuJoCo's terms before it is remarked upon (N, N m)."""
 
 
+_MORE = 1.001  # times what motors bear: legs that share a load bear more
+
+
 def print_stance(out: Console, stance: Stance) -> None:
     """Prints a stance, what it costs, and whether it holds."""
     verification = stance.verification
@@ -128,6 +131,9 @@ def _print_limit(out: Console, loaded: LoadedStance) -> None:
         f"payload at ({place}) mm of the base: {kilograms(payload.mass)}, then "
         f"{payload.failure.value}{where}; {each}"
     )
+    shared = payload.shared
+    if shared is not None and payload.motors.mass * _MORE < shared.mass < math.inf:
+        text += f"; motors {kilograms(shared.mass)}, if the legs share it as these can"
     if payload.unlimited:
         count = len(payload.unlimited)
         motors = "1 motor has" if count == 1 else f"{count} motors have"

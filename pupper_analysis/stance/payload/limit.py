@@ -26,6 +26,7 @@ from pupper_analysis.stance.payload.servo_limit import (
     first_failing,
     servo_limit,
 )
+from pupper_analysis.stance.payload.sharing import Sharing, load_sharing
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
@@ -53,6 +54,9 @@ class PayloadLimit(Result):
             limit or to the ground.
         contacts: What friction and unilateral contact allow, whatever the motors do.
         point: (3,) where the mass is attached, in the base's frame (m).
+        shared: What the motors would allow if the legs shared the load as these can, and were
+            commanded so: more than ``motors`` on more than three feet, where that counts on each
+            foot's share by the ground alone. None on a slope.
         command: What the servos are commanded.
         unlimited: The motors without an effort limit: they say nothing about a payload.
         joint_torques: (nu,) at ``mass``, with the contact forces that last (N m).
@@ -64,6 +68,7 @@ class PayloadLimit(Result):
     motors: Bound
     servos: Bound
     contacts: Bound
+    shared: Sharing | None
     point: Array
     command: Command
     unlimited: tuple[str, ...]
@@ -150,6 +155,7 @@ def payload_limit(
         motors=motors,
         servos=servos,
         contacts=contacts,
+        shared=load_sharing(robot, stand, place),
         point=place,
         command=command,
         unlimited=tuple(
