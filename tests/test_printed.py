@@ -28,6 +28,7 @@ from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import judge
 from pupper_analysis.stance.optimize.best import Objective
 from pupper_analysis.stance.payload.servo_limit import Failure
+from pupper_analysis.stance.payload.sharing import Sharing
 
 
 def printed(show: Callable[..., None], *arguments: Any, **options: Any) -> list[str]:
@@ -519,6 +520,7 @@ def loaded(*unlimited: str) -> Stub:
         servos=Stub(mass=1.239),
         contacts=Stub(mass=math.inf),
         unlimited=unlimited,
+        shared=Sharing(3.5, np.zeros(12), {}),
     )
     trial = Stub(mass=1.177, duration=12.0, failure=Failure.TIPPING, time=3.456, where=("FL",))
     buckling = (Stub(mass=0.991, doubling_time=161.6, free_doubling_time=math.inf),)
@@ -753,3 +755,11 @@ def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:
     text = " ".join(printed(push_report.print_pushes, {"one": one}))
     assert "it does not stand, so it withstands no push" in text
     assert "weakest" not in text
+
+
+def test_what_motors_bear_if_legs_share_it_is_told_where_it_is_more() -> None:
+    assert "share" not in " ".join(printed(stance_report.print_payload, loaded()))
+    more = loaded()
+    more.payload.shared = Sharing(5.678, np.zeros(12), {})
+    text = " ".join(printed(stance_report.print_payload, more))
+    assert "motors 5.67" in text.split("contacts")[1]

@@ -55,8 +55,8 @@ class PayloadLimit(Result):
         contacts: What friction and unilateral contact allow, whatever the motors do.
         point: (3,) where the mass is attached, in the base's frame (m).
         shared: What the motors would allow if the legs shared the load as these can, and were
-            commanded so: more than ``motors`` on more than three feet, where that counts on each
-            foot's share by the ground alone. None on a slope.
+            commanded so: more than ``motors`` on more than three feet, whose shares there are the
+            ground's. None on a slope.
         command: What the servos are commanded.
         unlimited: The motors without an effort limit: they say nothing about a payload.
         joint_torques: (nu,) at ``mass``, with the contact forces that last (N m).
