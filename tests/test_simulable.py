@@ -22,6 +22,12 @@ REFUSED = {
     "iterations 0": ("<option ", '<option iterations="0" ', "needs one at least"),
     "tolerance 1e9": ("<option ", '<option tolerance="1e9" ', "before contact forces mean"),
     "armature -0.01": ('name="FL_knee"', 'armature="-0.01" name="FL_knee"', "negative inertia"),
+    "a margin of 1e9": (
+        'type="plane"',
+        'name="f" margin="1e9" type="plane"',
+        "geom 'f' has margin",
+    ),
+    "a joint 1e9 m away": ('name="FL_knee"', 'pos="0 0 1e9" name="FL_knee"', 'has pos="0 0 1e+09"'),
     "gear 1e-300": ('kp="150"', 'gear="1e-300" kp="150"', "joint 'FL_roll' has gear"),
     "gear 1e300": ('kp="150"', 'gear="1e300" kp="150"', "joint 'FL_roll' has gear"),
 }

@@ -26,6 +26,11 @@ _GEARS = 1e-6, 1e6
 of digits."""
 
 
+_FARTHEST = 1e4
+"""m: no robot is as large, nor feels the ground from so far; a float32's micrometre is lost at 8 m,
+and a double's, squared, at this."""
+
+
 def check_simulable(mjcf: MjcfFile) -> None:
     """Checks the options, rotors and gears on which all simulations rest.
 
@@ -76,6 +81,22 @@ def check_simulable(mjcf: MjcfFile) -> None:
             raise ModelError(
                 source_name(place.file, place.line),
                 f'joint {joint!r} has armature="{armature:g}": no rotor has a negative inertia',
+            )
+    for kind, field, numbers in (
+        ("body", "pos", model.body_pos),
+        ("joint", "pos", model.jnt_pos),
+        ("geom", "margin", model.geom_margin[:, None]),
+    ):
+        far = ~(np.abs(numbers) <= _FARTHEST).all(axis=1)
+        if kind == "body":  # what stands in the world for itself may be hidden far away
+            far &= model.body_weldid != 0
+        for found in np.flatnonzero(far)[:1]:
+            name = str(getattr(model, kind)(int(found)).name)
+            place = mjcf.place(kind, name)
+            value = " ".join(f"{number:g}" for number in numbers[found])
+            raise ModelError(
+                source_name(place.file, place.line),
+                f'{kind} {name!r} has {field}="{value}": no robot needs more than {_FARTHEST:g} m',
             )
     for motor in range(model.nactuator):
         if not is_at_one_joint(model, motor):
