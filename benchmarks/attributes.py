@@ -5,12 +5,12 @@ that MuJoCo's schema has is looked at, and each of URDF's; element by element, o
 The letters say what came of the values zero, least (1e-9), greatest (1e9), of the wrong sign (of a
 range: the wrong way round), not a number, and a word, in this order; then of other keywords:
 
-* `r`: no engine takes the file, and `audit` says UNSOUND;
+* `r`: no engine takes the file, and `audit` says UNSOUND; or our reader refuses it in a sentence;
 * `f`: bare MuJoCo makes it fall from its keyframe; `audit` does not say SOUND, `stand` not HOLDS;
 * `m`: it stands, and its base is elsewhere by more than 0.1 % of its height;
 * `e`: it stands as before, or the file is taken, and `audit` says UNSOUND all the same;
 * `d`: a URDF that is taken, and of which `crosscheck` says DISAGREE;
-* `.`: nothing of it is seen, and nothing is said;
+* `.`: the base stays where it is, or mass matrix and limits are the same within 1e-3;
 * `!`: something is said that is not so; the program then ends with status 1.
 """
 
@@ -350,7 +350,9 @@ def case(argument: tuple[str, str, str, str, str]) -> dict[str, Any]:
             if not plain.exists():
                 plain.write_bytes(rich_urdf(urdf))
                 (Path(folder) / "tile.obj").write_text(TILE)
-            result = judge_urdf(pair, Pair(plain, pair.mjcf), whole=True)
+            result = judge_urdf(pair, Pair(plain, pair.mjcf), whole=whole)
+            if "audit" not in result:
+                audited(result, pair.urdf)
         else:
             root = rich(mjcf)
             for element in placed(root, path):
@@ -379,7 +381,7 @@ def letter(result: dict[str, Any]) -> str:
     """Returns what came of a value."""
     if wrong(result):
         return "!"
-    if result["bare"] == "refused":
+    if result["bare"] == "refused" or str(result.get("audit")).startswith("refused"):
         return "r"
     if result["bare"] == "falls":
         return "f"

@@ -28,6 +28,7 @@ REFUSED = {
         "geom 'f' has margin",
     ),
     "a joint 1e9 m away": ('name="FL_knee"', 'pos="0 0 1e9" name="FL_knee"', 'has pos="0 0 1e+09"'),
+    "a motor's armature -1": ('kp="150"', 'armature="-1" kp="150"', "negative inertia"),
     "gear 1e-300": ('kp="150"', 'gear="1e-300" kp="150"', "joint 'FL_roll' has gear"),
     "gear 1e300": ('kp="150"', 'gear="1e300" kp="150"', "joint 'FL_roll' has gear"),
 }

@@ -95,6 +95,14 @@ _RECKONED = {
     "geom": ("pos", "quat", "size", "friction"),
     "site": ("pos", "quat"),
 }
+_NUMBERS = (
+    "qpos0",
+    "jnt_range",
+    *(f"actuator_{what}" for what in ("gear", "gainprm", "biasprm", "armature", "damping")),
+    *(f"tendon_{what}" for what in ("stiffness", "damping", "armature", "frictionloss")),
+)
+"""Of these NaN alone is none: a range or a gain may be without end."""
+
 _NAMED = {"jnt": "joint", "dof": "joint"}
 
 
@@ -114,7 +122,7 @@ def no_number(model: mujoco.MjModel) -> str | None:
                     f"{what} {name!r}: its {field} has {values[row, column]:g}; it takes a number "
                     f"up to {MAX_NUMBER:g}"
                 )
-    for field in ("qpos0", "jnt_range", "actuator_gear", "actuator_gainprm", "actuator_biasprm"):
+    for field in _NUMBERS:
         if np.isnan(getattr(model, field)).any():
             return f"a number of its {field} is nan; write a number"
     lengths = np.linalg.norm(model.jnt_axis, axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import mujoco
 import numpy as np
 
 from pupper_analysis.errors import ModelError
@@ -71,6 +72,12 @@ def check_simulable(mjcf: MjcfFile) -> None:
             raise ModelError(
                 source_name(place.file, place.line), f'<option {word}="{value:g}">: {valid}'
             )
+    _check_rotors(mjcf, model)
+    _check_lengths(mjcf, model)
+    _check_motors(mjcf, model)
+
+
+def _check_rotors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
     for dof in range(model.nv):
         armature, joint = (
             float(model.dof_armature[dof]),
@@ -82,23 +89,38 @@ def check_simulable(mjcf: MjcfFile) -> None:
                 source_name(place.file, place.line),
                 f'joint {joint!r} has armature="{armature:g}": no rotor has a negative inertia',
             )
+
+
+def _check_lengths(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
     for kind, field, numbers in (
         ("body", "pos", model.body_pos),
         ("joint", "pos", model.jnt_pos),
         ("geom", "margin", model.geom_margin[:, None]),
+        ("pair", "margin", model.pair_margin[:, None]),
     ):
         far = ~(np.abs(numbers) <= _FARTHEST).all(axis=1)
         if kind == "body":  # what stands in the world for itself may be hidden far away
             far &= model.body_weldid != 0
         for found in np.flatnonzero(far)[:1]:
             name = str(getattr(model, kind)(int(found)).name)
-            place = mjcf.place(kind, name)
+            place = mjcf.place("contact" if kind == "pair" else kind, name)
             value = " ".join(f"{number:g}" for number in numbers[found])
             raise ModelError(
                 source_name(place.file, place.line),
                 f'{kind} {name!r} has {field}="{value}": no robot needs more than {_FARTHEST:g} m',
             )
+
+
+def _check_motors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
     for motor in range(model.nactuator):
+        if model.actuator_armature[motor] < 0:
+            name = model.actuator(motor).name
+            place = mjcf.place("actuator", name) if name else mjcf.numbered("actuator", motor)
+            raise ModelError(
+                source_name(place.file, place.line),
+                f'actuator {name!r} has armature="{model.actuator_armature[motor]:g}": no rotor '
+                "has a negative inertia",
+            )
         if not is_at_one_joint(model, motor):
             continue
         gear = float(actuator_gear(model, motor)[0])
