@@ -93,6 +93,7 @@ class _Programme:
     def __init__(self, shapes: Shapes, goal: Goal, start: Array) -> None:
         robot = shapes.robot
         self._shapes, self._goal, self._qpos = shapes, goal, start
+        self._last: tuple[Array, Configuration] | None = None
         self._free = [0, 1, *range(7, robot.nq)]
         self._columns = [0, 1, *range(6, robot.nv)]
         self.start = start[self._free]
@@ -100,9 +101,12 @@ class _Programme:
         self.bounds = [(None, None), (None, None), *limits]
 
     def at(self, values: Array) -> Configuration:
-        qpos = self._qpos.copy()
-        qpos[self._free] = values
-        return Configuration(self._shapes.robot, qpos)
+        """Returns the robot there; it is asked for by each constraint in turn, and made once."""
+        if self._last is None or not np.array_equal(self._last[0], values):
+            qpos = self._qpos.copy()
+            qpos[self._free] = values
+            self._last = values.copy(), Configuration(self._shapes.robot, qpos)
+        return self._last[1]
 
     def distances(self, values: Array) -> tuple[float, Array]:
         """Returns the sum of the feet's squared distances (m^2), and its gradient."""
