@@ -10,6 +10,7 @@ import numpy as np
 
 from pupper_analysis.checks.behaviour import Behaviour
 from pupper_analysis.checks.differences import Armature, Difference, Judge
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.models.parameters import Parameters
 
 _ALIKE = 1.25
@@ -30,24 +31,25 @@ def armature_differences(
     differences = []
     if values.base_armature:
         value = values.base_armature
-        message = (
-            f"free joint of {values.base}: no armature in the URDF, of {value:.6g} kg and kg m^2 "
-            "in the MJCF (a default class reaches it; use <freejoint/>)"
+        unit = "kg and kg m^2"
+        told = diagnose(
+            "free-joint-armature", subject=("body", values.base), armature=Quantity(value, unit)
         )
         effects = judge.effects(behaviour(replace(values, base_armature=0.0)), judge.one)
-        unit = "kg and kg m^2"
-        differences.append(Difference("armature", values.base, None, value, unit, message, effects))
+        differences.append(Difference("armature", values.base, None, value, unit, told, effects))
     for name, usual in _unusual_armatures(values).items():
         joint = replace(values.joints[name], armature=usual)
         alone = behaviour(replace(values, joints={**values.joints, name: joint}))
         value = values.joints[name].armature
         unit = "kg" if joint.slides else "kg m^2"
-        message = (
-            f"joint {name}: armature {value:.6g} {unit} in the MJCF, but {usual:.6g} {unit} on the "
-            "joints at the same place of the other legs (a URDF cannot state it)"
+        told = diagnose(
+            "armature-unlike-other-legs",
+            subject=("joint", name),
+            armature=Quantity(value, unit),
+            usual=Quantity(usual, unit),
         )
         effects = judge.effects(judge.one, alone)
-        differences.append(Difference("armature", name, None, value, unit, message, effects))
+        differences.append(Difference("armature", name, None, value, unit, told, effects))
     return differences
 
 

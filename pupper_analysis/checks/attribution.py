@@ -22,6 +22,7 @@ from pupper_analysis.checks.size import Entries, affordable, is_large
 from pupper_analysis.checks.states import random_states
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import trees
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.robot.robot import Robot
@@ -167,14 +168,17 @@ def align(robot: Robot, tolerances: Tolerances) -> Alignment:
 
 def _extra(extra: Extra, effects: dict[str, Effect]) -> Difference:
     return Difference(
-        extra.kind, extra.element, None, extra.value, extra.unit, extra.message, effects
+        extra.kind, extra.element, None, extra.value, extra.unit, extra.diagnostic, effects
     )
 
 
 def _mimic(name: str, said: tuple[str, float, float]) -> Difference:
     leader, multiplier, offset = said
-    message = (
-        f"joint {name}: it mimics {leader} in the URDF (times {multiplier:.6g}, plus "
-        f"{offset:.6g}), and no joint equality of the MJCF says so"
+    told = diagnose(
+        "mimic-without-equality",
+        subject=("joint", name),
+        leader=leader,
+        multiplier=multiplier,
+        offset=offset,
     )
-    return Difference("mimic", name, said, None, "", message, {})
+    return Difference("mimic", name, said, None, "", told, {})

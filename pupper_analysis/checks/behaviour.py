@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.size import Entries
 from pupper_analysis.checks.states import States
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import joint_damping
 from pupper_analysis.models.mujoco_tree import MujocoTree
@@ -136,7 +137,9 @@ def _members(robot: Robot, reference: Reference) -> list[bool]:
 _FORCES = ("spring", "damper", "gravcomp", "fluid", "adhesion", "actuator", "constraint")
 
 
-def still_acting(reference: Reference, model: mujoco.MjModel, states: States) -> Iterator[str]:
+def still_acting(
+    reference: Reference, model: mujoco.MjModel, states: States
+) -> Iterator[Diagnostic]:
     """Yields the forces that still act, besides linear damping, of which a tree of joints has none.
 
     Args:
@@ -160,7 +163,8 @@ def still_acting(reference: Reference, model: mujoco.MjModel, states: States) ->
             worst[name] = max(worst[name], float(np.abs(force[convention.qvel_index]).max()))
     for name, greatest in worst.items():
         if greatest > 1e-12 * scale:  # rounding
-            yield f"MuJoCo's qfrc_{name} is up to {greatest:.2g} N or N m"
+            force_field = f"qfrc_{name}"
+            yield diagnose("force-of-mujoco-remains", field=force_field, greatest=greatest)
 
 
 class Behaviour:

@@ -1,4 +1,4 @@
-"""Which numbers of two trees of parameters differ, in words, and how to take each over."""
+"""Which numbers of two trees of parameters differ, and how to take each over."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ from pupper_analysis.checks.words import (
     Sides,
     in_degrees,
     mirrored,
-    mm,
+    pair,
     quaternion_order,
     ratio,
     vector,
+    vectors,
 )
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.parameters import Body, Joint, Parameters
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 
@@ -36,7 +38,7 @@ class Change(Stated):
     def difference(self, effects: dict[str, Effect]) -> Difference:
         """Returns it as a result, with what it does."""
         return Difference(
-            self.kind, self.element, self.urdf, self.mjcf, self.unit, self.message, effects
+            self.kind, self.element, self.urdf, self.mjcf, self.unit, self.diagnostic, effects
         )
 
 
@@ -59,38 +61,34 @@ def changes_between(
     for name, joint in one.joints.items():
         yield from _joint_changes(name, joint, two.joints[name], tolerances, sides)
     if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
-        message = f"gravity: {sides.triple(one.gravity, two.gravity, 'm/s^2')}"
-        if not sides.alike:
-            message = (
-                f"gravity: {vector(one.gravity)} m/s^2, which Pinocchio gives a URDF, "
-                f"{vector(two.gravity)} m/s^2 {sides.two}"
-            )
-        yield _whole("gravity", "option", "gravity", one, two, "m/s^2", message)
+        both = {**vectors(one.gravity, two.gravity, "m/s^2"), **sides.named}
+        told = diagnose("gravity-differs" if sides.alike else "gravity-stated", **both)
+        yield _whole("gravity", "option", "gravity", one, two, "m/s^2", told)
     greater = max(one.base_damping, two.base_damping)
+    free = ("body", one.base)
     if abs(two.base_damping - one.base_damping) > tolerances.damping * greater:
-        message = (
-            f"free joint of {one.base}: damping {one.base_damping:g} {sides.one}, "
-            f"{two.base_damping:g} N s/m {sides.two} (a default class reaches it; use <freejoint/>)"
-        )
-        yield _whole("damping", one.base, "base_damping", one, two, "N s/m", message)
+        both = {**pair(one.base_damping, two.base_damping, "N s/m"), **sides.named}
+        told = diagnose("free-joint-damping-differs", subject=free, **both)
+        yield _whole("damping", one.base, "base_damping", one, two, "N s/m", told)
     # A URDF is given the MJCF's: see `armature.armature_differences`.
     if sides.alike and two.base_armature != one.base_armature:
-        message = (
-            f"free joint of {one.base}: armature {one.base_armature:g} {sides.one}, "
-            f"{two.base_armature:g} kg and kg m^2 {sides.two}"
-        )
-        yield _whole("armature", one.base, "base_armature", one, two, "kg and kg m^2", message)
+        unit = "kg and kg m^2"
+        both = {**pair(one.base_armature, two.base_armature, unit), **sides.named}
+        told = diagnose("free-joint-armature-differs", subject=free, **both)
+        yield _whole("armature", one.base, "base_armature", one, two, unit, told)
     for name, (owner, position) in one.frames.items():
         other_owner, other = two.frames[name]
         apart = float(np.linalg.norm(other - position))
-        if owner != other_owner or apart > tolerances.position:
-            message = f"frame {name} is {mm(apart)} apart: {sides.triple(position, other, 'm')}"
-            if owner != other_owner:
-                message = (
-                    f"frame {name} is on the body of {owner} {sides.one}, "
-                    f"of {other_owner} {sides.two}"
-                )
-            yield Change("frame", name, position, other, "m", message, _take_frame(name), felt=True)
+        if owner != other_owner:
+            both = {"one": owner, "two": other_owner, **sides.named}
+            told = diagnose("frame-on-other-body", subject=("frame", name), **both)
+        elif apart > tolerances.position:
+            both = {**vectors(position, other, "m"), **sides.named}
+            distance = Quantity(apart, "m")
+            told = diagnose("frame-apart", subject=("frame", name), distance=distance, **both)
+        else:
+            continue
+        yield Change("frame", name, position, other, "m", told, _take_frame(name), felt=True)
 
 
 def patched_with(first: Parameters, second: Parameters, sides: Sides = FORMATS) -> Parameters:
@@ -108,22 +106,25 @@ def body_changes(
     name: str, one: Body, two: Body, tolerances: Tolerances, sides: Sides = FORMATS
 ) -> Iterable[Change]:
     """Yields the differences of two bodies."""
+    body = ("body", name)
     greater = max(abs(one.mass), abs(two.mass))
     if abs(two.mass - one.mass) > tolerances.mass * greater:
-        message = f"body of {name}: mass {sides.pair(one.mass, two.mass, 'kg')}"
-        message += ratio(one.mass, two.mass)
+        both = {**pair(one.mass, two.mass, "kg"), **sides.named}
+        told = diagnose("mass-differs", subject=body, guess=ratio(one.mass, two.mass), **both)
         yield Change(
-            "mass", name, one.mass, two.mass, "kg", message, _take_body(name, "mass"), felt=True
+            "mass", name, one.mass, two.mass, "kg", told, _take_body(name, "mass"), felt=True
         )
     apart = float(np.linalg.norm(two.com - one.com))
     if apart > tolerances.com:
-        message = (
-            f"body of {name}: com {mm(apart)} apart: {sides.triple(one.com, two.com, 'm')}"
-            f"{mirrored(one.com, two.com, tolerances.com)}"
+        told = diagnose(
+            "com-differs",
+            subject=body,
+            distance=Quantity(apart, "m"),
+            guess=mirrored(one.com, two.com, tolerances.com),
+            **vectors(one.com, two.com, "m"),
+            **sides.named,
         )
-        yield Change(
-            "com", name, one.com, two.com, "m", message, _take_body(name, "com"), felt=True
-        )
+        yield Change("com", name, one.com, two.com, "m", told, _take_body(name, "com"), felt=True)
     size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
     differs = np.abs(two.inertia - one.inertia) > tolerances.inertia * size
     if differs.any():
@@ -131,29 +132,32 @@ def body_changes(
         for label, place in INERTIA_ENTRIES.items():
             a, b = float(one.inertia[place]), float(two.inertia[place])
             if differs[place]:
-                entries.append(f"{label} {sides.pair(a, b, 'kg m^2')}{ratio(a, b)}")
-        message = f"body of {name}: inertia about the com: {'; '.join(entries)}{_turned(one, two)}"
+                both = {**pair(a, b, "kg m^2"), **sides.named}
+                entries.append(
+                    diagnose("inertia-entry-differs", entry=label, guess=ratio(a, b), **both)
+                )
+        told = diagnose("inertia-differs", subject=body, entries=entries, guess=_turned(one, two))
         yield Change(
             "inertia",
             name,
             one.inertia,
             two.inertia,
             "kg m^2",
-            message,
+            told,
             _take_body(name, "inertia"),
             felt=True,
         )
 
 
-def _turned(one: Body, two: Body) -> str:
+def _turned(one: Body, two: Body) -> Diagnostic | None:
     """Says so if two tensors have the same principal moments."""
     moments = np.linalg.eigvalsh(one.inertia), np.linalg.eigvalsh(two.inertia)
     off = np.abs(one.inertia - np.diag(np.diag(one.inertia))).max()
     if np.allclose(np.diag(one.inertia), np.diag(two.inertia), rtol=1e-3) and off > 0:
-        return " (the products of inertia differ, perhaps in sign)"
+        return diagnose("guess-products-of-inertia")
     if np.allclose(*moments, rtol=1e-3, atol=1e-3 * abs(moments[0]).max()):
-        return " (the same principal moments: one of the tensors is in turned axes)"
-    return ""
+        return diagnose("guess-tensor-in-turned-axes")
+    return None
 
 
 def _joint_changes(
@@ -168,22 +172,24 @@ def _joint_changes(
 def _kinds_of_joints(name: str, one: Joint, two: Joint, sides: Sides) -> Iterable[Change]:
     """Yields another parent, and another type."""
     if one.parent != two.parent:
-        message = f"joint {name}: its parent is {one.parent} {sides.one}, {two.parent} {sides.two}"
+        both = {"one": one.parent, "two": two.parent, **sides.named}
+        told = diagnose("parent-differs", subject=("joint", name), **both)
         yield Change(
             "parent",
             name,
             one.parent,
             two.parent,
             "",
-            message,
+            told,
             _take_parent(name),
             felt=True,
         )
     if one.slides != two.slides:
         kinds = ["prismatic" if joint.slides else "revolute" for joint in (one, two)]
-        message = f"joint {name}: {kinds[0]} {sides.one}, {kinds[1]} {sides.two}"
+        both = {"one": Term(kinds[0]), "two": Term(kinds[1]), **sides.named}
+        told = diagnose("joint-type-differs", subject=("joint", name), **both)
         yield Change(
-            "type", name, kinds[0], kinds[1], "", message, _take_joint(name, "slides"), felt=True
+            "type", name, kinds[0], kinds[1], "", told, _take_joint(name, "slides"), felt=True
         )
 
 
@@ -193,10 +199,13 @@ def _placements(
     """Yields another position or orientation in the parent's frame."""
     apart = float(np.linalg.norm(two.position - one.position))
     if apart > tolerances.position:
-        message = (
-            f"joint {name}: {mm(apart)} apart, from its parent's frame: "
-            f"{sides.triple(one.position, two.position, 'm')}"
-            f"{mirrored(one.position, two.position, tolerances.position)}"
+        told = diagnose(
+            "joint-position-differs",
+            subject=("joint", name),
+            distance=Quantity(apart, "m"),
+            guess=mirrored(one.position, two.position, tolerances.position),
+            **vectors(one.position, two.position, "m"),
+            **sides.named,
         )
         yield Change(
             "position",
@@ -204,7 +213,7 @@ def _placements(
             one.position,
             two.position,
             "m",
-            message,
+            told,
             _take_joint(name, "position"),
             felt=True,
         )
@@ -212,11 +221,13 @@ def _placements(
     angle = float(np.linalg.norm(turn))
     if angle > tolerances.rotation:
         about = abs(float(turn @ one.axis)) > (1 - 1e-6) * angle
-        message = (
-            f"joint {name}: its frame is turned by {math.degrees(angle):.4g} deg about "
-            f"{vector(turn / angle)}"
-            + (" (its own axis: the files' zero angles differ)" if about else "")
-            + quaternion_order(one.rotation, two.rotation)
+        told = diagnose(
+            "joint-frame-turned",
+            subject=("joint", name),
+            angle=Quantity(angle, "rad"),
+            axis=vector(turn / angle),
+            about_its_axis=about,
+            guess=quaternion_order(one.rotation, two.rotation),
         )
         yield Change(
             "rotation",
@@ -224,7 +235,7 @@ def _placements(
             one.rotation,
             two.rotation,
             "1",
-            message,
+            told,
             _take_joint(name, "rotation"),
             felt=True,
         )
@@ -237,10 +248,15 @@ def _axes(
     between = math.acos(min(1.0, max(-1.0, float(one.axis @ two.axis))))
     if float(np.linalg.norm(np.cross(one.axis, two.axis))) > tolerances.axis or between > 1.0:
         reversed_axis = between > math.pi - tolerances.axis
-        how = "reversed" if reversed_axis else f"turned by {math.degrees(between):.4g} deg"
-        message = f"joint {name}: axis {how}: {sides.triple(one.axis, two.axis, '')}"
+        told = diagnose(
+            "axis-reversed" if reversed_axis else "axis-turned",
+            subject=("joint", name),
+            angle=Quantity(between, "rad"),
+            **vectors(one.axis, two.axis),
+            **sides.named,
+        )
         yield Change(
-            "axis", name, one.axis, two.axis, "1", message, _take_joint(name, "axis"), felt=True
+            "axis", name, one.axis, two.axis, "1", told, _take_joint(name, "axis"), felt=True
         )
 
 
@@ -275,11 +291,19 @@ def _joint_numbers(
             continue  # a URDF cannot state a slide without
         if one.slides:
             unit = unit.replace("N m", "N").replace("rad", "m").replace("kg m^2", "kg")
-        message = f"joint {name}: {kind} {sides.pair(a, b, unit)}{in_degrees(a, b)}"
+        guess = in_degrees(a, b)
         if field == "effort" and a == 0 and not sides.alike:
-            message += " (many exporters write 0 where nothing is known)"
+            guess = diagnose("guess-zero-for-unknown")
+        told = diagnose(
+            "joint-number-differs",
+            subject=("joint", name),
+            what=Term(kind),
+            guess=guess,
+            **pair(a, b, unit),
+            **sides.named,
+        )
         felt = field in ("damping", "armature")
-        yield Change(kind, name, a, b, unit, message, _take_joint(name, field), felt=felt)
+        yield Change(kind, name, a, b, unit, told, _take_joint(name, field), felt=felt)
 
 
 def _take_body(name: str, field: str) -> Callable[[Parameters, Parameters], Parameters]:
@@ -316,7 +340,13 @@ def _take_parent(name: str) -> Callable[[Parameters, Parameters], Parameters]:
 
 
 def _whole(
-    kind: str, element: str, field: str, one: Parameters, two: Parameters, unit: str, message: str
+    kind: str,
+    element: str,
+    field: str,
+    one: Parameters,
+    two: Parameters,
+    unit: str,
+    told: Diagnostic,
 ) -> Change:
     """Returns the change of a number that belongs to the robot as a whole."""
 
@@ -324,7 +354,7 @@ def _whole(
         return replace(first, **{field: getattr(second, field)})
 
     values = getattr(one, field), getattr(two, field)
-    return Change(kind, element, *values, unit, message, apply, felt=True)
+    return Change(kind, element, *values, unit, told, apply, felt=True)
 
 
 def _take_frame(name: str) -> Callable[[Parameters, Parameters], Parameters]:

@@ -11,15 +11,16 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.checks.attribution import EXPLAINED, align, explain
 from pupper_analysis.checks.conventions import Conventions, convention_changes
 from pupper_analysis.checks.differences import CONVENTIONS, Difference, Explanation
-from pupper_analysis.checks.engines import CrossCheck, cross_check
+from pupper_analysis.checks.engines import OF_ONE_MODEL, OF_THE_MJCF, CrossCheck, cross_check
 from pupper_analysis.checks.matching import Match, match
-from pupper_analysis.checks.mount import Mount, in_words, mount_of
+from pupper_analysis.checks.mount import Mount, mount_of
 from pupper_analysis.checks.notes import armature_notes, unstated_notes
 from pupper_analysis.checks.patterns import Cause, causes
 from pupper_analysis.checks.places import mjcf_place, path_of, shares, urdf_place
 from pupper_analysis.checks.states import check_states
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import trees
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
@@ -56,8 +57,8 @@ class Comparison(Tabular):
         engines: Quantities on which the engines deviate for one and the same model.
         mount: How a fixed base is tilted in one file, and what that does to gravity; None if it is
             not, or the base is free.
-        objections: Why the files do not agree, besides the differences, in words: what no
-            difference explains, and what differences within the tolerances add up to.
+        objections: Why the files do not agree, besides the differences: what no difference
+            explains, and what differences within the tolerances add up to.
         agree: Whether the models agree, within the tolerances: no difference, no joint in one file
             only, and no objection.
         same_robot: Whether they agree, but for coordinates: joints' zeros, the base's frame.
@@ -71,7 +72,7 @@ class Comparison(Tabular):
     only_urdf: tuple[str, ...]
     only_mjcf: tuple[str, ...]
     parts: tuple[str, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Diagnostic | str, ...]
     check: CrossCheck
     differences: tuple[Difference, ...]
     causes: tuple[Cause, ...]
@@ -79,9 +80,9 @@ class Comparison(Tabular):
     left: dict[str, float]
     explained: float
     complete: bool
-    engines: tuple[str, ...]
+    engines: tuple[Diagnostic, ...]
     mount: Mount | None
-    objections: tuple[str, ...]
+    objections: tuple[Diagnostic, ...]
     agree: bool
     same_robot: bool
 
@@ -146,8 +147,8 @@ def compare_models(
         matched = _in_any_coordinates(matched)
     robot = matched.robot
     if not robot.total_mass > 0:
-        problem = f"its links weigh {robot.total_mass:.6g} kg together; give them <inertial>s"
-        raise ModelError(urdf_file.path, problem)
+        mass = Quantity(robot.total_mass, "kg")
+        raise ModelError(urdf_file.path, diagnose("robot-without-mass", mass=mass))
     alignment = align(robot, tolerances)
     check = cross_check(
         robot,
@@ -171,7 +172,7 @@ def compare_models(
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = tuple(_objections(explanation, tolerances))
     if mount is not None and same_mount:
-        objections = (*objections, in_words(mount))
+        objections = (*objections, mount.diagnostic)
     return Comparison(
         urdf=str(urdf_file.path),
         mjcf=str(mjcf_file.path),
@@ -200,7 +201,7 @@ def compare_models(
 def _in_any_coordinates(matched: Match) -> Match:
     """Makes notes of the files' conventions of coordinates: then they are no differences."""
     changes = convention_changes(matched.conventions, trees(matched.robot)[0])
-    notes = (*matched.notes, *(difference.message for difference, _ in changes))
+    notes = (*matched.notes, *(difference.diagnostic for difference, _ in changes))
     return replace(matched, conventions=Conventions(), notes=notes)
 
 
@@ -226,16 +227,21 @@ def _placed(
         )
 
 
-def _engines(check: CrossCheck, explanation: Explanation) -> tuple[str, ...]:
+def _engines(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:
     """Says where the engines deviate for one and the same model."""
     return tuple(
-        f"{quantity.name}: {relative:.1e} ({whose})"
+        diagnose(
+            "engines-deviate",
+            subject=("quantity", quantity.name),
+            relative=relative,
+            edge=Term(whose),
+        )
         for quantity in check.quantities
         for whose, relative in quantity.edges.items()
-        if whose.startswith(("engines", "readers", "yourdfpy"))
+        if whose in OF_ONE_MODEL
         and relative > ENGINES_AGREE
         # With forces of MuJoCo's that a tree of joints has not, the two got different models.
-        and not (explanation.remains and "MJCF" in whose)
+        and not (explanation.remains and whose in OF_THE_MJCF)
     )
 
 
@@ -247,17 +253,22 @@ def _explained(worst: float, left: float) -> float:
 
 
 def _name(urdf: str, mjcf: str) -> Difference:
-    message = f"joint {mjcf}: it is called {urdf} in the URDF, {mjcf} in the MJCF"
-    return Difference("name", mjcf, urdf, mjcf, "", message, {})
+    told = diagnose("joint-name-differs", subject=("joint", mjcf), urdf=urdf, mjcf=mjcf)
+    return Difference("name", mjcf, urdf, mjcf, "", told, {})
 
 
-def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[str]:
+def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:
     """Yields what keeps two files from agreeing although they may have no difference."""
     left = {name: value for name, value in explanation.left.items() if value > EXPLAINED}
     if left:
         name = max(left, key=lambda quantity: left[quantity])
-        because = f" ({'; '.join(explanation.remains)})" if explanation.remains else ""
-        yield f"{left[name]:.1e} of {name} is left that no difference explains{because}"
+        yield diagnose(
+            "deviation-unexplained",
+            subject=("quantity", name),
+            left=left[name],
+            what=Term(name),
+            remains=explanation.remains,
+        )
         return
     if _mechanical(explanation.differences):
         return
@@ -265,9 +276,12 @@ def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[st
     allowed = max(getattr(tolerances, kind) for kind in _FELT)
     for name, value in explanation.deviations.items():
         if value > allowed:
-            yield (
-                f"each difference is within its tolerance, but together they make {value:.1e} of "
-                f"{name}, more than {allowed:.0e}; --tolerance dynamics=... lets it pass"
+            yield diagnose(
+                "tolerances-add-up",
+                subject=("quantity", name),
+                deviation=value,
+                what=Term(name),
+                allowed=allowed,
             )
 
 

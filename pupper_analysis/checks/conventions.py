@@ -29,6 +29,7 @@ from pupper_analysis.checks.alignment import (
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.words import FORMATS, Sides, vector
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -328,35 +329,39 @@ def convention_changes(
         sides: What the two are called.
     """
     if found.base is not None and (first.floating or not found.shown):
-        message = (
-            f"the base's frame is elsewhere: that of {sides.first} is {pose_in_words(found.base)}, "
-            f"in that of {sides.second}"
-            + (", so that the base's qpos means another pose" if first.floating else "")
-            + ("" if found.shown else ", or the zero of the one joint on it is")
-            + f"; all else is compared in the frame of {sides.second}"
+        told = diagnose(
+            "base-frame-elsewhere",
+            subject=("body", first.base),
+            pose=pose_told(found.base),
+            floating=first.floating,
+            shown=found.shown,
+            **sides.named,
         )
         pose = np.array(found.base.homogeneous)
-        difference = Difference("base frame", first.base, pose, np.eye(4), "m", message, {})
+        difference = Difference("base frame", first.base, pose, np.eye(4), "m", told, {})
         yield difference, with_base(first, found.base.inverse())
     for name, offset in found.zeros.items():
         unit = "m" if first.joints[name].slides else "rad"
-        degrees = "" if unit == "m" else f" ({math.degrees(offset):.4g} deg)"
-        message = (
-            f"joint {name}: its zero is elsewhere, and its limits with it: q of {sides.first} = q "
-            f"of {sides.second} {'+' if offset > 0 else '-'} {abs(offset):.6g} {unit}{degrees}; "
-            "else it is the same joint"
+        told = diagnose(
+            "joint-zero-elsewhere",
+            subject=("joint", name),
+            offset=Quantity(offset, unit),
+            turn=None if unit == "m" else Quantity(offset, unit),
+            **sides.named,
         )
-        difference = Difference("zero", name, offset, 0.0, unit, message, {})
+        difference = Difference("zero", name, offset, 0.0, unit, told, {})
         yield difference, with_zero(first, name, -offset)
 
 
-def pose_in_words(pose: pin.SE3) -> str:
+def pose_told(pose: pin.SE3) -> Diagnostic:
     """Says where a frame is in another."""
     turn = pin.log3(pose.rotation)
     angle = float(np.linalg.norm(turn))
+    away = float(np.linalg.norm(pose.translation)) > 1e-9
     parts = []
-    if float(np.linalg.norm(pose.translation)) > 1e-9:
-        parts.append(f"at {vector(np.array(pose.translation))} m")
+    if away:
+        parts.append(diagnose("pose-at", at=vector(np.array(pose.translation), "m")))
     if angle > 1e-9:
-        parts.append(f"turned by {math.degrees(angle):.4g} deg about {vector(turn / angle)}")
-    return ", ".join(parts) or "the same"
+        axis = vector(turn / angle)
+        parts.append(diagnose("pose-turned", angle=Quantity(angle, "rad"), axis=axis))
+    return diagnose("pose", parts=parts)

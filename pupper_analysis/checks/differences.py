@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
@@ -90,7 +91,7 @@ class Stated:
         urdf: The URDF's value, in the URDF's frames; None where it has none.
         mjcf: The MJCF's, in the URDF's frames.
         unit: Of both.
-        message: The difference in plain words.
+        diagnostic: The difference, with both values, and words for it.
     """
 
     kind: str
@@ -98,7 +99,12 @@ class Stated:
     urdf: object
     mjcf: object
     unit: str
-    message: str
+    diagnostic: Diagnostic
+
+    @property
+    def message(self) -> str:
+        """The difference in plain words."""
+        return str(self.diagnostic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,13 +115,13 @@ class Difference(Stated, Result):
         effects: {quantity: what it does}.
         urdf_place: File and line, where known.
         mjcf_place: File and line, where known.
-        made_of: Of which links or bodies the value is made, where there are several, in words.
+        made_of: Of which links or bodies the value is made, where there are several.
     """
 
     effects: dict[str, Effect]
     urdf_place: str | None = None
     mjcf_place: str | None = None
-    made_of: tuple[str, ...] = ()
+    made_of: tuple[Diagnostic, ...] = ()
 
     @property
     def rank(self) -> tuple[float, ...]:
@@ -199,7 +205,7 @@ class Explanation(Result):
             value for every difference, and what the MJCF alone has is taken out of it}.
         complete: Whether nothing is left.
         remains: What acts in MuJoCo when all that was found is taken away, and has no part in a
-            tree of joints, by MuJoCo's names, in words.
+            tree of joints, by MuJoCo's names.
         armature: What the armature does; both models were given the MJCF's.
         damping: What leaving out the damping that the URDF does not state does to it.
     """
@@ -208,7 +214,7 @@ class Explanation(Result):
     deviations: dict[str, float]
     left: dict[str, float]
     complete: bool
-    remains: tuple[str, ...]
+    remains: tuple[Diagnostic, ...]
     armature: Armature
     damping: dict[str, Effect]
 

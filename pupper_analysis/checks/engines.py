@@ -33,6 +33,7 @@ from pupper_analysis.checks.passive.mimics import Mimics, split_mimics, urdf_mim
 from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.size import affordable, is_large, size_notes, some_of
 from pupper_analysis.checks.states import States, check_states, random_states
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
 from pupper_analysis.models.mjcf import quiet
@@ -79,12 +80,11 @@ EDGES = {
 }
 """What a deviation between two evaluations is a deviation of."""
 
-_NOTES = (
-    "armature: the MJCF's, in all; URDF cannot state it",
-    "gravity: the MJCF's, in all; URDF cannot state it",
-    "forward dynamics: joint damping of each file, and the same torques in place of the motors' "
-    "control; no dry friction, limits or contacts",
-)
+OF_ONE_MODEL = ("engines (URDF)", "engines (MJCF)", "readers (URDF)", "yourdfpy (URDF)")
+"""Deviations of engines, which read one and the same model."""
+
+OF_THE_MJCF = ("engines (MJCF)",)
+"""Those of them in which MuJoCo's model is the MJCF's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ class CrossCheck(Result):
     seed: int
     quantities: tuple[QuantityCheck, ...]
     worst: str
-    notes: tuple[str, ...]
+    notes: tuple[Diagnostic, ...]
 
 
 @checked
@@ -173,7 +173,7 @@ def cross_check(
     """
     check_states(configurations, seed)
     if not tolerance > 0:
-        raise ConfigurationError("tolerance", f"{tolerance} is not positive")
+        raise ConfigurationError("tolerance", diagnose("not-positive", value=tolerance))
     configurations, asked = affordable(robot, configurations), configurations
     states = random_states(robot, configurations, seed)
     reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
@@ -197,7 +197,13 @@ def cross_check(
         seed=seed,
         quantities=checks,
         worst=max(checks, key=lambda check: check.relative).name,
-        notes=(*left_out, *size_notes(robot, asked, _pairs(robot)), *_NOTES),
+        notes=(
+            *left_out,
+            *size_notes(robot, asked, _pairs(robot)),
+            diagnose("armature-is-the-mjcfs"),
+            diagnose("gravity-is-the-mjcfs"),
+            diagnose("forces-in-forward-dynamics"),
+        ),
     )
 
 
@@ -207,7 +213,7 @@ def _evaluations(
     square: mujoco.MjModel,
     whole: mujoco.MjModel,
     moved: Mapping[str, Array],
-) -> tuple[dict[str, Evaluation], list[str]]:
+) -> tuple[dict[str, Evaluation], list[Diagnostic]]:
     """Evaluates both models in all backends.
 
     Args:
@@ -228,7 +234,8 @@ def _evaluations(
             description.urdf, description.urdf_source, robot.mj_model, robot.mj_base, robot.imu
         )
     except ModelError as error:
-        left_out.append(f"left out: {URDF_MUJOCO}: {error.problem}")
+        told = error.diagnostic.values["problem"]
+        left_out.append(diagnose("urdf-not-in-mujoco", problem=told))
     pairs = some_of(robot, _pairs(robot))
     urdf_frames = {name: pair[0] for name, pair in pairs.items()}
     mjcf_frames = {name: pair[1] for name, pair in pairs.items()}

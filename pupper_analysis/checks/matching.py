@@ -13,7 +13,7 @@ import mujoco
 from lxml import etree
 
 from pupper_analysis.checks.alignment import with_base
-from pupper_analysis.checks.conventions import Conventions, conventions, pose_in_words, rewrite
+from pupper_analysis.checks.conventions import Conventions, conventions, pose_told, rewrite
 from pupper_analysis.checks.matching_loops import ball_joints, open_loops
 from pupper_analysis.checks.matching_mjcf import (
     bodies_of,
@@ -40,6 +40,7 @@ from pupper_analysis.checks.passive.mimics import Mimics, urdf_mimics
 from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import base_pose, trees
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.description import Description
@@ -84,7 +85,7 @@ class Match:
     only_urdf: tuple[str, ...]
     only_mjcf: tuple[str, ...]
     opened: tuple[str, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Diagnostic | str, ...]
     reference: Reference
     mimics: Mimics
     conventions: Conventions
@@ -248,14 +249,14 @@ def _conventions(robot: Robot, tolerances: Tolerances, notes: list[str]) -> Conv
     pose = base_pose(robot)
     if not pose.isIdentity(1e-9):
         notes.append(
-            f"the MJCF's fixed base {robot.mj_base!r} stands {pose_in_words(pose)}, in the world; "
+            f"the MJCF's fixed base {robot.mj_base!r} stands {pose_told(pose)}, in the world; "
             "the URDF's was put there"
         )
     one, two = (with_base(tree, pose.inverse()) for tree in (urdf, mjcf))
     found = conventions(one, two, tolerances, fixed=True)
     if found.base is not None and found.shown:
         notes.append(
-            f"the frame of the fixed base of the URDF is {pose_in_words(found.base)}, in that of "
+            f"the frame of the fixed base of the URDF is {pose_told(found.base)}, in that of "
             f"the MJCF's {robot.mj_base!r}; it was put to the MJCF's"
         )
     return found

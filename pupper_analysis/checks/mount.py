@@ -19,6 +19,7 @@ from pupper_analysis.checks.matching_places import poses_at_zero
 from pupper_analysis.checks.matching_urdf import end_link
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import base_pose, trees
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.results import Result
 
@@ -41,6 +42,18 @@ class Mount(Result):
     tilt: float
     torques: dict[str, tuple[float, float]]
     unit: str
+
+    @property
+    def diagnostic(self) -> Diagnostic:
+        """What the tilt does to gravity."""
+        joint, (one, two) = next(iter(self.torques.items()))
+        return diagnose(
+            "base-tilted",
+            subject=("joint", joint),
+            tilt=Quantity(self.tilt, "rad"),
+            urdf=Quantity(one, self.unit),
+            mjcf=Quantity(two, self.unit),
+        )
 
 
 def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Mount | None:
@@ -103,13 +116,3 @@ def _in_root(urdf: etree._Element, link: str) -> Array:
         axes = pin.rpy.rpyToMatrix(np.array((angles or "0 0 0").split(), dtype=float)) @ axes
         link = end_link(joint, "parent")
     return axes
-
-
-def in_words(mount: Mount) -> str:
-    """Says what a tilted base does to gravity."""
-    joint, (one, two) = next(iter(mount.torques.items()))
-    return (
-        f"the base is tilted by {math.degrees(mount.tilt):.4g} deg against the URDF's, as they are "
-        f"loaded: against gravity {joint} needs {one:.4g} {mount.unit} by the URDF and {two:.4g} "
-        f"{mount.unit} by the MJCF, at zero angles"
-    )

@@ -10,6 +10,7 @@ import numpy as np
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.matching import Match
 from pupper_analysis.checks.matching_urdf import FixedLinks
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -96,12 +97,12 @@ def bodies_moving_with(model: mujoco.MjModel, body: str) -> list[tuple[str, floa
 
 def shares(
     difference: Difference, matched: Match, urdf: UrdfFile, mjcf: MjcfFile
-) -> tuple[str, ...]:
+) -> tuple[Diagnostic, ...]:
     """Says of which links or bodies a mass, a com or an inertia is made, with their lines."""
     if difference.kind not in ("mass", "com", "inertia"):
         return ()
-    said = []
-    for words, members, place in (
+    told = []
+    for file, members, place in (
         (
             "URDF",
             urdf_members(matched, difference.element),
@@ -114,14 +115,27 @@ def shares(
             continue
         total = sum(mass for _, mass in heavy)
         heavy.sort(key=lambda member: -member[1])
-        listed = ", ".join(
-            f"{name} {mass:.4g} kg ({100 * mass / total:.3g} %, {place(name)})"
+        members_told = [
+            diagnose(
+                "share-of-a-body",
+                subject=("body", name),
+                mass=Quantity(mass, "kg"),
+                share=Quantity(mass / total, "1"),
+                place=str(place(name)),
+            )
             for name, mass in heavy[:_LISTED]
-        )
+        ]
         rest = total - sum(mass for _, mass in heavy[:_LISTED])
-        more = f", {len(heavy) - _LISTED} more with {rest:.4g} kg" if heavy[_LISTED:] else ""
-        said.append(f"in the {words} it is made of {listed}{more}")
-    return tuple(said)
+        told.append(
+            diagnose(
+                "body-is-made-of",
+                file=file,
+                members=members_told,
+                more=len(heavy[_LISTED:]),
+                rest=Quantity(rest, "kg"),
+            )
+        )
+    return tuple(told)
 
 
 _LISTED = 6

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -55,7 +56,9 @@ def some_of(robot: Robot, frames: Mapping[str, tuple[str, str]]) -> dict[str, tu
     return {names[place]: frames[names[place]] for place in chosen}
 
 
-def size_notes(robot: Robot, count: int, frames: Mapping[str, tuple[str, str]]) -> Iterator[str]:
+def size_notes(
+    robot: Robot, count: int, frames: Mapping[str, tuple[str, str]]
+) -> Iterator[Diagnostic]:
     """Yields what is left out of the comparison of a large robot.
 
     Args:
@@ -65,18 +68,14 @@ def size_notes(robot: Robot, count: int, frames: Mapping[str, tuple[str, str]]) 
     """
     if not is_large(robot):
         return
-    yield (
-        f"left out: Pinocchio's dynamics: its data of {robot.nv} degrees of freedom would take "
-        f"{32e-9 * robot.nv**3:.1f} GB (from {MOST_IN_PINOCCHIO} degrees of freedom on MuJoCo "
-        "computes both; Pinocchio reads the URDF)"
-    )
-    if affordable(robot, count) < count:
-        yield f"compared at {affordable(robot, count)} of {count} states, as it is large"
-    if len(some_of(robot, frames)) < len(frames):
-        yield (
-            f"Jacobians and yourdfpy: {len(some_of(robot, frames))} of {len(frames)} frames, as "
-            "the robot is large"
-        )
+    gigabytes, most = 32e-9 * robot.nv**3, MOST_IN_PINOCCHIO
+    yield diagnose("large-without-pinocchio", count=robot.nv, gigabytes=gigabytes, most=most)
+    states = affordable(robot, count)
+    if states < count:
+        yield diagnose("large-at-fewer-states", states=states, count=count)
+    some = len(some_of(robot, frames))
+    if some < len(frames):
+        yield diagnose("large-at-fewer-frames", frames=some, count=len(frames))
 
 
 class Entries:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
 
@@ -39,11 +40,11 @@ def check_states(count: int, seed: int) -> None:
         ConfigurationError: If there are none or too many, or the seed is not a whole number from 0.
     """
     if count < 1:
-        raise ConfigurationError("configurations", f"{count} is less than 1")
+        raise ConfigurationError("configurations", diagnose("less-than", value=count, least=1))
     if count > MOST:
-        raise ConfigurationError("configurations", f"{count} is more than {MOST}")
+        raise ConfigurationError("configurations", diagnose("more-than", value=count, most=MOST))
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ConfigurationError("seed", f"{seed!r} is not a whole number from 0")
+        raise ConfigurationError("seed", diagnose("no-whole-number", value=repr(seed)))
 
 
 _FAR = 1e3

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 from pupper_analysis.arguments import check_fields
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 
@@ -51,7 +52,8 @@ class Tolerances:
         for kind in fields(self):
             value = getattr(self, kind.name)
             if not value > 0:
-                raise ConfigurationError("tolerance", f"{kind.name}={value} is not positive")
+                told = diagnose("tolerance-not-positive", kind=kind.name, value=value)
+                raise ConfigurationError("tolerance", told)
 
     @staticmethod
     def strict() -> Tolerances:
@@ -67,7 +69,6 @@ class Tolerances:
         valid = [kind.name for kind in fields(self)]
         for kind in changes:
             if kind not in valid:
-                raise ConfigurationError(
-                    "tolerance", f"no kind {kind!r}; valid: {', '.join(valid)}"
-                )
+                told = diagnose("tolerance-unknown", kind=kind, known=valid)
+                raise ConfigurationError("tolerance", told)
         return replace(self, **changes)

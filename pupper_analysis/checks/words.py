@@ -1,13 +1,16 @@
-"""Differences of numbers in words, with a guess at the mistake."""
+"""What two models are called that are compared, and guesses at the mistake behind a difference."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, bound, diagnose
 
 Array = NDArray[np.float64]
 
@@ -22,92 +25,79 @@ class Sides:
         alike: Whether both are of one format, so that what one states the other could state, too.
     """
 
-    first: str
-    second: str
+    first: Term
+    second: Term
     alike: bool
 
     @property
-    def one(self) -> str:
-        """Where the first's numbers stand."""
-        return f"in {self.first}"
-
-    @property
-    def two(self) -> str:
-        """Where the second's stand."""
-        return f"in {self.second}"
-
-    def pair(self, one: float, two: float, unit: str) -> str:
-        """Gives the first's number and the second's."""
-        first, second = (
-            f"{value:.6g} {unit}" if math.isfinite(value) else "unlimited" for value in (one, two)
-        )
-        return f"{first} {self.one}, {second} {self.two}"
-
-    def triple(self, one: Array, two: Array, unit: str) -> str:
-        """Gives the first's vector and the second's."""
-        text = f"{vector(one)} {unit} {self.one}, {vector(two)} {unit} {self.two}"
-        return text.replace("  ", " ")
+    def named(self) -> dict[str, Any]:
+        """Both names, as values of a diagnostic."""
+        return {"first": self.first, "second": self.second}
 
 
-FORMATS = Sides("the URDF", "the MJCF", alike=False)
+FORMATS = Sides(Term("the URDF"), Term("the MJCF"), alike=False)
 """A URDF and an MJCF."""
 
-VERSIONS = Sides("the old file", "the new file", alike=True)
+VERSIONS = Sides(Term("the old file"), Term("the new file"), alike=True)
 """Two files of one format."""
 
 
-def vector(values: Array) -> str:
-    """Writes a vector with 6 digits, rounded to 1e-9."""
-    return "(" + ", ".join(f"{value + 0.0:.6g}" for value in np.round(values, 9)) + ")"
+def pair(one: float, two: float, unit: str) -> dict[str, Any]:
+    """Returns the first's number and the second's, as values of a diagnostic."""
+    return {"one": bound(one, unit), "two": bound(two, unit)}
 
 
-def mm(length: float) -> str:
-    """Writes a length (m) in mm."""
-    return f"{1e3 * length:.4g} mm"
+def vectors(one: Array, two: Array, unit: str = "1") -> dict[str, Any]:
+    """Returns the first's vector and the second's, as values of a diagnostic."""
+    return {"one": vector(one, unit), "two": vector(two, unit)}
 
 
-def ratio(urdf: float, mjcf: float) -> str:
-    """Gives the difference, and the ratio where it is telling."""
+def vector(values: Array, unit: str = "1") -> Vector:
+    """Returns a vector, rounded to 1e-9."""
+    return Vector(tuple(np.round(values, 9).tolist()), unit)
+
+
+def ratio(urdf: float, mjcf: float) -> Diagnostic | None:
+    """Returns the difference, or the mistake where the ratio is telling."""
     if urdf == 0 or mjcf == 0:
-        return ""
+        return None
     ratio = mjcf / urdf
-    for factor, meaning in (
-        (1e3, "g for kg?"),
-        (1e-3, "g for kg?"),
-        (10.0, "ten times: a decimal point?"),
-        (0.1, "a tenth: a decimal point?"),
-        (-1.0, "the other sign"),
-    ):
-        if math.isclose(ratio, factor, rel_tol=1e-3):
-            return f" ({meaning})"
-    return f" ({100 * (ratio - 1):+.3g} %)"
+    if any(math.isclose(ratio, factor, rel_tol=1e-3) for factor in (1e3, 1e-3)):
+        return diagnose("guess-grams-for-kilograms")
+    if math.isclose(ratio, 10.0, rel_tol=1e-3):
+        return diagnose("guess-ten-times")
+    if math.isclose(ratio, 0.1, rel_tol=1e-3):
+        return diagnose("guess-a-tenth")
+    if math.isclose(ratio, -1.0, rel_tol=1e-3):
+        return diagnose("guess-other-sign")
+    return diagnose("relative-change", change=Quantity(ratio - 1, "1"))
 
 
-def in_degrees(urdf: float, mjcf: float) -> str:
+def in_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
     """Guesses degrees for radians, where the ratio is theirs."""
     if urdf == 0 or not math.isfinite(urdf) or not math.isfinite(mjcf):
-        return ""
+        return None
     ratio = mjcf / urdf
     if any(math.isclose(ratio, math.degrees(1.0) ** sign, rel_tol=1e-2) for sign in (1, -1)):
-        return " (degrees for radians?)"
-    return ""
+        return diagnose("guess-degrees-for-radians")
+    return None
 
 
-def mirrored(urdf: Array, mjcf: Array, tolerance: float) -> str:
+def mirrored(urdf: Array, mjcf: Array, tolerance: float) -> Diagnostic | None:
     """Names the coordinate that has the other sign, if that is the whole difference."""
     for index, name in enumerate("xyz"):
         flipped = urdf.copy()
         flipped[index] *= -1
         if np.linalg.norm(flipped - mjcf) <= tolerance:
-            return f" ({name} has the other sign)"
-    return ""
+            return diagnose("guess-coordinate-mirrored", axis=name)
+    return None
 
 
-def quaternion_order(urdf: Array, mjcf: Array) -> str:
+def quaternion_order(urdf: Array, mjcf: Array) -> Diagnostic | None:
     """Tells whether reading the MJCF's quaternion as (x, y, z, w) would end the difference."""
     x, y, z, w = pin.Quaternion(mjcf).coeffs()
     # The file's four numbers were taken for (w, x, y, z); in another order they are (x, y, z, w).
     quaternion = pin.Quaternion(np.array([w, x, y, z]))
     if np.allclose(quaternion.toRotationMatrix(), urdf, atol=1e-4):
-        return " (a quaternion in another order: MJCF has (w, x, y, z)?)"
-    return ""
+        return diagnose("guess-quaternion-order")
+    return None

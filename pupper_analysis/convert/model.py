@@ -158,7 +158,7 @@ def _disagreements(comparison: Comparison, repairs: Sequence[Repair]) -> Iterato
     for difference in comparison.differences:
         if not (difference.kind in OF_INERTIALS and difference.element in repaired):
             yield difference.message
-    yield from comparison.objections
+    yield from map(str, comparison.objections)
 
 
 def _stood(urdf: UrdfFile, mjcf: Path, feet: Feet | None) -> StandVerification:

@@ -14,12 +14,15 @@ from pupper_analysis.diagnostics.diagnostic import (
     Subject,
     Term,
     Value,
+    Vector,
     diagnose,
     grouped,
 )
+from pupper_analysis.diagnostics.values import UNLIMITED, bound
 
 __all__ = [
     "LANGUAGES",
+    "UNLIMITED",
     "Diagnostic",
     "Entry",
     "Group",
@@ -29,6 +32,8 @@ __all__ = [
     "Subject",
     "Term",
     "Value",
+    "Vector",
+    "bound",
     "codes",
     "diagnose",
     "entry",

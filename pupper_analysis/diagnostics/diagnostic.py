@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from pupper_analysis.diagnostics.catalogue import entry
 from pupper_analysis.diagnostics.templates import fill
-from pupper_analysis.diagnostics.values import Quantity, Term
+from pupper_analysis.diagnostics.values import Quantity, Term, Vector
 from pupper_analysis.frozen import FrozenDict
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "Source",
     "Subject",
     "Term",
+    "Vector",
     "diagnose",
     "grouped",
 ]
@@ -135,7 +136,7 @@ class Diagnostic:
 
 
 Value: TypeAlias = (
-    str | int | float | bool | Quantity | Term | Diagnostic | tuple["Value", ...] | None
+    str | int | float | bool | Quantity | Vector | Term | Diagnostic | tuple["Value", ...] | None
 )
 """What a diagnostic may carry: lists are tuples."""
 
@@ -195,7 +196,9 @@ def _plain(value: Any) -> Any:
     """Returns a value as a diagnostic carries it."""
     if hasattr(value, "tolist"):  # numpy's float64 is a float, too
         value = value.tolist()
-    if value is None or isinstance(value, bool | int | float | Quantity | Diagnostic | Term):
+    if value is None or isinstance(
+        value, bool | int | float | Quantity | Vector | Diagnostic | Term
+    ):
         return value
     if isinstance(value, str):
         return str(value)

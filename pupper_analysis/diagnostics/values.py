@@ -47,7 +47,39 @@ class Quantity:
         return format(self, "")
 
 
+@dataclass(frozen=True)
+class Vector:
+    """Several numbers with one unit.
+
+    Attributes:
+        values: In SI units.
+        unit: Of each; ``"1"`` where they have none.
+    """
+
+    values: tuple[float, ...]
+    unit: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", tuple(float(value) for value in self.values))
+
+    def __format__(self, spec: str) -> str:
+        """Returns the numbers in brackets, by default with 6 digits, and the unit."""
+        numbers = ", ".join(format(value + 0.0, spec or ".6g") for value in self.values)
+        return f"({numbers})" if self.unit == "1" else f"({numbers}) {self.unit}"
+
+    def __str__(self) -> str:
+        return format(self, "")
+
+
 class Term(str):
     """A word of the catalogue's terms, such as ``joint``, said in the reader's language."""
 
     __slots__ = ()
+
+
+UNLIMITED = Term("unlimited")
+
+
+def bound(value: float, unit: str) -> Quantity | Term:
+    """Returns a limit with its unit, or that there is none."""
+    return Quantity(value, unit) if math.isfinite(value) else UNLIMITED

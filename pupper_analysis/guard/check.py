@@ -176,7 +176,7 @@ def _check_pair(pair: Pair, folder: Path) -> tuple[PairCheck, list[Remark]]:
         except PupperAnalysisError as error:
             remarks.append(of_error(error, "crosscheck", pair, pair.urdf, folder))
         else:
-            agree, notes = comparison.agree, comparison.notes
+            agree, notes = comparison.agree, tuple(map(str, comparison.notes))
             remarks = [*of_comparison(comparison, pair, folder), *remarks]
     names = tuple(relative(file, folder) for file in files)
     return PairCheck(pair.name, names, agree, 0, 0, pair.disabled, notes), remarks

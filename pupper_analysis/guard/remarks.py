@@ -113,7 +113,7 @@ def of_comparison(comparison: Comparison, pair: Pair, folder: Path) -> Iterator[
     ):
         lacks = f"is not in {Path(other).name}"
         said += [("joint", name, f"joint {name} {lacks}", path) for name in joints]
-    said += [("agreement", "", text, comparison.mjcf) for text in comparison.objections]
+    said += [("agreement", "", str(text), comparison.mjcf) for text in comparison.objections]
     if pair.base not in (None, comparison.base):
         message = f"the base is {comparison.base}, not {pair.base} as {pair.name} says"
         said.append(("base", comparison.base, message, comparison.urdf))

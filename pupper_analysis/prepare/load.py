@@ -281,7 +281,7 @@ def _prepared(
         spec = free_base(urdf, spec, notes)
         lift_base_frame(spec, notes)
     matched = match(urdf, replace(mjcf, spec=spec), names=joints, complete=True)
-    notes += [*matched.notes, *words.said(matched)]
+    notes += [*map(str, matched.notes), *words.said(matched)]
     whole = with_parts(matched, spec, notes) or matched.robot.description
     description = coupled(matched, replace(whole, name=name or spec.modelname), notes)
     if fixed_base or not matched.robot.floating:

@@ -86,7 +86,7 @@ def _print_structure(out: Console, analysis: Analysis) -> None:
     origins = origins_in_words(joint.effort_origin for joint in analysis.joints)
     out.print(f"effort: {origins}", style="dim")
     for note in analysis.notes:
-        out.print(f"note: {escape(note)}", style="yellow")
+        out.print(f"note: {escape(str(note))}", style="yellow")
 
 
 def _millimetres(length: float | None) -> str:
@@ -337,4 +337,4 @@ def _print_check(out: Console, analysis: Analysis) -> None:
         )
     out.print(table)
     for note in check.notes:
-        out.print(f"note: {escape(note)}", style="yellow")
+        out.print(f"note: {escape(str(note))}", style="yellow")

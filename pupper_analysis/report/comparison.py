@@ -11,8 +11,8 @@ from rich.console import Console
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.engines import EDGES, EXTRAS
-from pupper_analysis.checks.mount import in_words
 from pupper_analysis.checks.patterns import Cause
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.report.console import SafeTable, escape, print_notes
 from pupper_analysis.report.formats import Annotation, Case
 
@@ -51,7 +51,7 @@ def print_models(out: Console, comparison: Comparison, *, everything: bool = Fal
             soft_wrap=True,
         )
     for objection in comparison.objections:
-        out.print(f"[red]{escape(objection)}[/]", soft_wrap=True)
+        out.print(f"[red]{escape(str(objection))}[/]", soft_wrap=True)
     _print_quantities(out, comparison)
     print_notes(out, matching_notes(comparison))
 
@@ -70,7 +70,7 @@ def _print_causes(
         first = comparison.differences[cause.differences[0]]
         where = f"   {first.urdf_place}   {first.mjcf_place}"
         out.print(escape(where), style="dim", soft_wrap=True)
-        does = f"   the {first.kind} of {first.element}: {effects_in_words(first)}"
+        does = f"   the {first.kind} of {first.element}: {effects_told(first)}"
         out.print(escape(does), soft_wrap=True)
 
 
@@ -89,40 +89,40 @@ def by_cause(
 
 def first_to_mend(
     comparison: Comparison, causes: Sequence[Cause], groups: Sequence[Sequence[Difference]]
-) -> str:
-    """Returns what is to be mended first, in a line."""
+) -> Diagnostic | str:
+    """Returns what is to be mended first."""
     if causes and causes[0].leads:
-        return causes[0].message
+        return causes[0].diagnostic
     if comparison.parts:
         return comparison.parts[0]
     if causes and (causes[0].differences[0] == 0 or not groups):
-        return causes[0].message
+        return causes[0].diagnostic
     if groups:
-        return groups[0][0].message
+        return groups[0][0].diagnostic
     if comparison.objections:
         return comparison.objections[0]
     if comparison.agree and comparison.mount is not None:
-        return f"no difference within the tolerances; but {in_words(comparison.mount)}"
+        return diagnose("agree-but-tilted", tilt=comparison.mount.diagnostic)
     if comparison.agree:
-        return "no difference within the tolerances"
-    return "they do not have the same joints"
+        return diagnose("agree")
+    return diagnose("joints-not-the-same")
 
 
-def matching_notes(comparison: Comparison) -> Iterable[str]:
+def matching_notes(comparison: Comparison) -> Iterable[Diagnostic | str]:
     """Says how joints were matched, and what was left out."""
     yield from comparison.notes
     if comparison.mount is not None:
-        yield f"{in_words(comparison.mount)}; --same-mount makes it a difference"
+        yield diagnose("tilt-is-no-difference", tilt=comparison.mount.diagnostic)
     if comparison.guessed:
-        pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
-        yield f"matched by structure, by link or by part of the name (confirm with --map): {pairs}"
+        pairs = [f"{one}={two}" for one, two in comparison.guessed.items()]
+        yield diagnose("joints-matched-otherwise", pairs=pairs)
     for joints, file in (
         (comparison.only_urdf, comparison.urdf),
         (comparison.only_mjcf, comparison.mjcf),
     ):
         if joints:
-            how = "fixed at zero or taken off" if comparison.parts else "fixed at zero"
-            yield f"only in {file}, {how} to compare the rest: {', '.join(joints)}"
+            taken_off = bool(comparison.parts)
+            yield diagnose("joints-in-one-file", file=file, joints=joints, taken_off=taken_off)
 
 
 def _groups(differences: Iterable[Difference]) -> list[list[Difference]]:
@@ -145,20 +145,24 @@ def _print_group(out: Console, number: int, group: list[Difference], everything:
     out.print(escape(f"   {first.urdf_place}   {first.mjcf_place}"), style="dim", soft_wrap=True)
     for said in first.made_of if first.kind == "mass" else ():
         out.print(escape(f"   {said}"), style="dim", soft_wrap=True)
-    out.print(f"   {effects_in_words(first)}", soft_wrap=True, style="" if first.effects else "dim")
+    out.print(f"   {effects_told(first)}", soft_wrap=True, style="" if first.effects else "dim")
 
 
-def effects_in_words(difference: Difference) -> str:
-    """Returns what a difference does, in a line."""
+def effects_told(difference: Difference) -> Diagnostic:
+    """Returns what a difference does."""
     if not difference.effects:
-        return "no effect on the dynamics"
-    effects = ", ".join(
-        f"{name} {effect.share:.0%} ({effect.relative:.1e})"
-        if math.isfinite(effect.share)
-        else f"{name} ({effect.relative:.1e})"
+        return diagnose("no-effect")
+    effects = [
+        diagnose(
+            "effect",
+            subject=("quantity", name),
+            what=Term(name),
+            share=Quantity(effect.share, "1") if math.isfinite(effect.share) else None,
+            relative=effect.relative,
+        )
         for name, effect in sorted(difference.effects.items(), key=lambda item: -item[1].share)
-    )
-    return f"alone it makes, of the deviation in: {effects}"
+    ]
+    return diagnose("effects", effects=effects)
 
 
 def _print_quantities(out: Console, comparison: Comparison) -> None:
@@ -191,7 +195,7 @@ def _print_quantities(out: Console, comparison: Comparison) -> None:
     out.print(table)
     print_notes(out, check.notes)
     for engine in comparison.engines:
-        out.print(f"note: the engines differ on one model: {escape(engine)}", style="yellow")
+        out.print(f"note: the engines differ on one model: {escape(str(engine))}", style="yellow")
 
 
 def remarks(comparison: Comparison) -> list[Annotation]:
@@ -220,7 +224,7 @@ def remarks(comparison: Comparison) -> list[Annotation]:
             for name in joints
         ]
     found += [
-        _remark("agreement", "agreement", objection, comparison.mjcf)
+        _remark("agreement", "agreement", str(objection), comparison.mjcf)
         for objection in comparison.objections
     ]
     if comparison.guessed:
@@ -263,6 +267,6 @@ def cases(comparison: Comparison) -> list[Case]:
         if not (quantity.passed or comparison.agree):
             failure = f"{quantity.relative:.1e} ({quantity.whose}; {quantity.where})"
         result.append(Case(f"{quantity.name} agree", failure))
-    incomplete = "\n".join(comparison.objections) or None
+    incomplete = "\n".join(map(str, comparison.objections)) or None
     result.append(Case("the differences explain the deviations", incomplete))
     return result

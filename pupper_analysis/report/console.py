@@ -13,6 +13,7 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.report.formats import visible
 
 Array = NDArray[np.float64]
@@ -20,13 +21,12 @@ Array = NDArray[np.float64]
 WIDTH = 120
 """Least width of the output: a narrow terminal wraps its lines, but no number is cut off."""
 
-
 _UNBOUNDED = 10_000  # characters: more than any table of robots' names needs
 
 
-def escape(text: str) -> str:
-    """Returns a text that holds others' names as the console shows it: no markup, one line."""
-    return str(markup.escape(visible(text)))
+def escape(text: object) -> str:
+    """Returns what holds others' names as the console shows it: no markup, one line."""
+    return str(markup.escape(visible(str(text))))
 
 
 class SafeConsole(Console):
@@ -64,10 +64,10 @@ def console() -> Console:
     return out
 
 
-def print_notes(out: Console, notes: Iterable[str]) -> None:
+def print_notes(out: Console, notes: Iterable[Diagnostic | str]) -> None:
     """Prints what is to be known, a line each however long."""
     for note in notes:
-        out.print(f"note: {escape(note)}", style="yellow", soft_wrap=True)
+        out.print(f"note: {escape(str(note))}", style="yellow", soft_wrap=True)
 
 
 def titled_table(out: Console, title: str, *columns: str, left: int = 1) -> Table:

@@ -269,4 +269,4 @@ def _left(
             yield Left(f"joint {joint}", reason, Cause.NO_WORDS)
     if not after.differences:
         for objection in after.objections:
-            yield Left("agreement", objection, Cause.NO_WORDS)
+            yield Left("agreement", str(objection), Cause.NO_WORDS)

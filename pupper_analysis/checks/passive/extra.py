@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.checks.passive.scene import DISABLE
+from pupper_analysis.diagnostics import Diagnostic
 
 Slot = tuple[str, int | slice]
 """An array of ``mjModel`` (or a number of its ``opt``), and which of its rows."""
@@ -26,7 +27,7 @@ class Extra:
         element: The joint, body, tendon ... by name; ``#3`` where it has none.
         value: Its numbers.
         unit: Of the numbers, where they have one in common.
-        message: What it is, in plain words.
+        diagnostic: What it is.
         slots: What has to be zero for it to be gone; none if it does not act on the unconstrained
             robot, or cannot be taken away.
     """
@@ -35,7 +36,7 @@ class Extra:
     element: str
     value: object
     unit: str
-    message: str
+    diagnostic: Diagnostic
     slots: tuple[Slot, ...] = field(default=())
 
     def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import mujoco
 
 from pupper_analysis.checks.passive.extra import Extra
-from pupper_analysis.checks.passive.scene import DISABLE, Scene, numbers_in_words
+from pupper_analysis.checks.passive.scene import DISABLE, Scene
+from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 
 
 def springs(scene: Scene) -> Iterator[Extra]:
@@ -20,25 +21,28 @@ def springs(scene: Scene) -> Iterator[Extra]:
         force, length = scene.unit(joint)
         name = scene.joint_name(joint)
         value: dict[str, object] = {"stiffness": linear}
-        text = f"stiffness {linear:.6g} {force}/{length}"
+        free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE.value
         if higher.any():
             value["polynomial"] = [float(each) for each in higher]
-            text += f" and {numbers_in_words(higher)} in the next powers"
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE.value:
-            text += " in all six directions"
-        else:
-            rest = float(model.qpos_spring[model.jnt_qposadr[joint]])
-            value["rest"] = rest
-            text += f", at rest at {rest:.6g} {length}"
+        if not free:
+            value["rest"] = float(model.qpos_spring[model.jnt_qposadr[joint]])
         if model.jnt_springyield[joint]:
             value["yield"] = float(model.jnt_springyield[joint])
-            text += f", yielding at {value['yield']:.6g}"
+        told = diagnose(
+            "spring-of-the-mjcf-alone",
+            subject=("joint", name),
+            stiffness=Quantity(linear, f"{force}/{length}"),
+            higher=Vector(tuple(higher.tolist()), "1") if higher.any() else None,
+            rest=None if free else Quantity(value["rest"], length),  # type: ignore[arg-type]
+            free=free,
+            yielding=value.get("yield"),
+        )
         yield Extra(
             "spring",
             name,
             value,
             f"{force}/{length}",
-            f"joint {name}: no spring in the URDF, one of {text} in the MJCF",
+            told,
             (("jnt_stiffness", joint), ("jnt_stiffnesspoly", joint)),
         )
 
@@ -53,12 +57,10 @@ def damping_polynomials(scene: Scene) -> Iterator[Extra]:
         if model.dof_dampingpoly[dofs].any():
             values = [float(each) for each in model.dof_dampingpoly[first]]
             name = scene.joint_name(joint)
-            text = (
-                f"joint {name}: linear damping in the URDF, and {numbers_in_words(values)} in the "
-                "next powers of the speed in the MJCF"
-            )
+            powers = Vector(tuple(values), "1")
+            told = diagnose("damping-in-higher-powers", subject=("joint", name), powers=powers)
             slots = (("dof_dampingpoly", dofs),)
-            yield Extra("damping polynomial", name, values, "", text, slots)
+            yield Extra("damping polynomial", name, values, "", told, slots)
 
 
 def gravity_compensation(scene: Scene) -> Iterator[Extra]:
@@ -68,12 +70,13 @@ def gravity_compensation(scene: Scene) -> Iterator[Extra]:
         share = float(model.body_gravcomp[body])
         if share and model.body_mass[body] and model.body_weldid[body]:
             name = scene.name("body", body)
-            text = (
-                f"body {name}: no gravity compensation in the URDF, of {100 * share:.6g} % of "
-                "its weight in the MJCF"
+            told = diagnose(
+                "gravity-compensation-of-the-mjcf-alone",
+                subject=("body", name),
+                share=Quantity(share, "1"),
             )
             slots = (("body_gravcomp", body),)
-            yield Extra("gravity compensation", name, share, "", text, slots)
+            yield Extra("gravity compensation", name, share, "", told, slots)
 
 
 def free_joint_friction(scene: Scene) -> Iterator[Extra]:
@@ -83,8 +86,6 @@ def free_joint_friction(scene: Scene) -> Iterator[Extra]:
         value = float(model.dof_frictionloss[model.jnt_dofadr[joint]])
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE.value and value:
             name = scene.joint_name(joint)
-            text = (
-                f"free joint of {name}: no dry friction in the URDF, of {value:.6g} N and N m in "
-                "the MJCF (a default class reaches it; use <freejoint/>)"
-            )
-            yield Extra("dry friction", name, value, "", text)
+            friction = Quantity(value, "N and N m")
+            told = diagnose("free-joint-friction", subject=("body", name), friction=friction)
+            yield Extra("dry friction", name, value, "", told)

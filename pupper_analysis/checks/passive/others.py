@@ -9,8 +9,9 @@ import numpy as np
 
 from pupper_analysis.checks.passive.extra import Extra, Slot
 from pupper_analysis.checks.passive.mimics import EQUALITY
-from pupper_analysis.checks.passive.scene import DISABLE, Scene, numbers_in_words
+from pupper_analysis.checks.passive.scene import DISABLE, Scene
 from pupper_analysis.checks.passive.transmissions import wraps
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 
 
 def fluid(scene: Scene) -> Iterator[Extra]:
@@ -19,12 +20,14 @@ def fluid(scene: Scene) -> Iterator[Extra]:
     if option.density or option.viscosity:
         wind = [float(each) for each in option.wind]
         value = {"density": option.density, "viscosity": option.viscosity, "wind": wind}
-        text = (
-            f"fluid: none in the URDF, in the MJCF of density {option.density:.6g} kg/m^3, "
-            f"viscosity {option.viscosity:.6g} Pa s, wind {numbers_in_words(wind)} m/s"
+        told = diagnose(
+            "fluid-of-the-mjcf-alone",
+            density=Quantity(option.density, "kg/m^3"),
+            viscosity=Quantity(option.viscosity, "Pa s"),
+            wind=Vector(tuple(wind), "m/s"),
         )
         slots: tuple[Slot, ...] = (("opt.density", 0), ("opt.viscosity", 0))
-        yield Extra("fluid", "option", value, "", text, slots)
+        yield Extra("fluid", "option", value, "", told, slots)
 
 
 def equalities(scene: Scene) -> Iterator[Extra]:
@@ -41,13 +44,16 @@ def equalities(scene: Scene) -> Iterator[Extra]:
             continue  # of other objects of the scene
         name = scene.name("equality", index)
         kind = EQUALITY(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
-        what = " and ".join(_end_name(scene, *end) for end in ends)
+        one, two = (_end_name(scene, *end) for end in ends)
+        subject = ("equality", name)
         yield Extra(
             "equality",
             name,
             [float(each) for each in model.eq_data[index]],
             "",
-            f"equality {name}: nothing in the URDF, in the MJCF it is a {kind} of {what}",
+            diagnose(
+                "equality-of-the-mjcf-alone", subject=subject, kind=Term(kind), one=one, two=two
+            ),
             (("eq_active0", index),),
         )
 
@@ -77,12 +83,12 @@ def _end_bodies(scene: Scene, what: mujoco.mjtObj, target: int) -> set[int] | No
     return None if carrier is None else {int(carrier[target])}
 
 
-def _end_name(scene: Scene, what: mujoco.mjtObj, target: int) -> str:
+def _end_name(scene: Scene, what: mujoco.mjtObj, target: int) -> Diagnostic | Term:
     """An end's kind and name."""
     if target < 0:
-        return "a constant"
-    name = mujoco.mj_id2name(scene.names, what.value, target)
-    return f"{what.name.removeprefix('mjOBJ_').lower()} {name or f'#{target}'}"
+        return Term("a constant")
+    name = mujoco.mj_id2name(scene.names, what.value, target) or f"#{target}"
+    return diagnose("element", subject=(what.name.removeprefix("mjOBJ_").lower(), name))
 
 
 def flex_bodies(model: mujoco.MjModel, flex: int) -> set[int]:
@@ -106,9 +112,9 @@ def flexes(scene: Scene) -> Iterator[Extra]:
     filled = [f"flex_{array}" for array in arrays if getattr(model, f"flex_{array}").any()]
     if touched & scene.bodies:
         name = scene.name("flex", 0)
-        message = f"flex {name}: nothing in the URDF, in the MJCF it is fixed to the robot"
+        told = diagnose("flex-of-the-mjcf-alone", subject=("flex", name))
         slots = tuple((array, everything) for array in filled)
-        yield Extra("flex", name, model.nflex, "", message, slots)
+        yield Extra("flex", name, model.nflex, "", told, slots)
 
 
 def plugins(scene: Scene) -> Iterator[Extra]:
@@ -116,16 +122,16 @@ def plugins(scene: Scene) -> Iterator[Extra]:
     for body in sorted(scene.bodies):
         if scene.model.body_plugin[body] >= 0:
             name = scene.name("body", body)
-            message = f"body {name}: nothing in the URDF, in the MJCF a plugin acts on it"
-            yield Extra("plugin", name, int(scene.model.body_plugin[body]), "", message)
+            told = diagnose("plugin-of-the-mjcf-alone", subject=("body", name))
+            yield Extra("plugin", name, int(scene.model.body_plugin[body]), "", told)
 
 
 def flags(scene: Scene) -> Iterator[Extra]:
     """What the file states and switches off again; springs and damping are 0 then."""
     for bit, word, what in _FLAGS:
         if scene.off(bit):
-            message = f'flag {word}="disable" of the MJCF: {what}, the URDF cannot say so'
-            yield Extra("flag", word, "disable", "", message)
+            told = diagnose("flag-of-the-mjcf-alone", subject=("flag", word), what=Term(what))
+            yield Extra("flag", word, "disable", "", told)
 
 
 # MuJoCo's eq_objtype is for constraints that take bodies or sites.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import mujoco
 
 from pupper_analysis.checks.passive.reference import Reference
@@ -37,13 +35,3 @@ class Scene:
         """The units of a joint's force and coordinate."""
         slides = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE.value
         return ("N", "m") if slides else ("N m", "rad")
-
-
-def numbers_in_words(values: Iterable[float]) -> str:
-    """Writes numbers with 6 digits, in brackets."""
-    return "(" + ", ".join(f"{float(value) + 0.0:.6g}" for value in values) + ")"
-
-
-def number_in_words(value: object) -> str:
-    """Writes a number, or several."""
-    return f"{value:.6g}" if isinstance(value, float) else numbers_in_words(value)  # type: ignore[arg-type]

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.checks.passive.extra import Extra, Slot, acts_without_command
-from pupper_analysis.checks.passive.scene import DISABLE, Scene, number_in_words, numbers_in_words
+from pupper_analysis.checks.passive.scene import DISABLE, Scene
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 
 
@@ -19,23 +20,23 @@ def tendons(scene: Scene) -> Iterator[Extra]:
         if not wraps(scene, tendon) & scene.bodies:
             continue
         force, length = _tendon_units(scene, tendon)
-        value, text, acts = _tendon_terms(scene, tendon, force, length)
+        value, terms, acts = _tendon_terms(scene, tendon, force, length)
         if not value:
             continue
         name = scene.name("tendon", tendon)
         arrays = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature")
         slots = tuple((f"tendon_{array}", tendon) for array in arrays) if acts else ()
-        message = f"tendon {name}: none in the URDF, in the MJCF with {', '.join(text)}"
-        yield Extra("tendon", name, value, "", message, slots)
+        told = diagnose("tendon-of-the-mjcf-alone", subject=("tendon", name), terms=terms)
+        yield Extra("tendon", name, value, "", told, slots)
 
 
 def _tendon_terms(
     scene: Scene, tendon: int, force: str, length: str
-) -> tuple[dict[str, object], list[str], bool]:
-    """A tendon's numbers, in words too, and whether it acts without limits and friction."""
+) -> tuple[dict[str, object], list[Diagnostic], bool]:
+    """A tendon's numbers, told too, and whether it acts without limits and friction."""
     model = scene.model
     value: dict[str, object] = {}
-    text = []
+    terms = []
     inertia = "kg" if length == "m" else "kg m^2"
     for kind, unit, switch in (
         ("stiffness", f"{force}/{length}", DISABLE.mjDSBL_SPRING),
@@ -48,19 +49,25 @@ def _tendon_terms(
         if not (linear or powers.any()) or (switch is not None and scene.off(switch)):
             continue
         value[kind] = linear if not powers.any() else [linear, *map(float, powers)]
-        text.append(f"{kind} {linear:.6g} {unit}")
-        if powers.any():
-            text[-1] += f" and {numbers_in_words(powers)} in the next powers"
+        rest = None
         if kind == "stiffness":
             value["rest"] = [float(each) for each in model.tendon_lengthspring[tendon]]
-            text[-1] += (
-                f" (at rest at {numbers_in_words(model.tendon_lengthspring[tendon])} {length})"
+            rest = Vector(tuple(model.tendon_lengthspring[tendon]), length)
+        terms.append(
+            diagnose(
+                "tendon-term",
+                what=Term(kind),
+                value=Quantity(linear, unit),
+                higher=Vector(tuple(powers), "1") if powers.any() else None,
+                rest=rest,
             )
+        )
     acts = bool(value.keys() & {"stiffness", "damping", "armature"})
     if model.tendon_limited[tendon]:
         value["range"] = [float(each) for each in model.tendon_range[tendon]]
-        text.append(f"its length kept in {numbers_in_words(model.tendon_range[tendon])} {length}")
-    return value, text, acts
+        kept = Vector(tuple(model.tendon_range[tendon]), length)
+        terms.append(diagnose("tendon-range", range=kept))
+    return value, terms, acts
 
 
 def wraps(scene: Scene, tendon: int) -> set[int]:
@@ -113,19 +120,19 @@ def actuators(scene: Scene) -> Iterator[Extra]:
             slots.append(("actuator_dampingpoly", motor))
         name = scene.name("actuator", motor)
         if acts_without_command(model, motor) and not scene.off(DISABLE.mjDSBL_ACTUATION):
-            message = (
-                f"actuator {name}: nothing in the URDF, in the MJCF it is a DC motor, which "
-                "brakes without a command"
-            )
+            told = diagnose("dc-motor-of-the-mjcf-alone", subject=("actuator", name))
             group = ("actuator_group", motor)  # 0 is off in `as_it_is`
-            yield Extra("actuator", name, "DC motor", "", message, (group,))
+            yield Extra("actuator", name, "DC motor", "", told, (group,))
         if value:
-            said = ", ".join(f"{word} {number_in_words(number)}" for word, number in value.items())
-            gear = numbers_in_words(actuator_gear(model, motor))
-            message = (
-                f"actuator {name}: nothing in the URDF, in the MJCF it has {said} (gear {gear})"
+            told = diagnose(
+                "actuator-terms-of-the-mjcf-alone",
+                subject=("actuator", name),
+                armature=value.get("armature"),
+                damping=value.get("damping"),
+                higher=Vector(tuple(higher), "1") if higher.any() else None,
+                gear=Vector(tuple(actuator_gear(model, motor)), "1"),
             )
-            yield Extra("actuator", name, value, "", message, tuple(slots))
+            yield Extra("actuator", name, value, "", told, tuple(slots))
 
 
 def _drives(scene: Scene, motor: int) -> set[int]:

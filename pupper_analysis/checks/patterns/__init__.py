@@ -21,6 +21,7 @@ from pupper_analysis.checks.patterns.links import other_links
 from pupper_analysis.checks.patterns.units import other_units
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import trees
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -33,13 +34,18 @@ class Cause(Result):
     Attributes:
         kind: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``, ``coms``, ``links``,
             ``scaled links``, ``inertial`` or ``line``.
-        message: What it is, in plain words.
+        diagnostic: What it is.
         differences: Which of the differences it explains, by number, from 0.
     """
 
     kind: str
-    message: str
+    diagnostic: Diagnostic
     differences: tuple[int, ...]
+
+    @property
+    def message(self) -> str:
+        """What it is, in plain words."""
+        return str(self.diagnostic)
 
     @property
     def leads(self) -> bool:
@@ -83,7 +89,7 @@ def causes(
             )
             if len(numbers) > 1:
                 taken |= set(numbers)
-                found.append(Cause(each.kind, each.message, numbers))
+                found.append(Cause(each.kind, each.diagnostic, numbers))
                 case = each.undone or case
     return tuple(sorted(found, key=lambda cause: (not cause.leads, cause.differences)))
 

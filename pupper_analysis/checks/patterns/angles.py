@@ -10,6 +10,7 @@ import mujoco
 
 from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
 from pupper_analysis.checks.trees import trees
+from pupper_analysis.diagnostics import diagnose
 
 _SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
@@ -24,19 +25,17 @@ def other_angles(case: Case) -> Found:
     said = "".join(
         chr(letter) if isinstance(letter, int) else letter for letter in (spec.compiler.eulerseq)
     )
-    tries: list[tuple[str, Callable[[mujoco.MjSpec], None]]] = []
+    tries: list[tuple[tuple[str, str, str], Callable[[mujoco.MjSpec], None]]] = []
     if _has_euler(spec):
         for order in (*_SEQUENCES, *(sequence.upper() for sequence in _SEQUENCES)):
             if order != said:
-                message = f'eulerseq="{order}" in place of "{said}"'
-                tries.append((message, partial(_set_sequence, order=order)))
+                tries.append((("eulerseq", order, said), partial(_set_sequence, order=order)))
     degree = bool(spec.compiler.degree)
     unit, other_unit = ("degree", "radian") if degree else ("radian", "degree")
-    message = f'angle="{other_unit}" in place of "{unit}"'
     if _has_euler(spec) or {"lower limit", "upper limit"} & {kind for kind, _ in case.keys}:
-        tries.append((message, partial(_set_degree, degree=not degree)))
-    best: tuple[int, str, set[Key]] = (0, "", set())
-    for message, change in tries:
+        tries.append((("angle", other_unit, unit), partial(_set_degree, degree=not degree)))
+    best: tuple[tuple[str, str, str], set[Key]] = (("", "", ""), set())
+    for setting, change in tries:
         other = spec.copy()
         change(other)
         try:
@@ -45,17 +44,23 @@ def other_angles(case: Case) -> Found:
             continue
         tree = trees(replace(case.robot, mj_model=model))[1]
         gone = case.gone(replace(tree, gravity=case.first.gravity))
-        if len(gone) > best[0]:
-            best = (len(gone), message, gone)
-    count, message, gone = best
+        if len(gone) > len(best[1]):
+            best = (setting, gone)
+    (attribute, value, stated), gone = best
     turned = [key for key in case.keys if key[0] in ("rotation", "axis")]
     limits = [key for key in case.keys if key[0] in ("lower limit", "upper limit")]
     concerned = turned or limits
     if concerned and sum(key in gone for key in concerned) >= 0.6 * len(concerned):
         yield Finding(
             "angles",
-            f"the MJCF's angles are meant otherwise: with {message} in its <compiler>, {count} of "
-            f"the {len(case.keys)} differences are gone",
+            diagnose(
+                "angles-meant-otherwise",
+                attribute=attribute,
+                value=value,
+                stated=stated,
+                count=len(gone),
+                total=len(case.keys),
+            ),
             gone,
         )
 

@@ -12,6 +12,7 @@ from pupper_analysis.checks.alignment import aligned
 from pupper_analysis.checks.changes import changes_between
 from pupper_analysis.checks.links import Links
 from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.robot.robot import Robot
 
@@ -89,13 +90,13 @@ class Finding:
 
     Attributes:
         kind: A cause's.
-        message: In plain words.
+        diagnostic: What it is.
         explained: The differences.
         undone: What is left to explain when it is undone, for those that look afterwards.
     """
 
     kind: str
-    message: str
+    diagnostic: Diagnostic
     explained: set[Key]
     undone: Case | None = None
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.checks.changes import body_changes
 from pupper_analysis.checks.links import Link, fold
 from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -61,8 +62,7 @@ def dropped_products(case: Case, lacking: str) -> Found:
             )
             yield Finding(
                 "products",
-                f"all products of inertia are 0 in the {lacking}, of {count} bodies that have "
-                "some in the other file: were they dropped, or is it diaginertia for fullinertia?",
+                diagnose("products-of-inertia-dropped", file=lacking, count=count),
                 gone,
                 undone,
             )
@@ -104,9 +104,7 @@ def dropped_coms(words: str, one: Parameters, keys: Sequence[Key]) -> Found:
     if len(names) >= _MANY:
         yield Finding(
             "coms",
-            f"the coms of {len(names)} bodies are their links' origins in the {words}, and "
-            f"elsewhere in the other file: {', '.join(names[:_MANY])}"
-            f"{' …' if len(names) > _MANY else ''} (was the inertials' origin left out?)",
+            diagnose("coms-dropped", file=words, bodies=names),
             {("com", name) for name in names},
         )
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import combinations, islice
 
 from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.parameters import Parameters
 
 
@@ -38,11 +39,10 @@ def exchanged(case: Case) -> Found:
             pairs.append((one, two))
             second, gone = _renamed(second, exchange), gone | (before - after)
     if pairs:
-        names = ", ".join(f"{one} and {two}" for one, two in pairs)
+        limbs_told = [diagnose("limbs-of-a-pair", one=one, two=two) for one, two in pairs]
         yield Finding(
             "exchanged",
-            f"limbs are exchanged between the files: {names}; with their names exchanged in one of "
-            f"the files, {len(gone)} of the {len(case.keys)} differences are gone",
+            diagnose("limbs-exchanged", pairs=limbs_told, count=len(gone), total=len(case.keys)),
             gone,
         )
 

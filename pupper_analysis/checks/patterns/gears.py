@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 
 from pupper_analysis.checks.patterns.case import Case, Finding, Found
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.efforts import gear_left_out
-
-_NAMED = 4  # joints that are told in one line
 
 
 def before_gears(case: Case) -> Found:
@@ -22,16 +21,13 @@ def before_gears(case: Case) -> Found:
                 found[effort, gear].append(name)
     if not found:
         return
-    said = [
-        f"{effort:.6g} times {gear:.6g} is {effort * gear:.6g} on {names[0]}"
-        + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+    efforts = [
+        diagnose("effort-times-gear", effort=effort, gear=gear, product=effort * gear, joints=names)
         for (effort, gear), names in found.items()
     ]
-    listed = ", ".join(said[:_NAMED]) + (" …" if len(said) > _NAMED else "")
     joints = [name for names in found.values() for name in names]
     yield Finding(
         "gears",
-        f"the URDF's efforts of {len(joints)} joints are the motors', before their gears, by which "
-        f"the MJCF's limits are greater: {listed} (an effort is the joint's: multiply it)",
+        diagnose("efforts-before-gears", count=len(joints), efforts=efforts),
         {("effort", name) for name in joints},
     )

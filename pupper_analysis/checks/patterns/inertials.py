@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from pupper_analysis.checks.patterns.case import Case, Finding, Found
+from pupper_analysis.diagnostics import Quantity, diagnose
 
 _MANY = 4  # bodies that are told in one line
 
@@ -28,11 +29,9 @@ def other_inertials(case: Case) -> Found:
         if one.mass and two.mass and abs(two.mass - one.mass) >= _OTHER * one.mass:
             others.append(name)
     if len(others) >= _MANY:
-        listed = ", ".join(others[:_MANY]) + (" …" if len(others) > _MANY else "")
         yield Finding(
             "inertial",
-            f"the inertials of {len(others)} bodies differ in mass, com and inertia, and no single "
-            f"link of theirs explains it: {listed} (another version of the robot?)",
+            diagnose("inertials-of-another-robot", bodies=others),
             {(kind, name) for kind in kinds for name in others},
         )
         return
@@ -48,12 +47,20 @@ def other_inertials(case: Case) -> Found:
             ),
             None,
         )
-        whose = f"it is that of {twin} in the URDF" if twin else "another body's, or version's?"
         if min(one.mass, two.mass) < _PLACEHOLDER * max(one.mass, two.mass):
-            whose = "one weighs next to nothing: a placeholder?"
+            guess = diagnose("guess-placeholder")
+        elif twin:
+            guess = diagnose("guess-inertial-of-another-body", body=twin)
+        else:
+            guess = diagnose("guess-another-version")
         yield Finding(
             "inertial",
-            f"body of {name}: nothing of its inertial is the same: mass {one.mass:.6g} kg in the "
-            f"URDF, {two.mass:.6g} kg in the MJCF, and another com and inertia ({whose})",
+            diagnose(
+                "inertial-of-another",
+                subject=("body", name),
+                urdf=Quantity(one.mass, "kg"),
+                mjcf=Quantity(two.mass, "kg"),
+                guess=guess,
+            ),
             {(kind, name) for kind in kinds},
         )

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from pupper_analysis.checks.patterns.case import Case, Finding, Found
-from pupper_analysis.checks.words import mm
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.models.parameters import Joint, Parameters
 
 _PARALLEL = 1e-9  # sine of an angle
@@ -31,15 +31,14 @@ def other_lines(case: Case) -> Found:
         if ("position", name) not in gone:
             continue
         away, angle = _apart(case.first.joints[name], case.second.joints[name])
-        said = []
-        if away > case.tolerances.position:
-            said.append(f"is {mm(away)} away")
-        if angle > case.tolerances.axis:
-            said.append(f"is turned by {np.degrees(angle):.4g} deg")
         yield Finding(
             "line",
-            f"joint {name}: its axis {' and '.join(said) or 'is elsewhere'} in the MJCF, and all "
-            "that it moves is where it is in the URDF (a joint's pos or axis? a link's origin?)",
+            diagnose(
+                "axis-elsewhere",
+                subject=("joint", name),
+                distance=Quantity(away, "m") if away > case.tolerances.position else None,
+                angle=Quantity(angle, "rad") if angle > case.tolerances.axis else None,
+            ),
             gone,
         )
 

@@ -21,6 +21,7 @@ from pupper_analysis.checks.changes import body_changes
 from pupper_analysis.checks.differences import OF_INERTIALS
 from pupper_analysis.checks.links import Link, from_moments, moments
 from pupper_analysis.checks.patterns.case import Case, Finding, Found
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.parameters import Body
 
 Array = NDArray[np.float64]
@@ -34,8 +35,6 @@ _LEFT = 0.02
 Files of 5 to 6 digits leave some thousandths of a link that is a hundredth of its body. A wrong set
 of links leaves about as much as it takes away.
 """
-
-_NAMED = 4  # links that are told in one line
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +156,7 @@ def _scale(one: Body, two: Body) -> Array:
     return np.array([1.0, *(length,) * 3, *(length**2,) * 6])
 
 
-def _lacking(slips: Sequence[_Slip], known: Sequence[str]) -> str:
+def _lacking(slips: Sequence[_Slip], known: Sequence[str]) -> Diagnostic:
     """Says which links a file lacks, those of one name pattern at once.
 
     Args:
@@ -169,42 +168,45 @@ def _lacking(slips: Sequence[_Slip], known: Sequence[str]) -> str:
     groups = sorted(
         by_pattern(list(links)).items(), key=lambda group: -sum(links[name] for name in group[1])
     )
-    said = []
-    for pattern, names in groups[:_NAMED]:
+    told = []
+    for pattern, names in groups:
         masses = [links[name] for name in names]
         every = sum(fnmatchcase(name, pattern) for name in known)
-        some = f"{len(names)} of the {every}" if every > len(names) else f"{len(names)}"
-        count = f"{some} {pattern}" if len(names) > 1 else pattern
         alike = len(names) > 1 and math.isclose(min(masses), max(masses), rel_tol=1e-6)
-        said.append(
-            f"{count} of {masses[0]:.6g} kg each" if alike else f"{count} of {sum(masses):.6g} kg"
+        told.append(
+            diagnose(
+                "links-of-a-pattern",
+                pattern=pattern,
+                count=len(names) if len(names) > 1 else None,
+                every=every if every > len(names) > 1 else None,
+                mass=Quantity(masses[0] if alike else sum(masses), "kg"),
+                each=alike,
+            )
         )
-    more = " …" if len(groups) > _NAMED else ""
-    return (
-        f"the {slips[0].lacks} lacks mass that the {other} has, "
-        f"{sum(links.values()):.6g} kg in all, that of {', '.join(said)}{more}"
-    )
+    mass = Quantity(sum(links.values()), "kg")
+    return diagnose("links-lacking", lacks=slips[0].lacks, has=other, mass=mass, links=told)
 
 
-def _scaled(slips: Sequence[_Slip]) -> str:
+def _scaled(slips: Sequence[_Slip]) -> Diagnostic:
     """Says which links weigh a multiple in the MJCF."""
     factor = float(f"{slips[0].factor:.6g}")
-    named = [
-        f"{link.name} ({link.body.mass:.6g} kg in the URDF, "
-        f"{slip.factor * link.body.mass:.6g} kg in the MJCF)"
+    links = [
+        diagnose(
+            "mass-of-a-link",
+            subject=("link", link.name),
+            urdf=Quantity(link.body.mass, "kg"),
+            mjcf=Quantity(slip.factor * link.body.mass, "kg"),
+        )
         for slip in slips
         for link in slip.links
     ]
-    names = ", ".join(named[:_NAMED])
-    if len(named) > _NAMED:
-        names += f" and {len(named) - _NAMED} more"
     power = _power(factor)
-    guess = " (g for kg?)" if abs(power) == _GRAMS else " (a decimal point?)"
-    what = "mass and inertia of {} are" if slips[0].inertia else "the mass of {} is"
-    return (
-        f"{what.format(names)} {factor:.6g} times in the MJCF what the URDF has"
-        f"{guess if power else ''}"
-    )
+    guess = None
+    if power:
+        grams = abs(power) == _GRAMS
+        guess = diagnose("guess-grams-for-kilograms" if grams else "guess-decimal-point")
+    inertia = slips[0].inertia
+    return diagnose("links-scaled", links=links, factor=factor, inertia=inertia, guess=guess)
 
 
 _GRAMS = 3  # powers of ten between g and kg

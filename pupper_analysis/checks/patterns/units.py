@@ -9,18 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.checks.patterns.case import Case, Finding, Found
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.xml import MAX_NUMBER
 
 Array = NDArray[np.float64]
-_MASS = {1e3: "g for kg", 1e-3: "kg for g", 2.20462: "pounds for kg", 0.453592: "kg for pounds"}
-_ANGLE = {math.degrees(1.0): "degrees for radians"}
-_LENGTH = {1e3: "mm for m", 1e2: "cm for m", 39.3701: "inches for m"}
+_MASS = {
+    1e3: ("g", "kg"),
+    1e-3: ("kg", "g"),
+    2.20462: ("pounds", "kg"),
+    0.453592: ("kg", "pounds"),
+}
+_ANGLE = {math.degrees(1.0): ("degrees", "radians")}
+_LENGTH = {1e3: ("mm", "m"), 1e2: ("cm", "m"), 39.3701: ("inches", "m")}
 _INERTIA = {
-    1e3: "g m^2 for kg m^2",
-    1e4: "kg cm^2 for kg m^2",
-    1e6: "kg mm^2 for kg m^2",
-    1e7: "g cm^2 for kg m^2",
-    1e9: "g mm^2 for kg m^2",
+    1e3: ("g m^2", "kg m^2"),
+    1e4: ("kg cm^2", "kg m^2"),
+    1e6: ("kg mm^2", "kg m^2"),
+    1e7: ("g cm^2", "kg m^2"),
+    1e9: ("g mm^2", "kg m^2"),
 }
 
 
@@ -45,10 +51,9 @@ def other_units(case: Case) -> Found:
     ):
         if factor is None:
             continue
-        meant = _unit(factor, units)
         yield Finding(
             "units",
-            f"all {what} of the MJCF are {factor:.6g} times those of the URDF{meant}",
+            diagnose("all-scaled", what=Term(what), factor=factor, guess=_unit(factor, units)),
             {key for key in case.keys if key[0] in kinds},
         )
 
@@ -70,10 +75,10 @@ def _factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
     return None if math.isclose(factor, 1.0, rel_tol=1e-2) else factor
 
 
-def _unit(factor: float, units: Mapping[float, str]) -> str:
-    for size, words in units.items():
-        if math.isclose(factor, size, rel_tol=2e-3):
-            return f": {words} in the MJCF?"
-        if math.isclose(factor, 1 / size, rel_tol=2e-3):
-            return f": {words} in the URDF?"
-    return ": a decimal point?" if math.isclose(abs(math.log10(factor)), 1, abs_tol=1e-3) else ""
+def _unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic | None:
+    for size, (meant, right) in units.items():
+        for file, times in (("MJCF", size), ("URDF", 1 / size)):
+            if math.isclose(factor, times, rel_tol=2e-3):
+                return diagnose("guess-unit", meant=Term(meant), right=Term(right), file=file)
+    decimal = math.isclose(abs(math.log10(factor)), 1, abs_tol=1e-3)
+    return diagnose("guess-decimal-point") if decimal else None

@@ -20,6 +20,7 @@ from pupper_analysis.checks.versions.places import place_in
 from pupper_analysis.checks.versions.revision import Source, opened
 from pupper_analysis.checks.versions.version import Version, version_of
 from pupper_analysis.checks.words import VERSIONS
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import quiet
@@ -39,7 +40,7 @@ class ModelChange(Result):
         old: The old value; None if it was not there.
         new: The new value, in the old link frames; None if it is not there any more.
         unit: Of both.
-        message: The change in plain words.
+        diagnostic: The change, with both values, and words for it.
         effects: {quantity: what it does alone}; empty for what is not in a tree of joints.
         old_place: File and line, where known.
         new_place: File and line, where known.
@@ -50,10 +51,15 @@ class ModelChange(Result):
     old: Any
     new: Any
     unit: str
-    message: str
+    diagnostic: Diagnostic
     effects: dict[str, Effect]
     old_place: str
     new_place: str
+
+    @property
+    def message(self) -> str:
+        """The change in plain words."""
+        return str(self.diagnostic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +77,7 @@ class ModelDiff(Result):
         deviations: {quantity: relative deviation between the two}.
         left: {quantity: relative deviation that no change explains}.
         complete: Whether nothing is left.
-        notes: What was assumed or left out, in plain words.
+        notes: What was assumed or left out.
     """
 
     old: str
@@ -83,7 +89,7 @@ class ModelDiff(Result):
     deviations: dict[str, float]
     left: dict[str, float]
     complete: bool
-    notes: tuple[str, ...]
+    notes: tuple[Diagnostic | str, ...]
 
 
 @checked
@@ -120,8 +126,7 @@ def diff_models(
             for source in (before, after)
         )
         if type(one.file) is not type(two.file):
-            problem = f"it is of another format than {before.name}; crosscheck compares these"
-            raise ModelError(after.name, problem)
+            raise ModelError(after.name, diagnose("formats-differ", other=before.name))
         return _Comparison(one, two, (before, after), dict(names or {}), tolerances).result()
 
 
@@ -161,20 +166,19 @@ class _Comparison:
     def _alike(self, one: Parameters, two: Parameters) -> tuple[Parameters, Parameters]:
         """Fixes the joints that one version lacks, and gives the new one the old names."""
         if one.joints and two.joints and not self.pairs:
-            raise ModelError(
-                self.sources[1].name, f"no joint of it is one of {self.sources[0].name}"
-            )
+            told = diagnose("no-joint-in-common", other=self.sources[0].name)
+            raise ModelError(self.sources[1].name, told)
         gone = [name for name in one.joints if name not in self.pairs]
         come = [name for name in two.joints if name not in self.pairs.values()]
         for joints, where in ((gone, VERSIONS.first), (come, VERSIONS.second)):
             for name in joints:
                 old, new = ("there", None) if joints is gone else (None, "there")
-                message = f"joint {name}: it is in {where} alone; all else is compared with it at 0"
-                self.differences.append(Difference("joint", name, old, new, "", message, {}))
+                told = diagnose("joint-in-one-version", subject=("joint", name), file=where)
+                self.differences.append(Difference("joint", name, old, new, "", told, {}))
         for old, new in self.pairs.items():
             if old != new:
-                message = f"joint {old}: it is called {new} {VERSIONS.two}"
-                self.differences.append(Difference("name", old, old, new, "", message, {}))
+                told = diagnose("joint-renamed", subject=("joint", old), new=new)
+                self.differences.append(Difference("name", old, old, new, "", told, {}))
         for name in reversed(gone):
             one = with_fixed(one, name)
         for name in reversed(come):
@@ -183,8 +187,9 @@ class _Comparison:
         two = replace(two, joints={name: two.joints[name] for name in two.parents_first()})
         if one.floating != two.floating:
             before, after = ("free" if tree.floating else "fixed" for tree in (one, two))
-            message = f"base {one.base}: {before} {VERSIONS.one}, {after} {VERSIONS.two}"
-            self.differences.append(Difference("type", one.base, before, after, "", message, {}))
+            both = {"one": Term(before), "two": Term(after), **VERSIONS.named}
+            told = diagnose("base-type-differs", subject=("body", one.base), **both)
+            self.differences.append(Difference("type", one.base, before, after, "", told, {}))
             one, two = replace(one, floating=True), replace(two, floating=True)
         common = [frame for frame in one.frames if frame in two.frames]
         one, two = (
@@ -240,8 +245,9 @@ class _Comparison:
             kind, element = key
             old, new = here.get(key), there.get(key)
             if _values(old) != _values(new):
-                said = f"{_said(old, new)} {VERSIONS.one}, {_said(new, old)} {VERSIONS.two}"
-                yield Difference(kind, element, old, new, "", f"{kind} {element}: {said}", {})
+                both = {"one": _told(old, new), "two": _told(new, old), **VERSIONS.named}
+                told = diagnose("element-differs", subject=(kind, element), **both)
+                yield Difference(kind, element, old, new, "", told, {})
 
     def _change(self, difference: Difference) -> ModelChange:
         """Returns a difference as a change, with where it stands in both files."""
@@ -259,16 +265,16 @@ class _Comparison:
             difference.urdf,
             difference.mjcf,
             difference.unit,
-            difference.message,
+            difference.diagnostic,
             difference.effects,
             *places,
         )
 
 
-def _undefined(trial: Trial) -> Iterator[str]:
+def _undefined(trial: Trial) -> Iterator[Diagnostic]:
     """Says what was not compared."""
     for name in trial.undefined:
-        yield f"{name}: not compared, for links without mass make it undefined in the old file"
+        yield diagnose("quantity-undefined", subject=("quantity", name), what=Term(name))
 
 
 def _mass(values: Parameters) -> float:
@@ -294,15 +300,16 @@ def _values(value: Any) -> Any:
     return list(value) if isinstance(value, list | tuple) else value
 
 
-def _said(value: Any, other: Any) -> str:
+def _told(value: Any, other: Any) -> Diagnostic | Term | str:
     """Says a value; of a table, what is another in the other."""
     value, other = _values(value), _values(other)
     if value is None:
-        return "none"
+        return Term("none")
     if isinstance(value, dict):
         other = other if isinstance(other, dict) else {}
         keys = [key for key in value if value[key] != other.get(key)]
-        return ", ".join(f"{key} {_words(value[key])}" for key in keys) or "nothing of the like"
+        entries = [diagnose("entry", entry=key, value=_words(value[key])) for key in keys]
+        return diagnose("entries", entries=entries) if entries else Term("nothing of the like")
     return _words(value)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from pupper_analysis.checks.places import path_of
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import git
 from pupper_analysis.models.places import Place
@@ -79,7 +80,7 @@ def opened(given: str | Path) -> Iterator[Source]:
         yield Source(Path(text), text)
         return
     if revision.startswith("-"):
-        raise ModelError(text, f"{revision!r} is no revision")
+        raise ModelError(text, diagnose("no-revision", revision=revision))
     relative = git.path_in(text, revision, inside)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder).resolve()

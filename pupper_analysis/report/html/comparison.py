@@ -10,7 +10,7 @@ from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.engines import EDGES
 from pupper_analysis.report.comparison import (
     by_cause,
-    effects_in_words,
+    effects_told,
     first_to_mend,
     matching_notes,
 )
@@ -46,7 +46,7 @@ def comparison_section(comparison: Comparison) -> doc.Section:
     for cause in causes:
         first = comparison.differences[cause.differences[0]]
         made = text("This alone makes {count} differences.", count=len(cause.differences))
-        blocks.append(_sides(comparison, first, said(cause.message), made))
+        blocks.append(_sides(comparison, first, said(cause.diagnostic), made))
     for group in groups[:SHOWN]:
         more: list[doc.Words] = []
         if len(group) > 1:
@@ -56,7 +56,7 @@ def comparison_section(comparison: Comparison) -> doc.Section:
                     "Likewise on {count} more: {names}", count=len(group) - 1, names=doc.Name(names)
                 )
             )
-        blocks.append(_sides(comparison, group[0], said(group[0].message), *more))
+        blocks.append(_sides(comparison, group[0], said(group[0].diagnostic), *more))
     if len(groups) > SHOWN:
         blocks.append(
             doc.Lines((text("{count} more are in the table alone.", count=len(groups) - SHOWN),))
@@ -96,23 +96,8 @@ def _sides(
     return doc.Sides(
         title,
         tuple(columns),
-        (*notes, *map(said, difference.made_of), _effects(difference)),
+        (*notes, *map(said, difference.made_of), said(effects_told(difference))),
     )
-
-
-def _effects(difference: Difference) -> doc.Words:
-    """Returns what a difference does, in both languages."""
-    english = effects_in_words(difference)
-    if not difference.effects:
-        return text("no effect on the dynamics")
-    begin = text("alone it makes, of the deviation in: ")
-    parts = english.removeprefix(begin.en).split(", ")
-    spoken = []
-    for part in parts:
-        name = next(name for name in difference.effects if part.startswith(f"{name} "))
-        quantity = word(name)
-        spoken.append((quantity.zh if isinstance(quantity, doc.Text) else name) + part[len(name) :])
-    return doc.Text(english, begin.zh + "、".join(spoken))
 
 
 def _differences(comparison: Comparison) -> doc.Table:
