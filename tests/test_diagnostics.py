@@ -129,7 +129,11 @@ def test_every_template_gets_its_values(where: str, code: str, given: set[str] |
 
 def test_terms_have_both_languages() -> None:
     words = tomllib.loads((CATALOGUE[0].parent / "terms.toml").read_text(encoding="utf-8"))
-    assert all(set(both) == set(LANGUAGES) and HAN.search(both["zh"]) for both in words.values())
+    assert all(set(both) == set(LANGUAGES) for both in words.values())
+    assert {n for n, both in words.items() if not HAN.search(both["zh"])} == {
+        "the URDF",
+        "the MJCF",
+    }
     assert term("joint", "zh") == "关节"
     assert term("no such term", "zh") == "no such term"
 
@@ -185,6 +189,23 @@ def test_what_is_within_is_said_in_the_same_language() -> None:
     assert told.text("zh") == "没有关节 'knee'；现有：hip、foot"
     within = diagnose("argument-not-valid", field="feet", problem=told)
     assert within.text("zh") == "feet：没有关节 'knee'；现有：hip、foot"
+
+
+def test_a_difference_is_said_in_both_languages() -> None:
+    entry = diagnose(
+        "inertia-entry-differs",
+        entry="ixx",
+        one=Quantity(0.018, "kg m^2"),
+        two=Quantity(0.016, "kg m^2"),
+        guess=diagnose("relative-change", change=Quantity(-0.0739, "1")),
+        first=Term("the URDF"),
+        second=Term("the MJCF"),
+    )
+    told = diagnose("inertia-differs", subject=("body", "base"), entries=[entry, entry], guess=None)
+    english = "ixx 0.018 kg m^2 in the URDF, 0.016 kg m^2 in the MJCF (-7.39 %)"
+    assert str(told) == f"body of base: inertia about the com: {english}; {english}"
+    chinese = "ixx 在 URDF 中为 0.018 kg m^2，在 MJCF 中为 0.016 kg m^2（-7.39 %）"
+    assert told.text("zh") == f"base 的刚体：关于质心的惯量：{chinese}；{chinese}"
 
 
 # --- diagnostics

@@ -26,16 +26,11 @@ from scipy.spatial.transform import Rotation
 from test_comparison_report import lines
 from test_mutations import sources
 
-from pupper_analysis.report.html.document import Text
-from pupper_analysis.report.html.sentences import said
-
 
 def first_line(files: Files) -> str:
     comparison = compared(files)
     assert not comparison.agree
     assert comparison.complete
-    causes = [cause.message for cause in comparison.causes]
-    assert all(isinstance(said(cause), Text) for cause in causes), causes
     return lines(comparison)[0]
 
 
@@ -211,7 +206,7 @@ def test_an_axis_alone_that_is_elsewhere(tmp_path: Path) -> None:
     comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
     assert {("position", "hip1"), ("position", "knee1"), ("com", "hip1")} <= set(found(comparison))
     line = first_line(write(tmp_path, urdf_text(quadruped()), text))
-    assert "joint hip1: its axis is 4 mm away in the MJCF, and all that it moves is where" in line
+    assert "joint hip1: its axis is elsewhere in the MJCF, 4 mm away, and all" in line
 
 
 def test_an_axis_that_is_turned_about_another_of_its_points(tmp_path: Path) -> None:
@@ -225,7 +220,7 @@ def test_an_axis_that_is_turned_about_another_of_its_points(tmp_path: Path) -> N
     turned = axis[0].replace(axis[1], numbers(new))
     text = offset_joint(text.replace(axis[0], turned), "hip1", numbers(0.1 * old))
     line = first_line(write(tmp_path, urdf_text(quadruped()), text))
-    assert "joint hip1: its axis is turned by 11.46 deg in the MJCF, and all that it" in line
+    assert "joint hip1: its axis is elsewhere in the MJCF, turned by 11.46 deg, and all" in line
 
 
 def test_a_body_that_is_elsewhere_takes_its_axis_along(tmp_path: Path) -> None:

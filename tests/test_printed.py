@@ -655,6 +655,7 @@ def test_two_models() -> None:
         urdf=3.3,
         mjcf=6.9,
         message="body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF",
+        diagnostic="body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF",
         urdf_place="a.urdf:5",
         mjcf_place="b.xml:44",
         effects={
@@ -669,6 +670,7 @@ def test_two_models() -> None:
         urdf=1.5,
         mjcf=2.5,
         message="joint knee: effort 1.5",
+        diagnostic="joint knee: effort 1.5",
         urdf_place="a.urdf:7",
         mjcf_place="b.xml:55",
         effects={},
@@ -689,7 +691,9 @@ def test_two_models() -> None:
         agree=False,
         same_robot=False,
         differences=(difference, limit),
-        causes=(Stub(message="another unit", differences=(1,), leads=False),),
+        causes=(
+            Stub(message="another unit", diagnostic="another unit", differences=(1,), leads=False),
+        ),
         parts=("a tail too many",),
         objections=("too much is left",),
         mount=None,

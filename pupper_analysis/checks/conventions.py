@@ -346,6 +346,8 @@ def convention_changes(
             "joint-zero-elsewhere",
             subject=("joint", name),
             offset=Quantity(offset, unit),
+            more=offset > 0,
+            magnitude=Quantity(abs(offset), unit),
             turn=None if unit == "m" else Quantity(offset, unit),
             **sides.named,
         )
