@@ -27,7 +27,7 @@ class Extra:
         element: The joint, body, tendon ... by name; ``#3`` where it has none.
         value: Its numbers.
         unit: Of the numbers, where they have one in common.
-        diagnostic: What it is.
+        diagnostic: What it is, with its numbers.
         slots: What has to be zero for it to be gone; none if it does not act on the unconstrained
             robot, or cannot be taken away.
     """

@@ -34,7 +34,7 @@ class Cause(Result):
     Attributes:
         kind: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``, ``coms``, ``links``,
             ``scaled links``, ``inertial`` or ``line``.
-        diagnostic: What it is.
+        diagnostic: What it is, with its numbers.
         differences: Which of the differences it explains, by number, from 0.
     """
 

@@ -90,7 +90,7 @@ class Finding:
 
     Attributes:
         kind: A cause's.
-        diagnostic: What it is.
+        diagnostic: What it is, with its numbers.
         explained: The differences.
         undone: What is left to explain when it is undone, for those that look afterwards.
     """

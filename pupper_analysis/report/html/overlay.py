@@ -11,13 +11,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.report.formats import visible
-from pupper_analysis.report.html.document import Text
 from pupper_analysis.report.html.scene import bodies_of, extent_of, geoms_of, packed, short_numbers
-from pupper_analysis.report.html.sentences import said
 from pupper_analysis.report.html.words import text
 
 Array = NDArray[np.float64]
@@ -43,8 +42,8 @@ def overlay_of(comparison: Comparison) -> dict[str, Any] | None:
     mujoco.mj_kinematics(model, data)
     told = _told(comparison, model)
     bodies, (geoms, meshes) = bodies_of(model), geoms_of(model)
-    for body, messages in told.items():
-        bodies[body - 1]["told"] = _in_both(messages)
+    for body, differences in told.items():
+        bodies[body - 1]["told"] = _in_both(differences)
     for geom in geoms:
         geom["marked"] = geom["body"] + 1 in told
     root = _root(comparison, model)
@@ -94,9 +93,9 @@ def _root(comparison: Comparison, model: mujoco.MjModel) -> int:
     return 1
 
 
-def _told(comparison: Comparison, model: mujoco.MjModel) -> dict[int, list[str]]:
+def _told(comparison: Comparison, model: mujoco.MjModel) -> dict[int, list[Diagnostic]]:
     """Returns {body: what differs of it, or of the joint that moves it}."""
-    told: dict[int, list[str]] = {}
+    told: dict[int, list[Diagnostic]] = {}
     for difference in comparison.differences:
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, difference.element)
         if joint >= 0:
@@ -105,7 +104,7 @@ def _told(comparison: Comparison, model: mujoco.MjModel) -> dict[int, list[str]]
             body = _root(comparison, model)
         else:
             continue
-        told.setdefault(body, []).append(difference.message)
+        told.setdefault(body, []).append(difference.diagnostic)
     return told
 
 
@@ -115,22 +114,24 @@ def _joints(comparison: Comparison, model: mujoco.MjModel) -> list[dict[str, Any
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         if joint < 0:
             continue
-        messages = [one.message for one in comparison.differences if one.element == name]
+        found = [one.diagnostic for one in comparison.differences if one.element == name]
         listed.append(
             {
                 "name": visible(name),
                 "body": int(model.jnt_bodyid[joint]) - 1,
                 "anchor": short_numbers(model.jnt_pos[joint]),
                 "axis": short_numbers(model.jnt_axis[joint]),
-                "told": _in_both(messages),
+                "told": _in_both(found),
             }
         )
     return listed
 
 
-def _in_both(messages: Iterable[str]) -> dict[str, str]:
+def _in_both(found: Iterable[Diagnostic]) -> dict[str, str]:
     """Returns {language: sentences}, empty texts where there is none."""
-    sentence = said("; ".join(messages))
-    if isinstance(sentence, Text):
-        return {"en": visible(sentence.en), "zh": visible(sentence.zh)}
-    return dict.fromkeys(("en", "zh"), visible(sentence.text))
+    told = tuple(found)
+    between = {"en": "; ", "zh": "；"}  # noqa: RUF001 (Chinese)
+    return {
+        language: visible(comma.join(one.text(language) for one in told))
+        for language, comma in between.items()
+    }
