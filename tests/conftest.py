@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import hypothesis
 import mujoco
@@ -47,6 +47,22 @@ NAMES = tuple(pa.VARIANTS)
 V3_NAMES = tuple(name for name in NAMES if name.startswith("v3"))
 SKELETON_NAMES = tuple(name for name in NAMES if not name.startswith("v3"))
 BASES = {"original": "pupper_skeleton", "v3": "pupper_v3"}  # variant: name of its files
+
+
+BASES_FIRST = (*BASES, *(name for name in NAMES if name not in BASES))
+
+
+def some(values: Sequence[Any], every: int, first: int = 1) -> list[Any]:
+    """Cases of which the first, and one of ``every``, are run; the others in the longest stage."""
+    return [
+        value if place < first or place % every == 0 else longest(value)
+        for place, value in enumerate(values)
+    ]
+
+
+def longest(value: Any) -> Any:
+    case = value if isinstance(value, tuple) else (value,)
+    return pytest.param(*case, marks=pytest.mark.longest)
 
 
 @cache

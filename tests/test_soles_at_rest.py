@@ -42,7 +42,7 @@ def height_of(robot: pa.Robot, stiffness: float, height: float, **task: float) -
     )
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_soles_that_pivot_on_their_way_stand(tmp_path: Path) -> None:
     """Legs without yaw twist their soles until these pivot by 0.3 mm: "foot sole_0 slides"."""
     robot = loaded(7, tmp_path)

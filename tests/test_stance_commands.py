@@ -76,7 +76,7 @@ def test_servos_that_carry_nothing_are_exit_status_1(capfd: pytest.CaptureFixtur
     assert "0.00 kg, then the servos are too soft" in out
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_best_margin(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path, figure = tmp_path / "all.json", tmp_path / "best.png"
     output = ("--json", str(path), "--figure", str(figure))
@@ -101,7 +101,7 @@ def test_best_margin(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_best_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     status, out, err = run_command(

@@ -540,7 +540,7 @@ def test_the_com_with_its_payload_is_over_the_feet() -> None:
     assert design.robot.total_mass == pytest.approx(load("v3").total_mass + 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_measures_that_simulate_are_what_their_names_say() -> None:
     robot, stand = load("v3"), stand_of("v3")
     design = Maker(study({"kp": [5.0]}).source, pa.StandTask(), (0, 0, 0)).design({})

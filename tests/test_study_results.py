@@ -503,7 +503,7 @@ def searched() -> pa.Study:
     return pa.Study("v3", vary, ["servo_sag", "stands", study_measures.knee_bend], samples=1)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_search_finds_what_a_grid_finds(tmp_path: Path, thread: Executor) -> None:
     """The longest legs that sag by 8 mm at most, with the stiffest servos: from a fine grid."""
     options = {"maximise": ["leg_scale"], "subject_to": {"servo_sag": (None, 8e-3)}, "trials": 48}

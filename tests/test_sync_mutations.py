@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import mujoco
 import pytest
-from conftest import ROOT
+from conftest import ROOT, some
 from robots import mjcf_text, quadruped, urdf_text
 
 import pupper_analysis as pa
@@ -259,7 +259,7 @@ def restored(pair: Pair, seed: int) -> str | None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", some(MODELS, 3))
 def test_a_few_mutations_are_undone(model: str, folder: Path) -> None:
     pair = written(model, folder / model)
     done = [restored(pair, seed) for seed in range(6)]
