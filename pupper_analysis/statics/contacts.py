@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import real_array
 from pupper_analysis.arrays import crosses
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.contact import contact_offset
@@ -131,9 +132,10 @@ def _contacts(
     for foot in feet:
         robot.check_foot(foot)
     if len(set(feet)) != len(feet):
-        raise ConfigurationError("contacts", f"a foot is named twice in {', '.join(feet)}")
+        raise ConfigurationError("contacts", diagnose("foot-named-twice", feet=feet))
     if feet and not robot.floating:
-        raise ConfigurationError("contacts", f"{robot.name} has a fixed base, which carries it")
+        problem = diagnose("fixed-base-carries", robot=robot.name)
+        raise ConfigurationError("contacts", problem)
     if not feet:
         nothing = np.zeros((0, 3))
         return Contacts(robot, feet, nothing, np.zeros(0), nothing)
@@ -159,7 +161,8 @@ def _contacts(
 def _normal(foot: str, normal: ArrayLike) -> Array:
     vector = real_array("normals", normal)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise ConfigurationError("normals", f"{foot}: {normal!r} is not a direction (3,)")
+        problem = diagnose("normal-not-a-direction", subject=("foot", foot), given=repr(normal))
+        raise ConfigurationError("normals", problem)
     unit: Array = vector / np.linalg.norm(vector)
     return unit
 
@@ -167,10 +170,15 @@ def _normal(foot: str, normal: ArrayLike) -> Array:
 def _friction(robot: Robot, foot: str, friction: float | Mapping[str, float] | None) -> float:
     if friction is None:
         if foot not in robot.contacts:
-            raise ConfigurationError("friction", f"{robot.name} has no ground; give a coefficient")
+            raise ConfigurationError("friction", diagnose("ground-missing", robot=robot.name))
         return robot.contacts[foot].sliding_friction
     value: object = friction.get(foot) if isinstance(friction, Mapping) else friction
     if not isinstance(value, Real) or not 0 <= float(value) <= MOST_FRICTION:
-        problem = f"{foot}: {value} is no coefficient; it must be >= 0, and <= {MOST_FRICTION:g}"
+        problem = diagnose(
+            "friction-not-a-coefficient",
+            subject=("foot", foot),
+            given=str(value),
+            most=MOST_FRICTION,
+        )
         raise ConfigurationError("friction", problem)
     return float(value)

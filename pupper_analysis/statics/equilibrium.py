@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.compliance import GroundLaw
@@ -233,8 +234,9 @@ def distribution_of(value: str) -> ForceDistribution:
     try:
         return ForceDistribution(value)
     except ValueError as error:
-        known = ", ".join(repr(kind.value) for kind in ForceDistribution)
-        raise ConfigurationError("distribution", f"{value!r} is none of {known}") from error
+        known = [kind.value for kind in ForceDistribution]
+        problem = diagnose("not-one-of", given=str(value), known=known)
+        raise ConfigurationError("distribution", problem) from error
 
 
 def _creeping(
@@ -276,7 +278,12 @@ def _explain_bounds(problem: Balance, carrying: Contacts, bounds: ForceBounds) -
         with np.errstate(divide="ignore", invalid="ignore"):
             worst = int(np.nanargmax(torques / bounds.torques))
         name = carrying.robot.joint_names[worst]
-        detail = f"{name}, {torques[worst]:.3g} N m of {bounds.torques[worst]:.3g} N m"
+        detail = diagnose(
+            "motor-too-weak",
+            subject=("joint", name),
+            torque=Quantity(torques[worst], "N m"),
+            limit=Quantity(bounds.torques[worst], "N m"),
+        )
         raise StaticsInfeasibleError(Infeasibility.MOTOR, detail, margin=math.nan, feet=())
     loads = problem.normal_forces(free)
     wrong = [
@@ -284,9 +291,8 @@ def _explain_bounds(problem: Balance, carrying: Contacts, bounds: ForceBounds) -
         for f, *row in zip(feet, loads, bounds.least, bounds.most, strict=True)
         if not row[1] <= row[0] <= row[2]
     ]
-    raise StaticsInfeasibleError(
-        Infeasibility.PULL, ", ".join(wrong or feet), margin=math.nan, feet=wrong or feet
-    )
+    detail = diagnose("feet-would-pull", feet=wrong or feet)
+    raise StaticsInfeasibleError(Infeasibility.PULL, detail, margin=math.nan, feet=wrong or feet)
 
 
 def _explain(
@@ -312,7 +318,7 @@ def _explain(
                 break
         return StaticsInfeasibleError(
             Infeasibility.FRICTION,
-            f"the coefficient is {friction:.3f}, and {high:.3f} is needed",
+            diagnose("friction-too-low", least=friction, needed=high),
             margin=margin,
             friction_needed=high,
             feet=feet,
@@ -323,15 +329,16 @@ def _explain(
         for foot, force, normal in zip(feet, bilateral, problem.normals, strict=True)
         if force @ normal < 0
     }
-    pulling = ", ".join(f"{foot} with {-force:.2f} N" for foot, force in pulls.items())
+    pulling = [
+        diagnose("foot-pulls", subject=("foot", foot), force=Quantity(-force, "N"))
+        for foot, force in pulls.items()
+    ]
     if -math.inf < margin < 0:
-        detail = f"its projection is {-1e3 * margin:.1f} mm outside that of {', '.join(feet)}"
-        if pulls:
-            detail += f"; {pulling} would have to pull"
+        outside = Quantity(-margin, "m")
+        detail = diagnose("com-outside-polygon", outside=outside, feet=feet, pulls=pulling)
         return StaticsInfeasibleError(tipping, detail, margin=margin, feet=pulls or feet)
-    return StaticsInfeasibleError(
-        Infeasibility.PULL, pulling or ", ".join(feet), margin=margin, feet=pulls or feet
-    )
+    detail = diagnose("feet-would-pull", feet=pulling or feet)
+    return StaticsInfeasibleError(Infeasibility.PULL, detail, margin=margin, feet=pulls or feet)
 
 
 def _result(

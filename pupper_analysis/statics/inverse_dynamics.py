@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked, vector
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, Infeasibility
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -95,7 +96,7 @@ def inverse_dynamics(
     robot.check_tree("inverse dynamics")
     acceleration = vector("qacc", qacc, robot.nv)
     if (np.abs(acceleration) > FASTEST).any():
-        raise ConfigurationError("qacc", f"beyond {FASTEST:g} m/s^2 or rad/s^2 no robot moves")
+        raise ConfigurationError("qacc", diagnose("acceleration-too-fast", most=FASTEST))
     carrying = contacts_of(robot, contacts, friction, normals, depths)
     feet, ground = carrying.feet, dict(zip(carrying.feet, carrying.normals, strict=True))
     load = config.mass_matrix() @ acceleration + config.bias_forces() - config.passive()

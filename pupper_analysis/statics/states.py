@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked, real_array
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -60,7 +61,7 @@ class GravityCompensations(Result):
     com_margin: Array
     residual_force: Array
     residual_torque: Array
-    infeasible: dict[int, str]
+    infeasible: dict[int, Diagnostic]
 
 
 @checked
@@ -112,7 +113,7 @@ def gravity_compensations(
             carrying.normals,
             carrying.friction,
         )
-    infeasible = {}
+    infeasible: dict[int, Diagnostic] = {}
     for state in np.flatnonzero(~found).tolist():
         try:
             alone = gravity_compensation(
@@ -125,8 +126,8 @@ def gravity_compensations(
             )
         except StaticsInfeasibleError as error:
             if not keep_going:
-                raise error.at(f"qpos[{state}]") from None
-            infeasible[state] = str(error)
+                raise error.at(diagnose("state-number", state=state)) from None
+            infeasible[state] = error.diagnostic
             forces[state] = np.nan
         else:
             forces[state] = np.concatenate([alone.contact_forces[foot] for foot in carrying.feet])
@@ -136,7 +137,9 @@ def gravity_compensations(
 def _rows(robot: Robot, qpos: ArrayLike) -> Array:
     rows = real_array("qpos", qpos)
     if rows.ndim != 2 or rows.shape[1] != robot.nq:
-        raise ConfigurationError("qpos", f"its shape must be (k, {robot.nq}), not {rows.shape}")
+        wanted = f"(k, {robot.nq})"
+        problem = diagnose("shape-not-valid", wanted=wanted, given=str(rows.shape))
+        raise ConfigurationError("qpos", problem)
     return rows
 
 
@@ -177,7 +180,7 @@ class _States:
             try:
                 config = Configuration(robot, row)
             except ConfigurationError as error:
-                raise error.at(f"qpos[{state}]") from None
+                raise error.at(diagnose("state-number", state=state)) from None
             if not feet:
                 keeps_to_loops(config, config.load())
             states.loads[state] = config.by_motors(config.load())
@@ -189,7 +192,7 @@ class _States:
 
 
 def _results(
-    carrying: Contacts, states: _States, forces: Array, infeasible: dict[int, str]
+    carrying: Contacts, states: _States, forces: Array, infeasible: dict[int, Diagnostic]
 ) -> GravityCompensations:
     """Puts the results together.
 
