@@ -19,19 +19,20 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ConfigurationError
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 _MADE_BY = {
-    "Robot": "load_variant and load_robot make one",
-    "Stand": "solve_stand makes one",
-    "StandTask": "for example StandTask(height=0.12)",
-    "StancePath": "stance_path makes one",
-    "Configuration": "Configuration(robot, qpos) is one",
-    "Ground": "for example Ground(slope=0.1)",
-    "VariantSpec": "for example VariantSpec('v3', leg_scale=1.2)",
+    "Robot": "load_variant('v3')",
+    "Stand": "solve_stand(robot)",
+    "StandTask": "StandTask(height=0.12)",
+    "StancePath": "stance_path(robot, task, 2.0)",
+    "Configuration": "Configuration(robot, qpos)",
+    "Ground": "Ground(slope=0.1)",
+    "VariantSpec": "VariantSpec('v3', leg_scale=1.2)",
 }
 """How those who have none get one."""
 
@@ -47,13 +48,13 @@ def finite(name: str, value: object) -> float:
         ConfigurationError: If it is no finite number.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise ConfigurationError(name, f"{reprlib.repr(value)} is not a number")
+        raise ConfigurationError(name, diagnose("no-number", value=reprlib.repr(value)))
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise ConfigurationError(name, f"{number} is not finite")
+        raise ConfigurationError(name, diagnose("not-finite", value=number))
     return number
 
 
@@ -73,16 +74,18 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     if type(values) is np.ndarray and values.dtype == np.float64:
         return values.copy()  # a stand's qpos: nothing to find out
     if np.ma.is_masked(values):
-        raise ConfigurationError(name, "some of its elements are masked: give the numbers")
+        raise ConfigurationError(name, diagnose("array-is-masked"))
     try:
         found = np.asarray(values)
         if found.dtype.kind == "O" and not all(map(_is_real, found.flat)):
-            raise ConfigurationError(name, "not an array of numbers: it holds other things")
+            raise ConfigurationError(name, diagnose("array-of-other-things"))
         if found.dtype.kind not in "iufO":
-            raise ConfigurationError(name, f"not an array of real numbers: it is {found.dtype}")
+            told = diagnose("array-of-another-type", type=str(found.dtype))
+            raise ConfigurationError(name, told)
         return np.array(found, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ConfigurationError(name, f"not an array of numbers: {error}") from error
+        told = diagnose("no-array", problem=str(error))
+        raise ConfigurationError(name, told) from error
 
 
 def _is_real(value: object) -> bool:
@@ -102,13 +105,15 @@ def vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     """
     found = real_array(name, values)
     if found.shape != (size,):
-        raise ConfigurationError(name, f"its shape must be ({size},), not {found.shape}")
+        told = diagnose("array-of-another-shape", size=size, shape=str(found.shape))
+        raise ConfigurationError(name, told)
     # Quicker than to look at each; where the squares overflow, each is looked at.
     with np.errstate(over="ignore"):
         squares = found.dot(found)
     if not math.isfinite(squares) and not np.isfinite(found).all():
         index = int(np.flatnonzero(~np.isfinite(found))[0])
-        raise ConfigurationError(name, f"element {index} is {found[index]}; it must be finite")
+        told = diagnose("element-not-finite", index=index, value=found[index])
+        raise ConfigurationError(name, told)
     return found
 
 
@@ -128,7 +133,10 @@ def length(name: str, value: object) -> float:
     """
     number = finite(name, value)
     if abs(number) > FARTHEST:
-        raise ConfigurationError(name, f"{number:g} m is beyond {FARTHEST:g} m; lengths are in m")
+        told = diagnose(
+            "length-beyond", length=Quantity(number, "m"), farthest=Quantity(FARTHEST, "m")
+        )
+        raise ConfigurationError(name, told)
     return number
 
 
@@ -187,10 +195,14 @@ def check_type(name: str, value: object, hint: Any) -> None:
     """
     if _test(hint)(value):
         return
-    wanted = _words(hint)
-    made_by = [_MADE_BY[kind] for kind in _MADE_BY if kind in wanted.split()]
-    hints = f"; {'; '.join(made_by)}" if made_by else ""
-    raise ConfigurationError(name, f"{reprlib.repr(value)} is not {wanted}{hints}")
+    kinds = {getattr(option, "__name__", "") for option in _options(hint)}
+    told = diagnose(
+        "of-another-type",
+        value=reprlib.repr(value),
+        wanted=[_kind(option) for option in _options(hint)],
+        made_by=[maker for kind, maker in _MADE_BY.items() if kind in kinds],
+    )
+    raise ConfigurationError(name, told)
 
 
 @cache
@@ -204,10 +216,17 @@ def _tests(function: Any) -> dict[str, Callable[[Any], bool]]:
     return {name: _test(hint) for name, hint in _hints(function).items()}
 
 
-_NUMBERS: dict[Any, tuple[Any, str]] = {
-    float: (Real, "a number"),
-    int: (Integral, "a whole number"),
+_NUMBERS: dict[Any, Any] = {float: Real, int: Integral}
+
+_NAMED: dict[Any, str] = {
+    float: "a number",
+    int: "a whole number",
+    types.NoneType: "None",
+    str: "a text",
+    bool: "True or False",
+    Path: "a path",
 }
+"""What types are called that are no objects of this package."""
 
 
 _TRUTHS = (bool, np.bool_)
@@ -232,7 +251,7 @@ def _test(hint: Any) -> Callable[[Any], bool]:
         tests = tuple(_test(option) for option in options)
         return lambda value: any(test(value) for test in tests)
     if hint in _NUMBERS:
-        kind = _NUMBERS[hint][0]
+        kind = _NUMBERS[hint]
         return lambda value: (
             type(value) is hint or (isinstance(value, kind) and not isinstance(value, _TRUTHS))
         )
@@ -272,21 +291,15 @@ def _listed(element: Callable[[Any], bool], *, of_known_length: bool) -> Callabl
     return test
 
 
-def _words(hint: Any) -> str:
-    """Returns a type as the message of an error has it."""
-    words = []
-    for option in _options(hint):
-        kind, inner = typing.get_origin(option), typing.get_args(option)
-        name = getattr(option, "__name__", str(option))
-        if option in _NUMBERS:
-            words.append(_NUMBERS[option][1])
-        elif kind in (Sequence, Iterable):
-            words.append(f"a sequence, each {_words(inner[0])}")
-        elif kind is Mapping:
-            words.append("a mapping of names")
-        elif option is types.NoneType:
-            words.append("None")
-        else:
-            plain = {"str": "a text", "bool": "True or False", "Path": "a path"}
-            words.append(plain.get(name, f"a {name}"))
-    return " or ".join(words)
+def _kind(option: Any) -> Diagnostic | Term:
+    """Returns what a type is called in an error."""
+    kind, inner = typing.get_origin(option), typing.get_args(option)
+    name = getattr(option, "__name__", str(option))
+    if kind in (Sequence, Iterable):
+        each = [_kind(inside) for inside in _options(inner[0])]
+        return diagnose("sequence-of", each=each)
+    if kind is Mapping:
+        return Term("a mapping of names")
+    if option in _NAMED:
+        return Term(_NAMED[option])
+    return diagnose("object-of", type=name)

@@ -13,6 +13,7 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Final, TextIO
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import OutputError
 
 STANDARD_OUTPUT: Final = Path("-")
@@ -66,9 +67,9 @@ def check_writable(path: Path) -> None:
     try:
         target, there = target_of(path)
         if there is not None and stat.S_ISDIR(there.st_mode):
-            raise OutputError(path, "it is a folder; give the name of a file")
+            raise OutputError(path, diagnose("output-is-a-folder"))
         if there is not None and not os.access(target, os.W_OK):
-            raise OutputError(path, "it may not be written to")
+            raise OutputError(path, diagnose("output-not-writable"))
         if there is None or replaceable(there):
             check_folder(target.parent)
     except (OSError, ValueError) as error:
@@ -86,9 +87,9 @@ def check_folder(folder: Path) -> None:
     except (OSError, ValueError) as error:
         raise OutputError(folder, reason(error)) from error
     if not existing.is_dir():
-        raise OutputError(folder, f"{existing} is not a folder")
+        raise OutputError(folder, diagnose("no-folder", folder=existing))
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise OutputError(folder, f"no file may be made in {existing}")
+        raise OutputError(folder, diagnose("folder-not-writable", folder=existing))
 
 
 def replaceable(there: os.stat_result) -> bool:
@@ -193,7 +194,7 @@ def _standard_output() -> TextIO:
     """
     stream: TextIO | None = _kept[-1] if _kept else sys.stdout
     if stream is None or isinstance(stream, ClosedOutput):
-        raise OutputError(STANDARD_OUTPUT, "standard output is closed; give the name of a file")
+        raise OutputError(STANDARD_OUTPUT, diagnose("standard-output-closed"))
     return stream
 
 

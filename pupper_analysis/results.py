@@ -12,7 +12,7 @@ import numpy as np
 import orjson
 from numpy.typing import ArrayLike
 
-from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.frozen import frozen
 
@@ -39,7 +39,8 @@ def to_json(result: object) -> str:
     except orjson.JSONEncodeError as error:
         if isinstance(error.__cause__, ConfigurationError):
             raise error.__cause__ from None
-        raise ConfigurationError("result", f"it cannot become JSON: {error}") from error
+        told = diagnose("no-json", problem=str(error))
+        raise ConfigurationError("result", told) from error
 
 
 def _fallback(value: Any) -> Any:
@@ -51,7 +52,7 @@ def _fallback(value: Any) -> Any:
         return value.tolist()
     if hasattr(value, "keys"):  # a mapping that is no dict
         return dict(value)
-    raise ConfigurationError("result", f"{type(value).__name__} cannot become JSON")
+    raise ConfigurationError("result", diagnose("no-json-of", type=type(value).__name__))
 
 
 _WIDTH = 240

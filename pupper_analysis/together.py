@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import OutputError
 from pupper_analysis.files import hidden_beside, reason, replaceable, target_of, write_new
 
@@ -189,12 +190,8 @@ def _undo(files: Sequence[_File], copies: Sequence[Path]) -> None:
         path.unlink(missing_ok=True)
     stuck = [file for file in files if file.stuck]
     if stuck:
-        kept = ", ".join(f"{file.writing.path} is kept as {file.old}" for file in stuck)
-        raise OutputError(
-            stuck[0].writing.path,
-            f"the files were to be written together, one could not be, and the old ones cannot be "
-            f"put back: {kept}",
-        )
+        kept = [diagnose("file-kept", file=file.writing.path, copy=file.old) for file in stuck]
+        raise OutputError(stuck[0].writing.path, diagnose("files-not-put-back", kept=kept))
 
 
 def _flush(folders: set[Path]) -> None:

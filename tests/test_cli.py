@@ -156,7 +156,7 @@ def test_help_teaches(script: str) -> None:
         (["--torso-mass-scale", "inf"], "torso_mass_scale inf"),
         (["--leg-scale", "long"], "'long' is not a valid float"),
         (["--frobnicate"], "No such option"),
-        (["original", "--height", "0.5"], "FL by 292.0 mm"),
+        (["original", "--height", "0.5"], "FL by 292 mm"),
         (["original", "--height", "-0.1"], "not above the ground"),
         (["v3", "--roll", "nan"], "roll"),
         (["v3", "--pitch", "1.2"], "out of reach"),

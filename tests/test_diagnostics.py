@@ -133,6 +133,7 @@ def test_terms_have_both_languages() -> None:
     assert {n for n, both in words.items() if not HAN.search(both["zh"])} == {
         "the URDF",
         "the MJCF",
+        "None",
     }
     assert term("joint", "zh") == "关节"
     assert term("no such term", "zh") == "no such term"
@@ -172,7 +173,8 @@ def test_no_program_reads_its_own_prose() -> None:
         ("{all:2}", {"all": ("a", "b", "c", "d")}, "a, b and 2 more"),
         ("{all:2}", {"all": ("a", "b", "c")}, "a, b, c"),
         ("{all:;2|mm:.0f}", {"all": (Quantity(0.001, "m"), Quantity(0.002, "m"))}, "1 mm; 2 mm"),
-        ("{all!r:or}", {"all": ("a", "b")}, "'a', or 'b'"),
+        ("{all!r:or}", {"all": ("a", "b")}, "'a' or 'b'"),
+        ("{all:,or}", {"all": ("a", "b", "c")}, "a, or b, or c"),
         ("it[limit? ends at {limit}].", {"limit": Quantity(2, "m")}, "it ends at 2 m."),
         ("it[limit? ends at {limit}].", {"limit": None}, "it."),
         ("it[limit? ends][!limit? goes on].", {"limit": ()}, "it goes on."),

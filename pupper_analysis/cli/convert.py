@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, OutputError
 
 
@@ -91,7 +92,7 @@ def convert_command(
     from pupper_analysis.report.console import console
 
     if str(output) == "-":
-        raise OutputError(output, "the new file names meshes beside it; give it a name")
+        raise OutputError(output, diagnose("converted-needs-a-name"))
     folders = shared.package_folders(packages)
     shared.check_outputs(output, json_path)
     named = dict(shared.assignment("foot", foot) for foot in feet if "=" in foot)
@@ -127,9 +128,9 @@ def _by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
         pattern, value = shared.number("armature", text if "=" in text else f"*={text}")
         chosen = [name for name in joints if fnmatchcase(name, pattern)]
         if not chosen:
-            problem = f"no joint is like {pattern!r}; there are: {', '.join(joints)}"
-            raise ConfigurationError("armature", problem)
+            told = diagnose("no-joint-like", pattern=pattern, known=joints)
+            raise ConfigurationError("armature", told)
         if not 0 <= value < float("inf"):
-            raise ConfigurationError("armature", f"{value} kg m^2 is negative, or no number")
+            raise ConfigurationError("armature", diagnose("armature-negative", value=value))
         values.update(dict.fromkeys(chosen, value))
     return values

@@ -97,11 +97,12 @@ def check_command(
 
 def _begin(config: Path | None) -> None:
     """Writes the first configuration, and says what comes next."""
+    from pupper_analysis.diagnostics import diagnose
     from pupper_analysis.errors import ConfigurationError
     from pupper_analysis.guard.init import write_config
 
     if config is not None:
-        raise ConfigurationError("--config", "--init writes the one of this folder")
+        raise ConfigurationError("--config", diagnose("init-writes-here"))
     path, names = write_config(Path())
     click.echo(f"written: {path}, with {len(names)} models: {', '.join(names)}")
     click.echo("look at which belong together; then: pupper-analysis check --update-baseline")

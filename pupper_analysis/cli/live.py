@@ -18,6 +18,7 @@ from pupper_analysis.cli.stance_options import (
     options,
     print_notes,
 )
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -83,9 +84,7 @@ def live_command(
     source: Source
     if urdf or mjcf or feet or pairs or keyframe or packages:
         if name is not None or derived is not None:
-            raise ConfigurationError(
-                "NAME", "give a variant's name, or --base and its scales, or --urdf and --mjcf"
-            )
+            raise ConfigurationError("NAME", diagnose("one-robot-of-three-ways"))
         from pupper_analysis.live.source import Pair
 
         with shared.working("preparing the robot: feet, start pose, servos"):
@@ -96,7 +95,7 @@ def live_command(
         from pupper_analysis.pupper.variants import variant_spec
 
         if name is not None and derived is not None:
-            raise ConfigurationError("NAME", "give a variant's name, or --base and its scales")
+            raise ConfigurationError("NAME", diagnose("one-variant-of-two-ways"))
         source = Variants(derived if derived is not None else variant_spec(name or "v3"))
     with shared.working("making the page"):
         page = Page(source, begin, language=language, host=host, port=port)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -209,7 +210,7 @@ def audit_command(
         audit_report.print_rules(console())
         return
     if file is None:
-        raise ConfigurationError("FILE", "give the URDF or MJCF to audit")
+        raise ConfigurationError("FILE", diagnose("nothing-to-audit"))
     folders = shared.package_folders(packages)
     shared.check_outputs(json_path, report_path)
     result = audit_model(file, packages=folders, disabled=disabled)
@@ -232,5 +233,6 @@ def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str
     for text in pairs:
         old, new = shared.assignment("map", text)
         if names.setdefault(old, new) != new:
-            raise ConfigurationError("map", f"{old!r} is mapped to both {names[old]!r} and {new!r}")
+            told = diagnose("mapped-twice", joint=old, one=names[old], two=new)
+            raise ConfigurationError("map", told)
     return names

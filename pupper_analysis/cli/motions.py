@@ -8,6 +8,7 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 
@@ -57,7 +58,7 @@ def path(
     from pupper_analysis.report.stance import print_path
 
     if fastest != (seconds is None):
-        raise ConfigurationError("--seconds, --fastest", "give one of them: how long it shall take")
+        raise ConfigurationError("--seconds, --fastest", diagnose("seconds-or-fastest"))
     task = asked.task()
     shared.check_outputs(csv, npz, json_path, report_path)
     robot = asked.robot(name)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, OutputError
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def check_outputs(*files: Path | None, folders: tuple[Path | None, ...] = ()) ->
         outputs.check_writable(file)
     twice = next((file for file in given if given.count(file) > 1), None)
     if twice is not None:
-        raise OutputError(twice, "two results cannot go to one file")
+        raise OutputError(twice, diagnose("two-results-to-one-file"))
     if outputs.STANDARD_OUTPUT in given:
         click.get_current_context().with_resource(outputs.results_on_standard_output())
 
@@ -145,7 +146,7 @@ def assignment(option: str, text: str) -> tuple[str, str]:
     """Returns name and value of NAME=VALUE, or raises ConfigurationError for the option."""
     name, separator, value = text.partition("=")
     if not (name and separator and value):
-        raise ConfigurationError(option, f"{text!r} is not of the form NAME=VALUE")
+        raise ConfigurationError(option, diagnose("not-of-the-form", given=text, form="NAME=VALUE"))
     return name, value
 
 
@@ -155,7 +156,8 @@ def number(option: str, text: str) -> tuple[str, float]:
     try:
         return name, float(value)
     except ValueError as error:
-        raise ConfigurationError(option, f"{value!r} in {text!r} is not a number") from error
+        told = diagnose("part-is-no-number", part=value, given=text)
+        raise ConfigurationError(option, told) from error
 
 
 def length(option: str, text: str) -> tuple[str, float]:
@@ -164,8 +166,8 @@ def length(option: str, text: str) -> tuple[str, float]:
     try:
         return name, quantity("length", value)
     except ValueError as error:
-        problem = f"{value!r} in {text!r} is no length: a number, with or without m, cm, mm"
-        raise ConfigurationError(option, problem) from error
+        told = diagnose("part-is-no-length", part=value, given=text)
+        raise ConfigurationError(option, told) from error
 
 
 def working(what: str) -> Status:
@@ -213,7 +215,9 @@ def point(option: str, text: str, size: int = 2) -> tuple[float, ...]:
         numbers = ()
     if len(numbers) != size:
         form = ",".join("XYZ"[:size])
-        raise ConfigurationError(option, f"{text!r} is not of the form {form} (m)")
+        raise ConfigurationError(
+            option, diagnose("not-of-the-form", given=text, form=f"{form} (m)")
+        )
     return numbers
 
 
@@ -222,5 +226,6 @@ def package_folders(packages: tuple[str, ...]) -> dict[str, Path]:
     folders = {name: Path(value) for name, value in (assignment("package", p) for p in packages)}
     for name, folder in folders.items():
         if not folder.is_dir():
-            raise ConfigurationError("package", f"{name}: {folder} is not a folder")
+            told = diagnose("package-is-no-folder", package=name, folder=folder)
+            raise ConfigurationError("package", told)
     return folders

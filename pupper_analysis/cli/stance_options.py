@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -163,7 +164,7 @@ class RobotAndTask:
         """Returns the variant of that name or of a base (v3 by default), or the files' robot."""
         robots = self.robots(() if name is None else (name,), default=("v3",))
         if len(robots) > 1:
-            raise ConfigurationError("NAME", "give a variant's name, or --base and its scales")
+            raise ConfigurationError("NAME", diagnose("one-variant-of-two-ways"))
         return robots[0]
 
     def robots(self, names: tuple[str, ...], *, default: tuple[str, ...]) -> list[Robot]:
@@ -189,9 +190,7 @@ class RobotAndTask:
         if not self.own:
             return [load_variant(variant) for variant in variants or default]
         if variants:
-            raise ConfigurationError(
-                "NAME", "give a variant's name, or --base and its scales, or --urdf and --mjcf"
-            )
+            raise ConfigurationError("NAME", diagnose("one-robot-of-three-ways"))
         from pupper_analysis.prepare.load import load_robot
 
         given = files_given(
@@ -253,7 +252,7 @@ def files_given(
         ConfigurationError: If one of them is not given.
     """
     if urdf is None or mjcf is None:
-        raise ConfigurationError("--urdf, --mjcf", "a robot of your own needs both")
+        raise ConfigurationError("--urdf, --mjcf", diagnose("both-files-needed"))
     named = [foot if "=" in foot else f"{foot}={foot}" for foot in feet]
     frames: dict[str, str | tuple[str, str]] = {}
     for foot, frame in (shared.assignment("foot", text) for text in named):

@@ -9,6 +9,7 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_options import BASE, VARIANT, derived_variant, options
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def analyze(
     from pupper_analysis.stance.task import StandTask
 
     if verbose and quiet:
-        raise ConfigurationError("-v, -q", "give one of them, or none")
+        raise ConfigurationError("-v, -q", diagnose("verbose-or-quiet"))
     specs = [variant_spec(name) for name in dict.fromkeys(names)]
     derived = derived_variant(base, leg_scale, torso_mass_scale)
     if derived is not None:

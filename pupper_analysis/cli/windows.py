@@ -9,6 +9,7 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_options import VARIANT, derived_variant, name_argument, options
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ def drop(
     variant = _variant(name, base, leg_scale, torso_mass_scale)
     if demo is None:
         if csv is not None:
-            raise ConfigurationError("--csv", "only a demo has a path to write; give --demo too")
+            raise ConfigurationError("--csv", diagnose("csv-without-demo"))
         from pupper_analysis.pupper import viewer
         from pupper_analysis.pupper.drop import DEFAULT_SECONDS
 
@@ -85,7 +86,7 @@ def drop(
         good = viewer.stand(variant, headless=headless, seconds=seconds)
     else:
         if seconds is not None:
-            raise ConfigurationError("--seconds", "a demo has its own duration")
+            raise ConfigurationError("--seconds", diagnose("demo-has-its-duration"))
         from pupper_analysis.pupper import demo as demos
 
         shared.check_outputs(csv)
@@ -100,5 +101,5 @@ def _variant(
     """Returns the variant that is named, or given by a base and its scales; v3 by default."""
     derived = derived_variant(base, leg_scale, torso_mass_scale)
     if derived is not None and name is not None:
-        raise ConfigurationError("NAME", "give a variant's name, or --base and its scales")
+        raise ConfigurationError("NAME", diagnose("one-variant-of-two-ways"))
     return derived if derived is not None else name or "v3"
