@@ -17,7 +17,8 @@ from rich.console import Console
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.robot import analyze_variant, leg_lengths
-from pupper_analysis.report.analysis import print_analysis
+from pupper_analysis.report.documents.analysis import analysis_document
+from pupper_analysis.report.terminal import print_document
 from pupper_analysis.robot.stability import LASTING
 
 STEP = 0.02
@@ -156,7 +157,13 @@ def default_run(names: Iterable[str]) -> dict[str, float]:
     stage("cross-checks", lambda: [pa.cross_check(robot) for robot in robots])
     analyses = [analyze_variant(robot) for robot in robots]
     quiet = Console(file=io.StringIO(), width=100)
-    stage("text", lambda: [print_analysis(quiet, analysis) for analysis in analyses])
+    stage(
+        "text",
+        lambda: [
+            print_document(quiet, analysis_document(analysis), everything=True)
+            for analysis in analyses
+        ],
+    )
     with tempfile.TemporaryDirectory() as told:
         folder = Path(told)
         stage(

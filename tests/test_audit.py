@@ -22,7 +22,7 @@ from pupper_analysis.checks.audit.pairs import mirror_name, mirror_pairs
 from pupper_analysis.checks.audit.registry import CHECKS, rules_table
 from pupper_analysis.checks.audit.rules.joints import expected_axis
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.report.html.document import Text
+from pupper_analysis.report.document import Text
 from pupper_analysis.report.html.sentences import said
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -44,10 +44,11 @@ def test_all_is_written_and_said(folder: Path) -> None:
     result = run(folder, "--take", "urdf", "--backup", "--json", str(output))
     assert (result.returncode, result.stderr) == (0, "")
     lines = result.stdout.splitlines()
-    assert lines[0] == "robot.xml:7: body base > inertial: mass: 7.5 -> 6"
-    assert lines[1].endswith("motor m_hip1: ctrlrange: -25.0 25.0 -> -21 21")
-    assert lines[2].startswith("the old file is kept: ")
-    assert lines[3] == "AGREE: 2 attributes written"
+    assert lines[0] == "AGREE URDF and MJCF: attributes written: 2"
+    assert lines[2:4] == ["What was written", "robot.xml:7: body base > inertial: mass: 7.5 -> 6"]
+    assert lines[4].endswith("motor m_hip1: ctrlrange: -25.0 25.0 -> -21 21")
+    assert lines[5].startswith("the old file is kept: ")
+    assert lines[6] == f"written: {output}"
     content = json.loads(output.read_text())
     assert content["edits"][0] == {
         "file": "robot.xml",
@@ -60,7 +61,7 @@ def test_all_is_written_and_said(folder: Path) -> None:
     assert content["agree"] is True
     assert answer("crosscheck", "robot.urdf", "robot.xml", "--strict", folder=folder)[0] == 0
     again = run(folder)
-    assert (again.returncode, again.stdout) == (0, "AGREE: 0 attributes written\n")
+    assert (again.returncode, again.stdout) == (0, "AGREE URDF and MJCF: attributes written: 0\n")
 
 
 def test_a_dry_run_prints_a_diff(folder: Path) -> None:
@@ -68,9 +69,10 @@ def test_a_dry_run_prints_a_diff(folder: Path) -> None:
     result = run(folder, "--take", "mjcf:mass", "--dry-run")
     assert result.returncode == 1
     assert '-<mass value="6.0"/>\n+<mass value="7.5"/>' in result.stdout
-    assert result.stdout.startswith("--- a/robot.urdf\n+++ b/robot.urdf\n@@ ")
-    assert "left: joint hip1: effort: nothing was chosen for it" in result.stdout
-    assert "DISAGREE: 1 attribute would be written, 1 left" in result.stdout
+    assert "\n--- a/robot.urdf\n+++ b/robot.urdf\n@@ " in result.stdout
+    assert "\nWhat is left\njoint hip1: effort: nothing was chosen for it" in result.stdout
+    told = "DISAGREE URDF and MJCF: attributes that would be written: 1\n  differences left: 1\n"
+    assert result.stdout.startswith(told)
     assert (folder / "robot.urdf").read_bytes() == before
 
 
@@ -78,8 +80,9 @@ def test_what_cannot_be_stated_is_left(tmp_path: Path) -> None:
     write_parts(tmp_path, ROBOT, DIFFERENT)
     result = run(tmp_path, "--take", "mjcf")
     assert result.returncode == 1
-    assert "left: joint hip1: armature: a URDF has no armature" in result.stdout
-    assert "DISAGREE: 2 attributes written, 1 left" in result.stdout
+    assert "\nWhat is left\njoint hip1: armature: a URDF has no armature" in result.stdout
+    told = "DISAGREE URDF and MJCF: attributes written: 2\n  differences left: 1\n"
+    assert result.stdout.startswith(told)
 
 
 def test_the_sixth_digit_is_left_unless_asked_for(tmp_path: Path) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import re
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from rich.console import Console
+from printing import printed
 from robots import (
     FEET,
     Files,
@@ -27,18 +26,13 @@ from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.engines import EXTRAS
 from pupper_analysis.checks.passive import find as extras
 from pupper_analysis.checks.tolerances import Tolerances
-from pupper_analysis.report.comparison import SHOWN, cases, print_models, remarks
+from pupper_analysis.report.comparison import cases, remarks
+from pupper_analysis.report.documents.comparison import SHORT, SHOWN
 from pupper_analysis.report.formats import github, junit
 
 
-def printed(comparison: Comparison, everything: bool = False, width: int = 100) -> str:
-    text = io.StringIO()
-    print_models(Console(file=text, width=width), comparison, everything=everything)
-    return text.getvalue()
-
-
 def lines(comparison: Comparison, everything: bool = False) -> list[str]:
-    return printed(comparison, everything).splitlines()
+    return printed(comparison, everything=everything).splitlines()
 
 
 def many(parts: Parts) -> Parts:
@@ -61,13 +55,15 @@ def files(tmp_path: Path) -> Files:
 
 
 def test_the_verdict_names_the_first_cause(files: Files) -> None:
-    verdict = next(line for line in lines(compared(files)) if not line.startswith("note: "))
-    assert verdict == ("DISAGREE: body of base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)")
+    assert lines(compared(files))[0] == (
+        "DISAGREE robot.urdf and robot.xml: "
+        "body of base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)"
+    )
 
 
 def test_agreement_is_said(tmp_path: Path) -> None:
     text = lines(compared(write_parts(tmp_path, quadruped(), quadruped())))
-    assert "AGREE: no difference within the tolerances" in text
+    assert text[0] == "AGREE robot.urdf and robot.xml: no difference within the tolerances"
     assert not any(line.startswith("1.") for line in text)
 
 
@@ -76,7 +72,7 @@ def test_joints_of_one_file_alone_are_the_cause(tmp_path: Path) -> None:
     still = changed(parts, "shank3", kind="fixed")
     comparison = compared(write_parts(tmp_path, still, parts))
     text = printed(comparison)
-    assert "DISAGREE: they do not have the same joints" in text
+    assert text.startswith("DISAGREE robot.urdf and robot.xml: they do not have the same joints\n")
     assert f"only in {comparison.mjcf}, fixed at zero to compare the rest: knee3" in text
 
 
@@ -91,17 +87,16 @@ def test_guessed_pairs_are_named(tmp_path: Path) -> None:
 
 def test_differences_alike_are_one_group(files: Files) -> None:
     text = lines(compared(files))
-    group = next(line for line in text if line.startswith("2."))
-    assert "damping 0.1 N m s/rad in the URDF, 0.3 N m s/rad in the MJCF" in group
-    assert "likewise on 7 more: " in group
+    group = next(index for index, line in enumerate(text) if line.startswith("2."))
+    assert "damping 0.1 N m s/rad in the URDF, 0.3 N m s/rad in the MJCF" in text[group]
+    assert text[group + 2].startswith("   likewise on 7 more: ")
     assert not any(line.startswith("3.") for line in text)
 
 
-def test_all_names_of_a_group_are_printed_with_all(files: Files) -> None:
-    group = next(line for line in lines(compared(files), True) if line.startswith("2."))
-    assert "…" not in group
+def test_all_of_a_group_are_printed_with_all(files: Files) -> None:
+    text = lines(compared(files), True)
     for joint in (f"{kind}{leg}" for kind in ("hip", "knee") for leg in range(4)):
-        assert joint in group
+        assert any(line.split()[1:3] == ["damping", joint] for line in text), joint
 
 
 def test_places_and_effects_are_printed(files: Files) -> None:
@@ -115,19 +110,22 @@ def test_no_effect_is_said(tmp_path: Path) -> None:
     comparison = compared(
         write_parts(tmp_path, quadruped(), changed(quadruped(), "thigh0", friction=0.9))
     )
-    assert "   no effect on the dynamics\n" in printed(comparison)
+    assert "   no effect on the dynamics\n" in printed(comparison, everything=False)
 
 
 def test_the_rest_is_counted_and_printed_with_all(tmp_path: Path) -> None:
     comparison = compared(write_parts(tmp_path, quadruped(), many(quadruped())))
     count = len(comparison.differences)
-    assert count > SHOWN
+    assert count > SHORT
     short, full = lines(comparison), lines(comparison, True)
-    assert f"… and {count - SHOWN} more with less effect; --all prints them" in short
-    assert not any(line.startswith(f"{SHOWN + 1}. ") for line in short)
-    assert any(line.startswith(f"{count}. ") for line in full)
-    for difference in comparison.differences:
-        assert any(difference.message in line for line in full)
+    groups = min(count, SHOWN)
+    assert short[-1].startswith(f"with -v: {groups - SHORT} more of these; All differences")
+    assert not any(line.startswith(f"{SHORT + 1}. ") for line in short)
+    assert any(line.startswith(f"{groups}. ") for line in full)
+    listed = [line.split()[:1] for line in full]
+    for number, difference in enumerate(comparison.differences, start=1):
+        assert [str(number)] in listed
+        assert any(difference.element in line and difference.kind in line for line in full)
 
 
 def test_what_is_left_is_printed(files: Files) -> None:
@@ -147,13 +145,14 @@ def test_nothing_is_cut_off(tmp_path: Path, width: int, spring: bool) -> None:
     if spring:
         mjcf = mjcf.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
     comparison = compared(write(tmp_path, urdf_text(urdf), mjcf))
-    text = printed(comparison, True, width)
+    text = printed(comparison, width=width)
     assert f"body of {LONG}: mass 0.21 kg in the URDF, 0.9 kg in the MJCF" in text
+    after = text[text.index("Deviation relative to") :].splitlines()
     for quantity in comparison.check.quantities:
-        row = next(line for line in text.splitlines() if line.startswith(quantity.name))
+        rows = " ".join(line for line in after if line.startswith(f"{quantity.name} "))
         for side, relative in quantity.edges.items():
             # A side of zeros everywhere is left out: the MJCF has nothing that a URDF has not.
-            assert f"{relative:.1e}" in row or (side == EXTRAS and not spring)
+            assert f"{relative:.1e}" in rows or (side == EXTRAS and not spring)
     assert "…" not in text
 
 
@@ -275,7 +274,9 @@ def test_what_is_not_explained_is_the_verdict(
     text = text.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
     comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
     first = lines(comparison)[0]
-    assert re.match(r"DISAGREE: \S+ of forward dynamics is left that no difference explains", first)
+    assert re.match(
+        r"DISAGREE \S+ and \S+: \S+ of forward dynamics is left that no difference explains", first
+    )
     assert "MuJoCo's qfrc_spring is up to" in first
     (remark,) = (r for r in remarks(comparison) if r.title == "agreement")
     assert remark.level == "error"
@@ -290,8 +291,9 @@ def test_what_the_mjcf_alone_has_is_printed_with_its_effect(tmp_path: Path) -> N
         text = text.replace(f'<joint name="hip{leg}"', f'<joint name="hip{leg}" stiffness="20"')
     out = printed(compared(write(tmp_path, urdf_text(quadruped()), text)))
     spring = "no spring in the URDF, one of stiffness 20 N m/rad, at rest at 0 rad in the MJCF"
-    assert out.startswith("DISAGREE: joint hip")
-    assert f": {spring}; likewise on 1 more: hip" in out
+    assert out.startswith("DISAGREE robot.urdf and robot.xml: joint hip")
+    assert f": {spring}\n" in out
+    assert "   likewise on 1 more: hip" in out
     assert re.search(r"alone it makes, of the deviation in: forward dynamics \d+% \(", out)
     assert "explained: 100 % of the deviation" in out
     assert "engines differ" not in out

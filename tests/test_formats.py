@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,9 +12,21 @@ import pytest
 from conftest import run_command
 from hypothesis import given
 from hypothesis import strategies as st
+from printing import printed
 
-from pupper_analysis.report.console import SafeConsole, escape, titled_table
+from pupper_analysis.report.document import (
+    Column,
+    Document,
+    Lines,
+    Listing,
+    Name,
+    Place,
+    Said,
+    Sides,
+    Table,
+)
 from pupper_analysis.report.formats import Annotation, Case, github, junit, visible
+from pupper_analysis.report.terminal import SafeConsole, print_document
 
 
 def read_command(line: str) -> tuple[str, dict[str, str], str]:
@@ -138,11 +151,16 @@ def test_what_would_act_is_shown() -> None:
 @pytest.mark.parametrize("terminal", [False, True])
 def test_the_console_shows_what_would_act(terminal: bool) -> None:
     out = SafeConsole(file=io.StringIO(), force_terminal=terminal, width=400, emoji=False)
-    out.print(f"robot {escape(HOSTILE)}", style="bold")
     out.print(f"robot {HOSTILE.replace(chr(10), '')}")
-    table = titled_table(out, "title", "name")
-    table.add_row(HOSTILE)
-    out.print(table)
+    name, place = Name(HOSTILE), Place(Name(HOSTILE), Name(HOSTILE), HOSTILE)
+    blocks = (
+        Table(name, (Column(name, HOSTILE),), ((name,),), (name,)),
+        Lines((name,), title=name),
+        Sides(Said(HOSTILE), (place,), (name,), name),
+        Listing(name, HOSTILE.replace("\n", "")),
+    )
+    document = Document(name, name, blocks, passed=False, verdict=name, failures=(name, name))
+    print_document(out, replace(document, notes=(name,)), everything=True)
     assert isinstance(out.file, io.StringIO)
     text = out.file.getvalue()
     plain = re.sub("\x1b\\[[0-9;]*m", "", text) if terminal else text
@@ -170,16 +188,11 @@ def test_names_in_a_model_are_shown(tmp_path: Path, capfd: pytest.CaptureFixture
 
 
 def test_a_table_with_long_names_loses_no_column() -> None:
-    """As on a humanoid: a narrow terminal wraps the lines, but no header or number is cut off."""
-    out = SafeConsole(highlight=False, file=io.StringIO(), width=80)
-    table = titled_table(out, "title", "joint", "torque", "simulated", "position (rad)")
+    """As on a humanoid: a terminal wraps the line, but no header, name or number is cut."""
+    heads = ("joint", "torque", "simulated", "position")
     name = "left_shoulder_pitch_joint" * 5
-    table.add_row(name, "+1.5", "+2.5", "+3.5")
-    out.print(table)
-    out.print("x" * 60 + " " + "y" * 60)
-    assert isinstance(out.file, io.StringIO)
-    lines = out.file.getvalue().splitlines()
-    assert lines[2].split() == ["joint", "torque", "simulated", "position", "(rad)"]
-    assert lines[4].split() == [name, "+1.5", "+2.5", "+3.5"]
-    # What is no table is as wide as before.
-    assert [len(line.strip()) for line in lines[5:]] == [60, 60]
+    columns = tuple(Column(Name(head), "N m" if head == "torque" else "") for head in heads)
+    table = Table(Name("title"), columns, ((Name(name), *map(Name, ("+1.5", "+2.5", "+3.5"))),))
+    lines = printed(Document(Name(""), Name("robot"), (table,))).splitlines()
+    assert lines[4].split() == ["joint", "(N", "m)", "simulated", "position"]
+    assert lines[6].split() == [name, "+1.5", "+2.5", "+3.5"]

@@ -26,7 +26,7 @@ from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.links import fold, moments
 from pupper_analysis.checks.patterns.links import by_pattern
 from pupper_analysis.models.parameters import Body
-from pupper_analysis.report.html.document import Text
+from pupper_analysis.report.document import Text
 from pupper_analysis.report.html.sentences import said
 
 

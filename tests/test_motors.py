@@ -14,7 +14,7 @@ from legged import Pair, quadruped
 import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.models.efforts import effort_limit
-from pupper_analysis.report.html.document import Text
+from pupper_analysis.report.document import Text
 from pupper_analysis.report.html.sentences import said
 from pupper_analysis.robot.servos import own_servos
 

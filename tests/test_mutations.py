@@ -20,7 +20,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Difference
-from pupper_analysis.report.html.document import Text
+from pupper_analysis.report.document import Text
 from pupper_analysis.report.html.sentences import said
 
 Element = ElementTree.Element

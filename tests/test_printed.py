@@ -1,29 +1,32 @@
-"""Every number that is printed: in its column, with its unit, from the field that it names.
+"""Every number that is shown: in its column, with its unit, from the field that it names.
 
-Each report is given a stub whose numbers are all different, and what it prints is compared word by
-word: columns that are swapped, or metres printed as millimetres, are seen. Lines are broken here to
-be read; what counts are the words and their order.
+Each builder is given a stub whose numbers are all different, and the document that it makes is
+printed whole and compared word by word: columns that are swapped, or metres shown as millimetres,
+are seen. Lines are broken here to be read; what counts are the words and their order.
 """
 
 from __future__ import annotations
 
-import io
 import math
-from collections.abc import Callable
 from types import SimpleNamespace as Stub
 from typing import Any
 
 import numpy as np
+import printing
 import pytest
-from rich.console import Console
 
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.joint_drives import Drive, MadeServo
 from pupper_analysis.pupper import comparison
-from pupper_analysis.report import analysis as analysis_report
-from pupper_analysis.report import comparison as models_report
-from pupper_analysis.report import push as push_report
-from pupper_analysis.report import stance as stance_report
+from pupper_analysis.report.document import Document, Name, Report, Table
+from pupper_analysis.report.documents.analysis import analysis_document
+from pupper_analysis.report.documents.base_workspace import workspace_document
+from pupper_analysis.report.documents.best_study import best_document
+from pupper_analysis.report.documents.comparison import comparison_document
+from pupper_analysis.report.documents.loaded_stance import payload_document
+from pupper_analysis.report.documents.path_there import path_document
+from pupper_analysis.report.documents.pushed_stance import compare_pushes, push_document
+from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import judge
 from pupper_analysis.stance.optimize.best import Objective
@@ -31,19 +34,19 @@ from pupper_analysis.stance.payload.servo_limit import Failure
 from pupper_analysis.stance.payload.sharing import Sharing
 
 
-def printed(show: Callable[..., None], *arguments: Any, **options: Any) -> list[str]:
-    """The words that a report prints, without rules and bars."""
-    out = Console(file=io.StringIO(), width=240, highlight=False)
-    show(out, *arguments, **options)
-    assert isinstance(out.file, io.StringIO)
-    return [word for word in out.file.getvalue().split() if word.strip("─█▏▎▍▌▋▊▉")]
+def printed(shown: Document | Report | Table) -> list[str]:
+    """The words that are printed, without rules and bars."""
+    if isinstance(shown, Table):
+        shown = Document(Name(""), Name(""), (shown,))
+    text = printing.printed(shown, width=240)
+    return [word for word in text.split() if word.strip("─█▏▎▍▌▋▊▉")]
 
 
 def words(text: str) -> list[str]:
     return text.split()
 
 
-# ------------------------------------------------------------------------------------- one robot
+# One robot
 
 
 def loads(shift: float) -> Stub:
@@ -100,6 +103,11 @@ def run(shift: float, *, passed: bool) -> Stub:
         mujoco_foot_error=3.1e-10,
         mujoco_residual=4.2e-5,
         stability=Stub(doubling_time=None),
+        feedforward=passed,
+        time=np.array([0.0, 12.0]),
+        height=np.array([0.12, 0.11]),
+        motion_time=np.array([0.0]),
+        motion=np.zeros((1, 7)),
     )
 
 
@@ -128,7 +136,7 @@ def joint(name: str, shift: float) -> Stub:
     )
 
 
-ANALYSIS = Stub(
+ANALYSIS: Any = Stub(
     name="stub",
     nq=19,
     nv=18,
@@ -143,6 +151,7 @@ ANALYSIS = Stub(
     stand=Stub(
         task="height 0.1 m",
         iterations=7,
+        qpos=np.array([0.0, 0.0, 0.1009]),
         foot_error=1.1e-16,
         orientation_error=2.2e-15,
         height_error=3.3e-14,
@@ -177,6 +186,7 @@ ANALYSIS = Stub(
     check=Stub(
         configurations=21,
         tolerance=1e-9,
+        worst="mass matrix",
         quantities=(
             Stub(
                 name="mass matrix",
@@ -207,79 +217,116 @@ ANALYSIS = Stub(
 
 
 def test_an_analysis() -> None:
-    assert printed(analysis_report.print_analysis, ANALYSIS) == words(r"""
-        stub
-        nq = 19, nv = 18, nu = 12; mass 3.171 kg; com at zero angles, from the base (+0.0101 -0.0202
-            +0.0303) m
-        thigh 81.1 mm, calf 112.2 mm; bodies: base 1.501 kg, 2 x 0.202 kg (hip …)
-        Joints, in actuator order (axes at zero angles, base frame)
-        limits effort velocity armature damping friction
-        joint motion axis (rad) (N m) (rad/s) (kg m²) (N m s/rad) (N m)
-        hip oblique +0.11 +0.22 -0.33 -1.51 … +2.52 3.3 14.4 0.0051 0.062 0.073
-        knee oblique +0.61 +0.72 +0.17 -1.01 … +3.02 3.8 14.9 0.5051 0.562 0.573
-        effort: effort in the URDF (1), forcerange in the MJCF (1)
-        note: a note
-        Stand (PlaCo, 7 iterations): height 0.1 m
-        errors: feet 1.1e-16 m (by MuJoCo 3.1e-10 m), orientation 2.2e-15 rad, height 3.3e-14 m, com
-            4.4e-13 m
-        Foot Jacobians (m/rad, world axes, by the joints of the leg)
-        foot vx vy vz singular values condition
-        FR +0.0100 +0.0200 +0.0300 +0.0400 +0.0500 +0.0600 0.0951 0.0052 18.29
-        Motor torques (N m)
-        joint torque limit utilisation simulated minimum peak hanging
-        hip +0.1111 3.3 5.1% +0.3333 +0.0611 +0.0077
-        knee -0.2222 3.8 95.2% -0.4444 -0.2722 +0.0088
-        torque: with the least tangential forces at the feet, which last; minimum peak: with the
-            contact forces of
-        least peak utilisation, 90.2%; hanging: the same pose, base held
-        limit: effort in the URDF (1), forcerange in the MJCF (1)
-        Contact forces on the feet (N, world axes)
-        foot force friction used simulated minimum peak
-        FR +1.011 -2.022 +3.033 7.1% +0.101 +0.202 +7.303 +0.961 -2.072 +2.983
-        RL +4.044 -5.055 +6.066 8.2% +0.404 +0.505 +8.606 +3.994 -5.105 +6.016
-        balance residual 1.1e-11 N, 2.2e-12 N m (in MuJoCo's terms 4.2e-05); com 12.3 mm inside the
-            support polygon
-        MuJoCo, 12 s on the floating base (Euler, 2 ms; kp 5 … 6 N m/rad, kd 0.1 N m s/rad)
-        with feed-forward without
-        base height 0.12111 m 0.13111 m
-        loss of height 4.444 mm 14.444 mm
-        servo sag 1.555 mm 11.555 mm
-        contact softness 2.889 mm 12.889 mm
-        deviation, last second (< 5 mm = stable) 0.02222 mm 10.02222 mm
-        drift, last second -0.0333 mm/s -10.0333 mm/s
-        tilt against the task 0.6666 deg 1.2396 deg
-        foot slip 0.1888 mm 10.1888 mm
-        joint error 9.1e-05 rad 1.0e-02 rad
-        torque off prediction, of the largest 1.234% 2.234%
-        vertical foot force off prediction 2.356% 3.356%
-        verdict stands FAILED
-        without feed-forward: it sank
-        Height deviation (mm) under 2.1 N at 3.2 Hz (implicitfast, 4.3 s, last second); damping
-            ratio of the least damped mode
-        Kp (N m/rad) \ Kd (N m s/rad) 0.5 1 2
-        10 1.1000 0.11 2.2000 doubles in 0.51 s fell
-        30 4.4000 0.13 0.5000 - 6.6000 0.14
-        stiffer servos move less, without end: delay, noise and torque, which end it, are not in it
-        Cross-check: URDF and MJCF, each in Pinocchio and in MuJoCo, at 21 random configurations
-            (#); tolerance 1e-09
-        quantity worst at deviation of scale deviation relative
-        mass matrix knee, #3 models (Pinocchio) 0.312 kg m^2 4.1e-05 1.3e-04 DIFFERS
-        gravity 31.2 N 0.0e+00 0.0e+00 ok
-        note: another note
-        HOLDS with gravity feed-forward in MuJoCo for 12 s: torques within 1.2e-02, forces within
-            2.4e-02 of the prediction (relative to the largest); FAILS on position commands alone:
-            it sank
+    assert printed(analysis_document(ANALYSIS)) == words(r"""
         FAILED stub: it leans
+        3.171 kg; peak torque -0.222 N m at knee, 95.2% of its limit
+        stands 100.9 mm high, in MuJoCo 121.1 mm; commanded the same joints without feed-forward
+            131.1 mm
+        URDF and MJCF: worst deviation 1.3e-04 (mass matrix)
+        HOLDS with gravity feed-forward in MuJoCo for 12 s: torques within 1.2e-02, forces
+            within 2.4e-02 of the prediction (relative to the largest)
+        FAILS on position commands alone: it sank
+        Standing, knee holds -0.222 N m; hanging by its base it would hold +0.009 N m.
+        Commanded the pose alone, without feed-forward, it does not stand:
+        it sank
+        nq = 19, nv = 18, nu = 12; mass 3.171 kg; com at zero angles, from the base (+0.0101
+            -0.0202 +0.0303) m
+        thigh 81.1 mm, calf 112.2 mm
+        From the robot's URDF and MJCF.
+        Joints, in actuator order
+        lower limit upper limit effort velocity armature damping friction
+        joint motion axis (rad) (rad) (N m) (rad/s) (kg m²) (N m s/rad) (N m)
+        hip oblique +0.11 +0.22 -0.33 -1.51 +2.52 3.3 14.4 0.0051 0.062 0.073
+        knee oblique +0.61 +0.72 +0.17 -1.01 +3.02 3.8 14.9 0.5051 0.562 0.573
+        Axes at zero angles, in the base's frame.
+        effort: effort in the URDF (1), forcerange in the MJCF (1)
+        Masses of the bodies
+        base, or
+        joint that mass
+        moves it (kg)
+        base 1.501
+        hip 0.202
+        knee 0.202
+        Fixed links are counted with what they are fixed to.
+        Errors of the solved stand (PlaCo, 7 iterations)
+        deviation value unit
+        feet off their targets, by Pinocchio 1.1e-16 m
+        feet off their targets, by MuJoCo 3.1e-10 m
+        orientation of the base 2.2e-15 rad
+        height of the base 3.3e-14 m
+        com 4.4e-13 m
+        height 0.1 m
+        Motor torques
+        torque limit utilisation simulated minimum peak hanging
+        joint (N m) (N m) (%) (N m) (N m) (N m)
+        hip +0.1111 3.3 5.1 +0.3333 +0.0611 +0.0077
+        knee -0.2222 3.8 95.2 -0.4444 -0.2722 +0.0088
+        torque: with the least tangential forces at the feet, which last; minimum peak: with the
+            contact forces of least peak utilisation, 90.2%.
+        limit: effort in the URDF (1), forcerange in the MJCF (1)
+        Contact forces on the feet, in world axes
+        friction
+        force x force y force z used simulated x simulated y simulated z minimum peak, x y z
+        foot (N) (N) (N) (%) (N) (N) (N) (N)
+        FR +1.011 -2.022 +3.033 7.1 +0.101 +0.202 +7.303 +0.961 -2.072 +2.983
+        RL +4.044 -5.055 +6.066 8.2 +0.404 +0.505 +8.606 +3.994 -5.105 +6.016
+        balance residual 1.1e-11 N, 2.2e-12 N m (in MuJoCo's terms 4.2e-05); com 12.3 mm inside
+            the support polygon
+        MuJoCo, 12 s on the floating base (Euler, 2 ms; kp 5 … 6 N m/rad, kd 0.1 N m s/rad)
+        with
+        quantity feed-forward without unit
+        base height 0.12111 0.13111 m
+        loss of height 4.444 14.444 mm
+        of it servo sag 1.555 11.555 mm
+        of it contact softness 2.889 12.889 mm
+        deviation of height, last second (< 5 mm = stable) 0.02222 10.02222 mm
+        drift of height, last second -0.0333 -10.0333 mm/s
+        tilt against the task 0.6666 1.2396 °
+        foot slip 0.1888 10.1888 mm
+        joint error 9.1e-05 1.0e-02 rad
+        torque off prediction, of the largest 1.234 2.234 %
+        vertical foot force off prediction 2.356 3.356 %
+        verdict stands FAILED
+        without feed-forward it fails
+        it sank
+        Height deviation by servo gains
+        kp \ kd kd 0.5 kd 1 kd 2
+        (N m/rad \ N m s/rad) (mm) (mm) (mm)
+        10 1.1000 2.2000 fell
+        30 4.4000 0.5000 6.6000
+        Standard deviation of the base's height in the last of 4.3 s, under 2.1 N at 3.2 Hz
+            (implicitfast).
+        Stiffer servos move less, without end: delay, noise and torque, which end it, are not in
+            it.
+        Each cell is a simulation of its own in MuJoCo.
+        Damping ratio of the least damped mode by servo gains
+        kp \ kd
+        (N m/rad \ N m s/rad) kd 0.5 kd 1 kd 2
+        10 0.11 doubles in 0.51 s -
+        30 0.13 - 0.14
+        Of the undisturbed stand, by the eigenvalues of a step of MuJoCo.
+        Foot Jacobians, in world axes, by the joints of the leg
+        singular
+        values
+        foot vx (m/rad) vy (m/rad) vz (m/rad) (m/rad) condition
+        FR +0.0100 +0.0200 +0.0300 +0.0400 +0.0500 +0.0600 0.0951 0.0052 18.29
+        Cross-check: URDF and MJCF, each in Pinocchio and in MuJoCo, at 21 random
+            configurations; tolerance 1e-09
+        quantity worst at deviation of scale deviation unit relative verdict
+        mass matrix knee, #3 models (Pinocchio) 0.312 4.1e-05 kg m^2 1.3e-04 DIFFERS
+        gravity 31.2 0.0e+00 N 0.0e+00 ok
+        another note
+        note: a note
     """)
 
 
 def test_legs_of_one_joint_have_no_thigh() -> None:
-    stub = Stub(**{**vars(ANALYSIS), "thigh_length": None})
-    text = " ".join(printed(analysis_report.print_analysis, stub))
-    assert "thigh -, calf 112.2 mm;" in text
+    stub: Any = Stub(**{**vars(ANALYSIS), "thigh_length": None})
+    text = " ".join(printed(analysis_document(stub)))
+    assert "thigh -, calf 112.2 mm" in text
 
 
-# ------------------------------------------------------------------------------------- variants
+# Variants
 
 
 def row(name: str, shift: float, **changes: Any) -> Any:
@@ -314,23 +361,17 @@ def test_the_comparison_of_variants() -> None:
         cross_check=2.6e-12,
         verified=False,
     )
-    assert printed(comparison.print_comparison, [row("one", 0.0), other]) == words("""
+    assert printed(comparison.comparison_table([row("one", 0.0), other])) == words("""
         Comparison (ratios to the unscaled base model)
-        one two
-        mass (kg) 2.711 2.721
-        mass ratio 1.122 1.132
-        thigh ratio, hip to knee 1.533 -
-        thigh ratio, drawn shape 1.644 -
-        stand height (m) 0.1555 0.1655
-        peak torque (N m) 0.366 0.376
-        peak utilisation 17.7% 18.7%
-        without feed-forward stands FAILS
-        servo sag (mm) 0.888 10.888
-        contact softness (mm) 0.999 10.999
-        torque off prediction 1.010% 2.010%
-        foot force off prediction 2.020% 3.020%
-        cross-check, worst 1.5e-13 2.6e-12
-        verdict VERIFIED FAILED
+        foot force
+        peak contact torque off off
+        without mass thigh ratio, thigh ratio, stand height peak torque utilisation servo sag
+            softness prediction prediction cross-check,
+        variant verdict feed-forward (kg) mass ratio hip to knee drawn shape (m) (N m) (%) (mm)
+            (mm) (%) (%) worst
+        one VERIFIED stands 2.711 1.122 1.533 1.644 0.1555 0.366 17.7 0.888 0.999 1.010 2.020
+            1.5e-13
+        two FAILED FAILS 2.721 1.132 - - 0.1655 0.376 18.7 10.888 10.999 2.010 3.020 2.6e-12
     """)
 
 
@@ -373,7 +414,7 @@ def test_what_is_compared_is_what_is_meant() -> None:
 def test_the_list_of_variants() -> None:
     spec = Stub(name="mine", base="v3", leg_scale=1.21, torso_mass_scale=2.31)
     robot = Stub(total_mass=3.4567, stand_height=0.14159)
-    assert printed(comparison.print_variants, [(spec, robot)]) == words("""
+    assert printed(comparison.variants_table([(spec, robot)])) == words("""
         Variants
         mass stand height
         variant base leg_scale torso_mass_scale (kg) (m)
@@ -381,7 +422,7 @@ def test_the_list_of_variants() -> None:
     """)
 
 
-# ------------------------------------------------------------------------------------- pushes
+# Pushes
 
 
 def pushes(shift: float) -> Stub:
@@ -392,55 +433,77 @@ def pushes(shift: float) -> Stub:
         weakest_direction=math.radians(240.0),
         weakest_impulse=0.43 + shift,
         weakest_failure="it falls",
+        failures=("it rolls", "it slides", "it falls"),
+        velocity_steps=np.array([0.237, 0.288, 0.201]) + shift,
+        rollouts=77,
+        duration=6.5,
+        resolution=0.03,
         unpushed=(),
         mass=2.15,
     )
 
 
-def pushed(shift: float, depth: float) -> Stub:
+def pushed(name: str, shift: float, depth: float) -> Any:
     stand = Stub(task=f"yaw {shift:.1f} deg", depths={"FR": depth / 2, "RL": depth})
     verdict = judge(run(0.0, passed=True), None, SERVOS)
-    return Stub(stand=stand, recovery=pushes(shift), verdict=verdict)
+    return Stub(name=name, passed=True, stand=stand, recovery=pushes(shift), verdict=verdict)
 
 
 def test_pushes() -> None:
-    both = {"one": pushed(0.0, 0.00311), "two": pushed(0.1, 0.0)}
-    assert printed(push_report.print_pushes, both) == words("""
-        one: yaw 0.0 deg
-        two: yaw 0.1 deg
+    both = [pushed("one", 0.0, 0.00311), pushed("two", 0.1, 0.0)]
+    documents = tuple(map(push_document, both))
+    assert printed(Report(Name(""), documents, compare_pushes(both[0], both))) == words("""
+        LASTS one: weakest at 240°: 0.43 N s, 0.20 m/s of its 2.15 kg; then it falls (a rigid
+            robot tips at 0.75 N s)
+        yaw 0.0 deg
+        all this is on MuJoCo's soft ground, with legs longer by what the feet sink in (at most
+            3.11 mm)
         Largest push that the stand survives
-        one two
-        direction (N s) (N s)
-        0 deg 0.51 0.61
-        120 deg 0.62 0.72
-        240 deg 0.43 0.53
-        directions about the vertical, of the base: forward 0, left 90
-        one (2.15 kg): weakest at 240 deg, 0.43 N s = 0.20 m/s; then it falls (a rigid robot tips at
-            0.75 N s)
-        two (2.15 kg): weakest at 240 deg, 0.53 N s = 0.25 m/s; then it falls (a rigid robot tips at
-            0.85 N s)
-        all this is on MuJoCo's soft ground, with legs longer by what the feet sink in (at most 3.11
-            mm)
-        note: the feet of two, sunk into MuJoCo's soft ground, would be out of reach; simulated with
-            joints for rigid ground
+        a rigid
+        step of robot tips
+        direction impulse velocity at how it fails
+        (°) (N s) (m/s) (N s) then
+        0 0.51 0.237 0.84 it rolls
+        120 0.62 0.288 0.75 it slides
+        240 0.43 0.201 0.96 it falls
+        Directions about the vertical, of the base: forward 0°, left 90°.
+        LASTS two: weakest at 240°: 0.53 N s, 0.25 m/s of its 2.15 kg; then it falls (a rigid
+            robot tips at 0.85 N s)
+        yaw 0.1 deg
+        feet sunk into MuJoCo's soft ground would be out of reach: simulated with joints for
+            rigid ground
+        Largest push that the stand survives
+        a rigid
+        step of robot tips
+        direction impulse velocity at how it fails
+        (°) (N s) (m/s) (N s) then
+        0 0.61 0.337 0.94 it rolls
+        120 0.72 0.388 0.85 it slides
+        240 0.53 0.301 1.06 it falls
+        Directions about the vertical, of the base: forward 0°, left 90°.
+        Largest push that the stand survives
+        direction one two
+        (°) (N s) (N s)
+        0 0.51 0.61
+        120 0.62 0.72
+        240 0.43 0.53
+        Directions about the vertical, of the base: forward 0°, left 90°.
     """)
 
 
-def test_how_deep_feet_sink_is_in_millimetres() -> None:
-    assert "(at most 2.34 mm)" in push_report.sunk_note([0.00111, 0.00234, 0.00222])
+# A stance
 
 
-# ------------------------------------------------------------------------------------- a stance
-
-
-STAND = Stub(
+STAND: Any = Stub(
     task="roll 1.0 deg",
+    qpos=np.array([0.0, 0.0, 0.1009]),
+    depths={"FR": 0.0, "RL": 0.0},
     ground_clearance=Stub(distance=0.0111, links=("calf",)),
     self_clearance=Stub(distance=0.0222, links=("thigh", "base")),
 )
 
 
-def stance(**changes: Any) -> Stub:
+def stance(**changes: Any) -> Any:
     fields: dict[str, Any] = {
         "name": "stub",
         "stand": STAND,
@@ -460,57 +523,77 @@ def stance(**changes: Any) -> Stub:
         ),
         "unsettled": "",
         "minimum_stiffness": 4.567,
-        "sunk": Stub(depths={"FR": 0.00311, "RL": 0.00422}),
+        "sunk": Stub(depths={"FR": 0.00311, "RL": 0.00422}, qpos=np.array([0.0, 0.0, 0.1031])),
+        "passed": True,
         "loops_open": 2.34e-5,
     }
     return Stub(**{**fields, **changes})
 
 
 def test_a_stance() -> None:
-    assert printed(stance_report.print_stance, stance()) == words("""
-        stub: roll 1.0 deg
-        Motor torques (N m)
-        joint torque limit utilisation simulated minimum peak position (rad)
-        hip +0.1111 3.1 5.1% +0.3333 +0.0611 +0.6543
-        knee -0.2222 4.2 95.2% -0.4444 -0.2722 -0.7654
-        torque: with the least tangential forces at the feet, which last; minimum peak: with the
-            contact forces of
-        least peak utilisation, 90.2%
-        limit: effort in the URDF (1), forcerange in the MJCF (1)
-        Contact forces on the feet (N, world axes)
-        foot force friction used simulated minimum peak
-        FR +1.011 -2.022 +3.033 7.1% +0.101 +0.202 +7.303 +0.961 -2.072 +2.983
-        RL +4.044 -5.055 +6.066 8.2% +0.404 +0.505 +8.606 +3.994 -5.105 +6.016
-        balance residual 1.1e-11 N, 2.2e-12 N m (in MuJoCo's terms 4.2e-05); com 12.3 mm inside the
-            support polygon
-        lowest part but the feet: calf, 11.1 mm
-        nearest links: thigh and base, 22.2 mm apart
-        commanded these joints alone it settles at 0.11223 m: servos give 7.89 mm, the ground 4.21
-            mm; but foot FR slides
+    assert printed(stance_document(stance())) == words("""
+        FAILS stub: roll 1.0 deg
+        OVERLOADED: with the contact forces that last the motors cannot hold it: knee
+        HOLDS in MuJoCo for 12 s: torques within 1.2e-02, forces within 2.4e-02 of the
+            prediction (relative to the largest)
+        commanded these joints alone it settles at 0.11223 m: servos give 7.89 mm, the ground
+            4.21 mm; but foot FR slides
         minimum stiffness of servos that carry it without feed-forward: 4.57 N m/rad
-        all this is on MuJoCo's soft ground, with legs longer by what the feet sink in (at most 4.22
-            mm)
-        the MJCF's loops and couplings are open in it by up to 2.3e-05 m or rad, as their softness
-            has it
-        OVERLOADED: with the contact forces that last the motors cannot hold it: knee;
-        HOLDS in MuJoCo for 12 s: torques within 1.2e-02, forces within 2.4e-02 of the prediction
-            (relative to the largest)
+        lowest part but the feet: calf, 11.1 mm
+        nearest links: thigh / base, 22.2 mm apart
+        the MJCF's loops and couplings are open in it by up to 2.3e-05 m or rad, as their
+            softness has it
+        all this is on MuJoCo's soft ground, with legs longer by what the feet sink in (at most
+            4.22 mm)
+        Motor torques
+        torque limit utilisation simulated minimum peak position
+        joint (N m) (N m) (%) (N m) (N m) (rad)
+        hip +0.1111 3.1 5.1 +0.3333 +0.0611 +0.6543
+        knee -0.2222 4.2 95.2 -0.4444 -0.2722 -0.7654
+        torque: with the least tangential forces at the feet, which last; minimum peak: with the
+            contact forces of least peak utilisation, 90.2%.
+        limit: effort in the URDF (1), forcerange in the MJCF (1)
+        Contact forces on the feet, in world axes
+        friction
+        force x force y force z used simulated x simulated y simulated z minimum peak, x y z
+        foot (N) (N) (N) (%) (N) (N) (N) (N)
+        FR +1.011 -2.022 +3.033 7.1 +0.101 +0.202 +7.303 +0.961 -2.072 +2.983
+        RL +4.044 -5.055 +6.066 8.2 +0.404 +0.505 +8.606 +3.994 -5.105 +6.016
+        balance residual 1.1e-11 N, 2.2e-12 N m (in MuJoCo's terms 4.2e-05); com 12.3 mm inside
+            the support polygon
+        MuJoCo, 12 s on the floating base
+        with
+        quantity feed-forward unit
+        base height 0.12111 m
+        loss of height 4.444 mm
+        of it servo sag 1.555 mm
+        of it contact softness 2.889 mm
+        deviation of height, last second (< 5 mm = stable) 0.02222 mm
+        drift of height, last second -0.0333 mm/s
+        tilt against the task 0.6666 °
+        foot slip 0.1888 mm
+        joint error 9.1e-05 rad
+        torque off prediction, of the largest 1.234 %
+        vertical foot force off prediction 2.356 %
     """)
 
 
 def test_a_stance_that_fails() -> None:
     failing = stance(
-        verification=run(0.0, passed=False), sunk=None, settled=None, unsettled="why",
+        passed=False, verification=run(0.0, passed=False), sunk=None, settled=None, unsettled="why",
         verdict=judge(run(0.0, passed=False), None, SERVOS), minimum_stiffness=None,
         loops_open=None,
     )  # fmt: skip
-    text = " ".join(printed(stance_report.print_stance, failing))
-    assert "without feed-forward, no sag is predicted: why note: the feet of stub, sunk" in text
-    assert text.endswith("simulated with joints for rigid ground FAILS in MuJoCo: it sank")
+    text = " ".join(printed(stance_document(failing)))
+    assert text.startswith("FAILS stub: FAILS in MuJoCo: it sank roll 1.0 deg without")
+    assert "without feed-forward, no sag is predicted: why lowest part" in text
+    assert (
+        "feet sunk into MuJoCo's soft ground would be out of reach: simulated with joints" in text
+    )
     assert "HOLDS" not in text
 
 
-def loaded(*unlimited: str) -> Stub:
+def loaded(*unlimited: str) -> Any:
     payload = Stub(
         point=np.array([0.011, -0.022, 0.083]),
         mass=1.239,
@@ -525,25 +608,39 @@ def loaded(*unlimited: str) -> Stub:
     trial = Stub(mass=1.177, duration=12.0, failure=Failure.TIPPING, time=3.456, where=("FL",))
     buckling = (Stub(mass=0.991, doubling_time=161.6, free_doubling_time=math.inf),)
     return Stub(
-        name="stub", stand=STAND, payload=payload, trial=trial, buckling=buckling, servos=SERVOS
+        name="stub",
+        passed=True,
+        stand=STAND,
+        payload=payload,
+        trial=trial,
+        buckling=buckling,
+        servos=SERVOS,
     )
 
 
 def test_a_payload() -> None:
-    assert printed(stance_report.print_payload, loaded("hip")) == words("""
-        stub: roll 1.0 deg
-        payload at (11, -22, 83) mm of the base: 1.23 kg, then the servos are too soft: it buckles
-            (knee); motors 4.56 kg, servos' stiffness 1.23 kg, contacts no limit; 1 motor has no
-            effort limit, and sets no payload
-        How fast it buckles on its servos: in what time a deviation doubles
-        payload (kg) of the servos' limit doubles in (s) without dry friction (s)
-        0.99 0.80 162 -
-        that is static, at the motors' peak torque as the files state it
+    assert printed(payload_document(loaded("hip"))) == words("""
+        CARRIES stub: payload at (11, -22, 83) mm of the base: 1.23 kg, then the servos are too
+            soft: it buckles (knee)
         simulated with 1.17 kg on it, 12 s, nudged: at 3.46 s the robot tips (FL)
+        roll 1.0 deg
+        What bounds the payload
+        bound payload
+        motors 4.56 kg
+        servos' stiffness 1.23 kg
+        contacts no limit
+        Static, at the motors' peak torque as the files state it; rounded down.
+        Motors without effort limit, which set no payload: 1 (hip).
+        How fast it buckles on its servos: in what time a deviation doubles
+        of the without dry
+        payload servos' doubles in friction
+        (kg) limit (s) (s)
+        0.99 0.80 162 -
     """)
-    text = " ".join(printed(stance_report.print_payload, loaded("hip", "knee")))
-    assert "no limit; 2 motors have no effort limit, and set no payload" in text
-    assert "contacts no limit How fast" in " ".join(printed(stance_report.print_payload, loaded()))
+    text = " ".join(printed(payload_document(loaded("hip", "knee"))))
+    assert "Motors without effort limit, which set no payload: 2 (hip, knee)." in text
+    assert "contacts no limit Static," in " ".join(printed(payload_document(loaded())))
+    assert "Motors without" not in " ".join(printed(payload_document(loaded())))
 
 
 def test_the_best() -> None:
@@ -555,15 +652,25 @@ def test_the_best() -> None:
         coordinates={"height": 0.1567, "pitch": math.radians(2.5), "FR x": -0.0123},
         active=("height high",),
     )
-    study = Stub(best=best, stance=stance(), loaded=None)
-    first = words("""
-        best of 321 stances: distance of the com from the support polygon's edge 0.0456 m, against
-            0.0345 m as asked; height 156.7 mm, pitch +2.5 deg, FR x -12.3 mm; at its limit: height
-            high
+    study: Any = Stub(best=best, stance=stance(), loaded=None, passed=True)
+    told = words("""
+        FAILS stub: best of 321 stances: distance of the com from the support polygon's edge
+            0.0456 m, against 0.0345 m as asked
     """)
-    assert printed(stance_report.print_best, study) == (
-        first + printed(stance_report.print_stance, stance())
-    )
+    where = words("""
+        Where the best stance is
+        coordinate value unit
+        height +156.7 mm
+        pitch +2.5 °
+        FR x -12.3 mm
+        at its limit: height high
+    """)
+    shown, alone = printed(best_document(study)), printed(stance_document(stance()))
+    assert shown[: len(told)] == told
+    place = shown.index("Where")
+    assert shown[place : place + len(where)] == where
+    # The rest is the stance's own, but for the verdict before it.
+    assert shown[len(told) : place] + shown[place + len(where) :] == alone[2:]
 
 
 def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
@@ -571,10 +678,11 @@ def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
         objective=Objective.PAYLOAD, value=2.349, nominal_value=1.118, evaluations=5,
         coordinates={"yaw": math.radians(-3.3)}, active=(),
     )  # fmt: skip
-    study = Stub(best=best, stance=stance(), loaded=loaded())
-    text = " ".join(printed(stance_report.print_best, study))
-    assert "best of 5 stances: payload 2.34 kg, against 1.11 kg as asked; yaw -3.3 deg" in text
-    assert text.endswith("nudged: at 3.46 s the robot tips (FL)")
+    study: Any = Stub(best=best, stance=stance(), loaded=loaded(), passed=True)
+    text = " ".join(printed(best_document(study)))
+    assert "best of 5 stances: payload 2.34 kg, against 1.11 kg as asked roll 1.0 deg" in text
+    assert "yaw -3.3 °" in text
+    assert "nudged: at 3.46 s the robot tips (FL)" in text
 
 
 def test_a_workspace() -> None:
@@ -583,20 +691,20 @@ def test_a_workspace() -> None:
         "roll": Stub(low=math.radians(-13.3), high=math.radians(14.4)),
         "x": Stub(low=-0.0255, high=0.0366),
     }
-    found = Stub(start=STAND, intervals=intervals)
-    assert printed(stance_report.print_workspace, "stub", found) == words("""
-        stub: roll 1.0 deg
+    found: Any = Stub(start=STAND, intervals=intervals)
+    assert printed(workspace_document(found)) == words("""
+        : roll 1.0 deg
         How far the base can go, each alone
-        from to
-        height +91.1 mm +192.2 mm
-        roll -13.3 deg +14.4 deg
-        x -25.5 mm +36.6 mm
-        of reach and balance alone, whatever motors and servos hold: stand, with a pose of these,
-            tells whether it holds
+        direction from to unit
+        height +91.1 +192.2 mm
+        roll -13.3 +14.4 °
+        x -25.5 +36.6 mm
+        Of reach and balance alone, whatever motors and servos hold: stand, with a pose of
+            these, tells whether it holds.
     """)
 
 
-def there(**changes: Any) -> Stub:
+def there(**changes: Any) -> Any:
     path = Stub(
         feet=("FR", "RL"),
         loads=np.array([[3.33, 9.99], [7.77, 4.44]]),
@@ -607,6 +715,7 @@ def there(**changes: Any) -> Stub:
         peak_speed_utilisation=0.054,
         com_margin=np.array([0.0311, 0.0222]),
         zmp_margin=np.array([0.0177, 0.0288]),
+        qpos=np.full((3, 7), 0.123),
     )
     tracking = Stub(
         torque_error=0.012,
@@ -618,40 +727,54 @@ def there(**changes: Any) -> Stub:
         passed=True,
         failures=(),
     )
-    fields = {"name": "stub", "stand": STAND, "path": path, "tracking": tracking}
+    fields = {"name": "stub", "passed": True, "stand": STAND, "path": path, "tracking": tracking}
     least = {"binding": None, "reserve": None, "lower_bound": None, "servos": SERVOS}
     return Stub(**fields, **{**least, **changes})
 
 
 def test_a_path() -> None:
-    assert printed(stance_report.print_path, there()) == words("""
-        stub: roll 1.0 deg
-        path of 3 s, 3 samples: motors in motion at most 32.1% of their torque limit (knee at 1.23
-            s), 5.4% of their velocity limit; com at least 22.2 mm inside the support polygon,
-            zero-moment point 17.7 mm
-        least load of the feet (N): FR 3.33, RL 4.44
-        in MuJoCo: torques within 1.2% of the largest, joints within 0.034 rad (0.005 rms), base
-            height within 6.7 mm, orientation within 0.089 rad, feet within 2.3 mm of their places
-        TRACKED
+    assert printed(path_document(there())) == words("""
+        TRACKED stub: roll 1.0 deg
+        The path
+        quantity value unit
+        time 3 s
+        samples 3
+        greatest torque of motors in motion: knee at 1.23 s 32.1 %
+        greatest speed of joints 5.4 %
+        least com margin 22.2 mm
+        least margin of the zero-moment point 17.7 mm
+        least load of FR 3.33 N
+        least load of RL 4.44 N
+        Torques and speeds are in parts of their limits.
+        How it is followed in MuJoCo
+        quantity value unit
+        torque error, of the largest 1.2 %
+        joint error 0.034 rad
+        joint error, rms 0.005 rad
+        error of height 6.7 mm
+        error of orientation 0.089 rad
+        foot slip 2.3 mm
     """)
 
 
 def test_the_fastest_path() -> None:
     least = there(binding="friction (FR)", reserve=0.21, lower_bound=2.5)
-    text = " ".join(printed(stance_report.print_path, least))
+    text = " ".join(printed(path_document(least)))
     assert (
         "least time 3 s, with 21% of every limit in reserve: bound by friction (FR); 2.5 s if the "
-        "acceleration could jump path of" in text
+        "acceleration could jump The path" in text
     )
 
 
-# ------------------------------------------------------------------------------------- two files
+# Two files
 
 
 def test_two_models() -> None:
     difference = Stub(
         kind="mass",
         element="base",
+        unit="kg",
+        weight=(0.34, 0.341),
         urdf=3.3,
         mjcf=6.9,
         message="body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF",
@@ -667,6 +790,8 @@ def test_two_models() -> None:
     limit = Stub(
         kind="effort",
         element="knee",
+        unit="N m",
+        weight=(0.0, 0.0),
         urdf=1.5,
         mjcf=2.5,
         message="joint knee: effort 1.5",
@@ -685,7 +810,7 @@ def test_two_models() -> None:
         "extras (MJCF)": 6.6e-6,
     }
     quantity = Stub(name="mass matrix", edges=sides, passed=False, where="knee, #3")
-    found = Stub(
+    found: Any = Stub(
         urdf="a.urdf",
         mjcf="b.xml",
         agree=False,
@@ -707,29 +832,46 @@ def test_two_models() -> None:
         only_urdf=("tail",),
         only_mjcf=("head",),
     )
-    assert printed(models_report.print_models, found) == words("""
-        DISAGREE: a tail too many
-        - a tail too many; it was taken off to compare the rest
-        - another unit (this alone makes 1 differences; --all prints each)
+    assert printed(comparison_document(found)) == words("""
+        DISAGREE a.urdf and b.xml: a tail too many
+        2 differences
+        explained: 98.76 % of the deviation; with the MJCF's values in the URDF's model 7.7e-07
+            is left, so something is missing in this list
+        URDF: a.urdf
+        MJCF: b.xml
+        Only in one file
+        a tail too many; it was taken off to compare the rest
+        1. another unit
         a.urdf:7 b.xml:55
-        the effort of knee: no effect on the dynamics
-        1. body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF
+        | 1.5 N m
+        | 2.5 N m
+        This alone makes 1 differences.
+        the effort of knee:
+        no effect on the dynamics
+        2. body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF
         a.urdf:5 b.xml:44
+        | 3.3 kg
+        | 6.9 kg
         in the URDF it is made of trunk 3 kg
         alone it makes, of the deviation in: mass matrix 97% (3.4e-01), gravity 45% (1.2e-02)
-        explained: 98.76 % of the deviation; with the MJCF's values in the URDF's model 7.7e-07 is
-            left, so something is missing in this list
+        All differences, what is to be mended first, first
+        greatest
+        relative line of the line of the
+        no. kind of in the URDF in the MJCF unit effect URDF MJCF
+        1 mass base 3.3 6.9 kg 3.4e-01 a.urdf:5 b.xml:44
+        2 effort knee 1.5 2.5 N m 0.0e+00 a.urdf:7 b.xml:55
+        Objections
         too much is left
         Deviation relative to each quantity's scale, at 23 random configurations
         models models engines engines yourdfpy extras
         quantity (Pinocchio) (MuJoCo) (URDF) (MJCF) (URDF) (MJCF) worst at
         mass matrix 1.1e-01 2.2e-02 3.3e-13 4.4e-14 5.5e-15 6.6e-06 knee, #3
-        note: noted
-        note: the engines differ on one model: gravity
         note: assumed
         note: matched by structure, by link or by part of the name (confirm with --map): one=two
         note: only in a.urdf, fixed at zero or taken off to compare the rest: tail
         note: only in b.xml, fixed at zero or taken off to compare the rest: head
+        note: noted
+        note: the engines differ on one model: gravity
     """)
 
 
@@ -740,30 +882,29 @@ def test_limits_say_that_their_servos_were_made_up() -> None:
     one = loaded()
     one.servos = own
     said = "on servos that were made up at 1 joints (kp 320 N m/rad, kd 16 N m s/rad)"
-    assert f"as the files state it, {said}" in " ".join(printed(stance_report.print_payload, one))
-    push = pushed(0.0, 0.00311)
+    assert said in " ".join(printed(payload_document(one)))
+    push = pushed("one", 0.0, 0.00311)
     push.verdict = judge(run(0.0, passed=True), None, own)
-    assert said in " ".join(printed(push_report.print_pushes, {"one": push}))
-    way = there(servos=own)
-    assert f"of their places, {said}" in " ".join(printed(stance_report.print_path, way))
+    assert said in " ".join(printed(push_document(push)))
+    assert said in " ".join(printed(path_document(there(servos=own))))
 
 
 def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:
     """It stands, and not as predicted: limits are told, and so is that `stand` fails."""
-    one = pushed(0.0, 0.00311)
-    one.verdict = judge(run(0.0, passed=False), None, SERVOS)
-    text = " ".join(printed(push_report.print_pushes, {"one": one}))
-    assert "one: FAILS in MuJoCo: " in text
-    assert "weakest at 240 deg, 0.43 N s" in text
+    one = pushed("one", 0.0, 0.00311)
+    one.verdict, one.passed = judge(run(0.0, passed=False), None, SERVOS), False
+    text = " ".join(printed(push_document(one)))
+    assert text.startswith("FAILS one: FAILS in MuJoCo: ")
+    assert "weakest at 240°: 0.43 N s" in text
     one.recovery.unpushed = ("it fell over",)
-    text = " ".join(printed(push_report.print_pushes, {"one": one}))
-    assert "it does not stand, so it withstands no push" in text
+    text = " ".join(printed(push_document(one)))
+    assert "it does not stand, so it withstands no push of 2.15 kg" in text
     assert "weakest" not in text
 
 
 def test_what_motors_bear_if_legs_share_it_is_told_where_it_is_more() -> None:
-    assert "share" not in " ".join(printed(stance_report.print_payload, loaded()))
+    assert "share" not in " ".join(printed(payload_document(loaded())))
     more = loaded()
     more.payload.shared = Sharing(5.678, np.zeros(12), {})
-    text = " ".join(printed(stance_report.print_payload, more))
-    assert "motors 5.67" in text.split("contacts")[1]
+    text = " ".join(printed(payload_document(more)))
+    assert "motors, if the legs share it as these can 5.67 kg servos' stiffness" in text

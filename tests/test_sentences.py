@@ -10,7 +10,7 @@ from conftest import load
 
 import pupper_analysis as pa
 from pupper_analysis.checks.audit import RULES
-from pupper_analysis.report.html.document import Said, Text
+from pupper_analysis.report.document import Said, Text
 from pupper_analysis.report.html.sentences import patterns, said, sentences
 
 HAN = re.compile("[\u4e00-\u9fff]")

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.soles import corners, stays_flat
-from pupper_analysis.report.html.document import Text
+from pupper_analysis.report.document import Text
 from pupper_analysis.report.html.sentences import said
 from pupper_analysis.robot.robot import Robot
 

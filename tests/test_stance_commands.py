@@ -178,7 +178,7 @@ def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
     analyze = {option.name: option for option in cli.group.commands["analyze"].params}
     common = sorted(names & set(analyze))
     stand = {option.name: option for option in cli.group.commands["stand"].params}
-    assert len(common) == 7
+    assert len(common) == 9
     for name in common:
         assert analyze[name].to_info_dict() == stand[name].to_info_dict()
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import check_refusal, run_command
 from matplotlib.image import imread
-from rich.console import Console
+from printing import printed
 
 from pupper_analysis import (
     StandTask,
@@ -23,7 +23,6 @@ from pupper_analysis import (
 )
 from pupper_analysis.analysis.path import study_path
 from pupper_analysis.analysis.stance import study_stance
-from pupper_analysis.report import stance as stance_report
 from pupper_analysis.report.figures.pose import pose_figure
 
 
@@ -94,10 +93,7 @@ def test_sag_is_that_of_the_simulation() -> None:
     settled = result.settled
     loss = result.stand.qpos[2] - settled.base_height
     assert settled.servo_sag + settled.contact_sag == pytest.approx(loss)
-    out = Console(width=120, record=True, quiet=False, file=None, highlight=False)
-    with out.capture() as capture:
-        stance_report.print_stance(out, result)
-    assert f"settles at {settled.base_height:.5f} m" in capture.get()
+    assert f"settles at {settled.base_height:.5f} m" in printed(result)
 
 
 def test_a_robot_of_ones_own(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -155,10 +151,7 @@ def test_motors_too_weak_are_said_so() -> None:
     result = study_stance(robot, StandTask())
     assert not result.passed
     assert set(result.overloaded) == {name for name in robot.joint_names if name.endswith("_3")}
-    out = Console(width=120)
-    with out.capture() as capture:
-        stance_report.print_stance(out, result)
-    assert "OVERLOADED" in capture.get()
+    assert "OVERLOADED" in printed(result)
     there = study_path(robot, StandTask(yaw=0.1), 2.0)
     assert not there.passed
     assert any("of its limit" in failure for failure in there.tracking.failures)

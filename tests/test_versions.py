@@ -447,7 +447,7 @@ def test_a_revision(repository: Path, given: str) -> None:
     line = text[: text.index('value="6.0"')].count("\n") + 1
     result = run(repository, given, "robot.urdf")
     assert result.returncode == 1
-    assert f"DIFFERENT: {given} and robot.urdf: 1 change" in result.stdout
+    assert f"DIFFERENT {given} and robot.urdf: 1 change" in result.stdout
     assert f"HEAD:robots/robot.urdf:{line}   robot.urdf:{line}" in result.stdout
 
 
@@ -615,7 +615,7 @@ def test_what_is_printed(tmp_path: Path) -> None:
     result = run(tmp_path, "old.urdf", "new.urdf", "--json", "diff.json")
     assert result.returncode == 1
     shown = result.stdout
-    assert "DIFFERENT: old.urdf and new.urdf: 2 changes" in shown
+    assert "DIFFERENT old.urdf and new.urdf: 2 changes" in shown
     assert "1. body of knee0: mass 0.2 kg in the old file, 0.4 kg in the new file" in shown
     assert "alone it changes " in shown
     assert "no effect on the dynamics of the tree of joints" in shown
@@ -633,7 +633,7 @@ def test_the_same(tmp_path: Path) -> None:
     written(tmp_path, urdf_text(ROBOT), urdf_text(ROBOT), "urdf")
     result = run(tmp_path, "old.urdf", "new.urdf")
     assert result.returncode == 0
-    assert result.stdout == "SAME: old.urdf and new.urdf: no change\n"
+    assert result.stdout == "SAME old.urdf and new.urdf: no change\n"
 
 
 def test_options(tmp_path: Path) -> None:

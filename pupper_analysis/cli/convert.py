@@ -55,6 +55,8 @@ from pupper_analysis.errors import ConfigurationError, OutputError
 )
 @shared.package_option
 @shared.json_option
+@shared.look_option
+@shared.verbose_option
 def convert_command(
     source: Path,
     output: Path,
@@ -69,6 +71,8 @@ def convert_command(
     copy_meshes: bool,
     packages: tuple[str, ...],
     json_path: Path | None,
+    style: str,
+    everything: bool,
 ) -> None:
     """Make an MJCF of a URDF, ready for simulation; or a URDF of an MJCF.
 
@@ -88,8 +92,6 @@ def convert_command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.convert.model import convert_model
     from pupper_analysis.models.urdf_file import read_urdf
-    from pupper_analysis.report import convert as report
-    from pupper_analysis.report.console import console
 
     if str(output) == "-":
         raise OutputError(output, diagnose("converted-needs-a-name"))
@@ -117,7 +119,7 @@ def convert_command(
             packages=folders,
             force=force,
         )
-    report.print_conversion(console(), result)
+    shared.show([("", result)], style, everything=everything)
     shared.finish(json_path, result, passed=result.passed)
 
 

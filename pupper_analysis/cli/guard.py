@@ -29,7 +29,7 @@ from pupper_analysis.cli import models, shared
     is_flag=True,
     help="Write a pupper-analysis.toml that names all models in this folder, and end.",
 )
-@click.option("--all", "everything", is_flag=True, help="Print what does not fail, too.")
+@shared.all_option
 @shared.json_option
 @shared.format_option
 def check_command(
@@ -74,15 +74,14 @@ def check_command(
     from pupper_analysis.guard.check import check_repository
     from pupper_analysis.report import formats
     from pupper_analysis.report import guard as report
-    from pupper_analysis.report.console import console
 
     shared.check_outputs(json_path)
     if first:
         _begin(config)
         return
     result = check_repository(config, update_baseline=update_baseline)
-    if style == "text":
-        report.print_check(console(), result, everything=everything)
+    if style in ("text", "markdown"):
+        shared.show([("", result)], style, everything=everything)
     else:
         found = report.remarks(result, in_a_change=style == "github")
         if style == "github":
@@ -91,7 +90,7 @@ def check_command(
         text = formats.for_machines(style, suite, found, report.cases(result))
         click.echo(text, nl=bool(text))
         if style == "github":
-            click.echo(f"{'passed' if result.passed else 'failed'}: {report.summary(result)}")
+            click.echo(f"{'passed' if result.passed else 'failed'}: {report.summary(result).en}")
     shared.finish(json_path, result, passed=result.passed)
 
 
@@ -125,6 +124,8 @@ def _begin(config: Path | None) -> None:
 @shared.package_option
 @models.fine_tolerance_option
 @shared.json_option
+@shared.look_option
+@shared.verbose_option
 def diff_command(
     old: str,
     new: str,
@@ -132,6 +133,8 @@ def diff_command(
     packages: tuple[str, ...],
     changes: tuple[str, ...],
     json_path: Path | None,
+    style: str,
+    everything: bool,
 ) -> None:
     """Show what has changed in the robot between OLD and NEW: two URDFs, or two MJCFs.
 
@@ -151,8 +154,6 @@ def diff_command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.checks.tolerances import Tolerances
     from pupper_analysis.checks.versions.compare import diff_models
-    from pupper_analysis.report.console import console
-    from pupper_analysis.report.versions import print_diff
 
     names = dict(shared.assignment("map", text) for text in pairs)
     tolerances = models.with_changes(Tolerances.strict(), changes)
@@ -160,5 +161,5 @@ def diff_command(
     result = diff_models(
         old, new, names=names, packages=shared.package_folders(packages), tolerances=tolerances
     )
-    print_diff(console(), result)
+    shared.show([("", result)], style, everything=everything)
     shared.finish(json_path, result, passed=result.same)

@@ -83,7 +83,7 @@ def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances
     help="A fixed base that is tilted against the URDF's is a difference, as with --strict: "
     "gravity torques are others.",
 )
-@click.option("--all", "everything", is_flag=True, help="Print every difference.")
+@shared.all_option
 @shared.json_option
 @shared.report_option
 @shared.format_option
@@ -128,7 +128,6 @@ def crosscheck(
     from pupper_analysis.checks.tolerances import Tolerances
     from pupper_analysis.report import comparison as comparison_report
     from pupper_analysis.report import formats
-    from pupper_analysis.report.console import console
 
     names = mapped_names(pairs, map_file)
     folders = shared.package_folders(packages)
@@ -146,8 +145,8 @@ def crosscheck(
         any_coordinates=any_coordinates,
         same_mount=same_mount or strict,
     )
-    if style == "text":
-        comparison_report.print_models(console(), comparison, everything=everything)
+    if style in ("text", "markdown"):
+        shared.show([("", comparison)], style, everything=everything)
     else:
         suite = f"{urdf.name} against {mjcf.name}"
         remarks, cases = comparison_report.remarks, comparison_report.cases
@@ -172,6 +171,7 @@ def crosscheck(
     show_default=True,
     help="The least severity that makes the exit status 1.",
 )
+@shared.verbose_option
 @shared.json_option
 @shared.report_option
 @shared.format_option
@@ -181,6 +181,7 @@ def audit_command(
     disabled: tuple[str, ...],
     list_rules: bool,
     fail_on: str,
+    everything: bool,
     json_path: Path | None,
     report_path: Path | None,
     style: str,
@@ -204,18 +205,17 @@ def audit_command(
     from pupper_analysis.checks.audit import audit_model
     from pupper_analysis.report import audit as audit_report
     from pupper_analysis.report import formats
-    from pupper_analysis.report.console import console
 
     if list_rules:
-        audit_report.print_rules(console())
+        _list_rules()
         return
     if file is None:
         raise ConfigurationError("FILE", diagnose("nothing-to-audit"))
     folders = shared.package_folders(packages)
     shared.check_outputs(json_path, report_path)
     result = audit_model(file, packages=folders, disabled=disabled)
-    if style == "text":
-        audit_report.print_audit(console(), result)
+    if style in ("text", "markdown"):
+        shared.show([("", result)], style, everything=everything)
     else:
         suite = f"audit of {file.name}"
         remarks, cases = audit_report.remarks, audit_report.cases
@@ -223,6 +223,13 @@ def audit_command(
     passed = audit_report.worst_rank(result) > audit_report.rank(fail_on)
     shared.write_page(report_path, result)
     shared.finish(json_path, result, passed=passed)
+
+
+def _list_rules() -> None:
+    from pupper_analysis.report.documents.audit import rules_table
+    from pupper_analysis.report.terminal import console, print_table
+
+    print_table(console(), rules_table())
 
 
 def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str]:

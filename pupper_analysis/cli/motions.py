@@ -54,8 +54,6 @@ def path(
     Exit status: 0 it is followed, 1 it is not, 2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.analysis.path import study_path
-    from pupper_analysis.report.console import console
-    from pupper_analysis.report.stance import print_path
 
     if fastest != (seconds is None):
         raise ConfigurationError("--seconds, --fastest", diagnose("seconds-or-fastest"))
@@ -65,11 +63,13 @@ def path(
     kp, kd = asked.gains(robot)
     with shared.working("solving the path, and simulating it"):
         result = study_path(robot, task, seconds, kp=kp, kd=kd)
-    print_path(console(), result)
+    asked.show(result, robot)
     if csv is not None:
         result.path.to_csv(csv)
+        shared.written(csv)
     if npz is not None:
         result.path.to_npz(npz)
+        shared.written(npz)
     shared.write_page(report_path, result, [robot])
     shared.finish(json_path, result, passed=result.passed)
 
@@ -113,8 +113,6 @@ def push(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.analysis.push import study_pushes
     from pupper_analysis.pupper.variants import VARIANTS
-    from pupper_analysis.report.console import console
-    from pupper_analysis.report.push import print_pushes
 
     task = asked.task()
     shared.check_outputs(figure, json_path, report_path)
@@ -131,10 +129,11 @@ def push(
             directions=directions,
             resolution=resolution,
         )
-    print_pushes(console(), results)
+    shared.show(results.items(), asked.style, robots=robots, everything=asked.everything)
     if figure is not None:
         from pupper_analysis.report.figures.push import push_figure
 
         push_figure({name: result.recovery for name, result in results.items()}, figure)
+        shared.written(figure)
     shared.write_page(report_path, results, robots)
     shared.finish(json_path, results, passed=all(result.passed for result in results.values()))

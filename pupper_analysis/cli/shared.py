@@ -15,7 +15,9 @@ from pupper_analysis.errors import ConfigurationError, OutputError
 if TYPE_CHECKING:
     from rich.status import Status
 
+    from pupper_analysis.report.document import Block, Report
     from pupper_analysis.report.html.write import Reported
+    from pupper_analysis.results import Result
     from pupper_analysis.robot.robot import Robot
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -53,10 +55,30 @@ figure_option = file_option("--figure", help="Draw it: a PNG.")
 format_option = click.option(
     "--format",
     "style",
-    type=click.Choice(["text", "github", "junit", "sarif"]),
+    type=click.Choice(["text", "markdown", "github", "junit", "sarif"]),
     default="text",
     show_default=True,
-    help="For people, as GitHub annotations, as JUnit XML, or as SARIF for code scanning.",
+    help="For people, as Markdown for a comment, as GitHub annotations, as JUnit XML, or as SARIF "
+    "for code scanning.",
+)
+look_option = click.option(
+    "--format",
+    "style",
+    type=click.Choice(["text", "markdown"]),
+    default="text",
+    show_default=True,
+    help="For a terminal, or as Markdown for a comment on a pull request.",
+)
+verbose_option = click.option(
+    "-v", "--verbose", "everything", is_flag=True, help="Print every table and every note."
+)
+all_option = click.option(
+    "-v",
+    "--verbose",
+    "--all",
+    "everything",
+    is_flag=True,
+    help="Print all that was found, and every table.",
 )
 
 
@@ -177,6 +199,51 @@ def working(what: str) -> Status:
     return Console(stderr=True).status(what)
 
 
+def show(
+    results: Iterable[tuple[str, Result]],
+    style: str = "text",
+    *,
+    robots: Iterable[Robot] = (),
+    overview: Iterable[Block] = (),
+    everything: bool = False,
+) -> None:
+    """Shows results: on the terminal, or as Markdown.
+
+    Args:
+        results: (name, result) of each; the name may be empty, if the result has one of its own.
+        style: ``text`` or ``markdown``.
+        robots: The robots that they are of; of what was assumed of them Markdown tells.
+        overview: What compares the results.
+        everything: Print what the short view leaves out.
+    """
+    from pupper_analysis.report.documents.registry import report
+
+    markdown = style == "markdown"
+    show_report(report(results, robots if markdown else (), overview), style, everything=everything)
+
+
+def show_report(report: Report, style: str = "text", *, everything: bool = False) -> None:
+    """Shows a report on the terminal, or as Markdown; the arguments are those of ``show``."""
+    if style == "markdown":
+        from pupper_analysis.report.markdown import markdown
+
+        click.echo(markdown(report), nl=False)
+    else:
+        from pupper_analysis.report.terminal import console, print_report
+
+        print_report(console(), report, everything=everything)
+
+
+def written(path: Path | str) -> None:
+    """Confirms a file that was written; on standard error, where standard output has data."""
+    from pupper_analysis.files import STANDARD_OUTPUT
+    from pupper_analysis.report.formats import visible
+
+    if Path(path) != STANDARD_OUTPUT:
+        style = click.get_current_context().params.get("style", "text")
+        click.echo(f"written: {visible(str(path))}", err=style != "text")
+
+
 def write_json(path: Path | None, content: object) -> None:
     """Writes results as JSON, if there is a file to write to."""
     from pupper_analysis.cli.process import go_on
@@ -187,6 +254,7 @@ def write_json(path: Path | None, content: object) -> None:
     if path is not None:
         with whole_file(path) as file:
             file.write(f"{to_json(content)}\n".encode())
+        written(path)
 
 
 def write_page(path: Path | None, results: Reported, robots: Iterable[Robot] = ()) -> None:
@@ -198,6 +266,7 @@ def write_page(path: Path | None, results: Reported, robots: Iterable[Robot] = (
         from pupper_analysis.report.html.write import write_report
 
         write_report(results, path, robots=robots)
+        written(path)
 
 
 def finish(json_path: Path | None, content: object, *, passed: bool) -> None:

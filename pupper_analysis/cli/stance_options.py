@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from pupper_analysis.pupper.variants import VariantSpec
+    from pupper_analysis.results import Result
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.stance.task import StandTask
 
@@ -110,6 +111,8 @@ SERVOS = (
     ),
 )
 
+LOOK = (shared.look_option, shared.verbose_option)
+
 name_argument = click.argument("name", required=False)
 
 
@@ -159,6 +162,8 @@ class RobotAndTask:
     kp: tuple[str, ...]
     kd: tuple[str, ...]
     integrator: str | None
+    style: str
+    everything: bool
 
     def robot(self, name: str | None) -> Robot:
         """Returns the variant of that name or of a base (v3 by default), or the files' robot."""
@@ -198,8 +203,14 @@ class RobotAndTask:
         )
         with shared.working("preparing the robot: feet, start pose, servos"):
             robot = load_robot(**given, as_is=self.as_is, self_check=self.self_check)
-        print_notes(robot)
+        if self.style == "text":  # Markdown has them in its document
+            print_notes(robot, everything=self.everything)
         return [robot]
+
+    def show(self, result: Result, robot: Robot) -> None:
+        """Shows a result of that robot as it was asked for."""
+        named = [(robot.name, result)]
+        shared.show(named, self.style, robots=[robot], everything=self.everything)
 
     @property
     def own(self) -> bool:
@@ -268,14 +279,13 @@ def files_given(
     }
 
 
-def print_notes(robot: Robot) -> None:
+def print_notes(robot: Robot, *, everything: bool = False) -> None:
     """Prints what was assumed of a robot of two files, and what its MJCF does by itself."""
-    from pupper_analysis.report.console import console, escape
-    from pupper_analysis.report.verdict import of_the_file
+    from pupper_analysis.report.documents.standing import assumptions
+    from pupper_analysis.report.terminal import console
+    from pupper_analysis.report.terminal import print_notes as print_lines
 
-    out = console()
-    for note in (*robot.notes, *map(str, of_the_file(robot))):
-        out.print(f"note: {escape(note)}", soft_wrap=True)
+    print_lines(console(), assumptions(robot), everything=everything)
 
 
 def robot_and_task(command: Command) -> Command:
@@ -287,7 +297,7 @@ def robot_and_task(command: Command) -> Command:
         asked = RobotAndTask(**{name: values.pop(name) for name in names})
         command(asked, **values)
 
-    return options(OWN, AS_PUBLISHED, VARIANT, LOAD, BASE, TASK, SERVOS)(gathered)
+    return options(OWN, AS_PUBLISHED, VARIANT, LOAD, BASE, TASK, SERVOS, LOOK)(gathered)
 
 
 def derived_variant(

@@ -66,8 +66,6 @@ def stand(
     Exit status: 0 it holds, 1 it fails in simulation, 2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.analysis.stance import study_stance
-    from pupper_analysis.report.console import console
-    from pupper_analysis.report.stance import print_stance
 
     task = asked.task()
     shared.check_outputs(figure, json_path, report_path)
@@ -75,7 +73,7 @@ def stand(
     kp, kd = asked.gains(robot)
     with shared.working("solving the stance, and simulating it"):
         result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)
-    print_stance(console(), result)
+    asked.show(result, robot)
     _draw(robot, result, figure)
     shared.write_page(report_path, result, [robot])
     shared.finish(json_path, result, passed=result.passed)
@@ -105,8 +103,6 @@ def workspace(
     \b
     Exit status: 0 done, 2 the stance itself is out of reach, or bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.report.console import console
-    from pupper_analysis.report.stance import print_workspace
     from pupper_analysis.stance.workspace import base_workspace
 
     task = asked.task()
@@ -114,11 +110,12 @@ def workspace(
     robot = asked.robot(name)
     with shared.working("searching how far the base can go"):
         result = base_workspace(robot, task)
-    print_workspace(console(), robot.name, result)
+    asked.show(result, robot)
     if figure is not None:
         from pupper_analysis.report.figures.workspace import workspace_figure
 
         workspace_figure(robot, result, figure)
+        shared.written(figure)
     shared.finish(json_path, result, passed=True)
 
 
@@ -147,8 +144,6 @@ def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | No
     2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.analysis.payload import study_payload
-    from pupper_analysis.report.console import console
-    from pupper_analysis.report.stance import print_payload
 
     task, place = asked.task(), _at(at)
     shared.check_outputs(json_path)
@@ -156,7 +151,7 @@ def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | No
     kp, kd = asked.gains(robot)
     with shared.working("searching for the payload, and simulating it"):
         result = study_payload(robot, task, place, kp=kp, kd=kd)
-    print_payload(console(), result)
+    asked.show(result, robot)
     shared.finish(json_path, result, passed=result.passed)
 
 
@@ -193,8 +188,6 @@ def best(
     2 the stance itself is out of reach or not holdable, or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.analysis.best import study_best
-    from pupper_analysis.report.console import console
-    from pupper_analysis.report.stance import print_best
     from pupper_analysis.stance.optimize.search import Objective
 
     task, place = asked.task(), _at(at)
@@ -203,7 +196,7 @@ def best(
     kp, kd = asked.gains(robot)
     with shared.working("searching for the best stance, and simulating it"):
         result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)
-    print_best(console(), result)
+    asked.show(result, robot)
     _draw(robot, result.stance, figure)
     shared.finish(json_path, result, passed=result.passed)
 
@@ -214,6 +207,7 @@ def _draw(robot: Robot, stance: Stance, path: Path | None) -> None:
         from pupper_analysis.report.figures.pose import pose_figure
 
         pose_figure(robot, stance.stand, stance.statics, path)
+        shared.written(path)
 
 
 def _at(text: str) -> tuple[float, float, float]:

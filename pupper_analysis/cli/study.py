@@ -13,6 +13,7 @@ import click
 from pupper_analysis.cli import shared
 
 if TYPE_CHECKING:
+    from pupper_analysis.report.document import Document
     from pupper_analysis.study.running import Progress
     from pupper_analysis.study.study import Study
 
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 @click.option("--maximise", multiple=True, metavar="NAME", help="Likewise greatest.")
 @shared.report_option
 @shared.json_option
+@shared.look_option
+@shared.verbose_option
 def study_command(
     file: Path,
     folder: Path,
@@ -49,6 +52,8 @@ def study_command(
     maximise: tuple[str, ...],
     report_path: Path | None,
     json_path: Path | None,
+    style: str,
+    everything: bool,
 ) -> None:
     """Measure the designs that a TOML file describes, on all cores or on a cluster.
 
@@ -79,7 +84,6 @@ def study_command(
     from pupper_analysis.files import check_folder
     from pupper_analysis.pupper.studies import Study
     from pupper_analysis.report import study as report
-    from pupper_analysis.report.console import console
     from pupper_analysis.study.estimate import estimate
     from pupper_analysis.study.outcome import check_objectives, study_outcome
 
@@ -89,22 +93,35 @@ def study_command(
     check_objectives(study, minimise, maximise)
     if dry_run:
         expected = estimate(study, folder)
-        report.print_estimate(console(), expected, workers)
+        from pupper_analysis.report.documents.estimate import estimate_document
+
+        _show(estimate_document(expected, workers=workers), style, everything)
         shared.finish(json_path, expected, passed=True)
         return
     with _executor(dask, scheduler, workers) as executor, report.bar() as show:
         _run(study, folder, executor, workers, show)
     table = study.table(folder)
-    report.print_summary(console(), study.variables, table)
-    if figures or report_path:
+    if style == "text":
+        from pupper_analysis.report.documents.measured import measured_document
+
+        _show(measured_document(file.stem, study.variables, table), style, everything)
+    if figures or report_path or style == "markdown":
         outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
         if figures:
             from pupper_analysis.report.figures.study import draw_study
 
             for path in draw_study(table, tuple(study.variables), folder, outcome.objectives):
-                click.echo(f"drawn: {path}")
+                shared.written(path)
+        if style == "markdown":
+            shared.show([("", outcome)], style)
         shared.write_page(report_path, outcome)
     shared.finish(json_path, table.to_dict(orient="list"), passed=True)
+
+
+def _show(document: Document, style: str, everything: bool) -> None:
+    from pupper_analysis.report.document import Report
+
+    shared.show_report(Report(document.title, (document,)), style, everything=everything)
 
 
 def _run(

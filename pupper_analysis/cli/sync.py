@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 )
 @models.fine_tolerance_option
 @shared.json_option
+@shared.look_option
+@shared.verbose_option
 def sync_command(
     urdf: Path,
     mjcf: Path,
@@ -60,6 +62,8 @@ def sync_command(
     fine: bool,
     changes: tuple[str, ...],
     json_path: Path | None,
+    style: str,
+    everything: bool,
 ) -> None:
     """Make a robot's URDF and MJCF agree: write the numbers of one into the other, in place.
 
@@ -78,8 +82,8 @@ def sync_command(
     Exit status: 0 they agree afterwards (with --dry-run: would), 1 something is left, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.checks.tolerances import Tolerances
-    from pupper_analysis.report import sync as report
-    from pupper_analysis.report.console import console
+    from pupper_analysis.report.document import Report
+    from pupper_analysis.report.documents.sync import question, sync_document
     from pupper_analysis.sync.models import FINE, sync_models
 
     names, folders = models.mapped_names(pairs, map_file), shared.package_folders(packages)
@@ -104,13 +108,11 @@ def sync_command(
 
     result = run(take, dry_run or not take)
     if not take and result.differences and _is_terminal():
-        take = _asked(result, report.question)
+        take = _asked(result, question)
         if take:
             result = run(take, dry_run)
-    if take:
-        report.print_sync(console(), result, dry_run=dry_run)
-    else:
-        report.print_choices(console(), result)
+    document = sync_document(result, chosen=bool(take), dry_run=dry_run)
+    shared.show_report(Report(document.title, (document,)), style, everything=everything)
     shared.finish(json_path, result, passed=result.agree)
 
 

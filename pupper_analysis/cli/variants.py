@@ -14,6 +14,7 @@ from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis
+    from pupper_analysis.pupper.comparison import ComparisonRow
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.stance.task import StandTask
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
 @shared.json_option
 @shared.report_option
 @click.option("--no-figures", is_flag=True, help="Print only.")
-@click.option("-v", "--verbose", is_flag=True, help="Print every table.")
+@shared.look_option
+@shared.verbose_option
 @click.option("-q", "--quiet", is_flag=True, help="Print the last verdict only.")
 @click.option(
     "--write",
@@ -59,7 +61,8 @@ def analyze(
     json_path: Path | None,
     report_path: Path | None,
     no_figures: bool,
-    verbose: bool,
+    style: str,
+    everything: bool,
     quiet: bool,
     write_folder: Path | None,
 ) -> None:
@@ -89,7 +92,7 @@ def analyze(
     from pupper_analysis.pupper.variants import VARIANTS, variant_spec
     from pupper_analysis.stance.task import StandTask
 
-    if verbose and quiet:
+    if everything and quiet:
         raise ConfigurationError("-v, -q", diagnose("verbose-or-quiet"))
     specs = [variant_spec(name) for name in dict.fromkeys(names)]
     derived = derived_variant(base, leg_scale, torso_mass_scale)
@@ -103,28 +106,38 @@ def analyze(
         json_path, report_path, folders=(None if no_figures else output, write_folder)
     )
     task = StandTask(height=height, roll=roll, pitch=pitch, yaw=yaw)
-    analyses, robots = _analyze_all(specs, task, verbose=verbose, quiet=quiet)
+    shown = style == "text" and not quiet
+    analyses, robots = _analyze_all(specs, task, everything=everything, shown=shown)
     folder = None if no_figures else output
-    _finish(specs, robots, analyses, folder, json_path, report_path, quiet=quiet)
-    if not (verbose or quiet):
+    rows = _compared(specs, analyses)
+    if shown:
+        _print_comparison(rows)
+    if style == "markdown":
+        from pupper_analysis.pupper import comparison
+
+        overview = [comparison.comparison_table(rows)]
+        shared.show(_named(analyses), style, robots=robots, overview=overview)
+    if folder is not None:
+        _draw(robots, analyses, folder)
+    _write(robots, analyses, rows, json_path, report_path)
+    if shown and not everything:
         click.echo("every table: -v; every number: --json FILE; a page to share: --report FILE")
     if write_folder is not None:
         for spec in specs:
             for path in write_variant(spec, write_folder):
-                click.echo(f"written: {path}")
+                shared.written(path)
     if not all(analysis.verified for analysis in analyses):
         click.get_current_context().exit(shared.FAILED)
 
 
 def _analyze_all(
-    specs: list[VariantSpec], task: StandTask, *, verbose: bool, quiet: bool
+    specs: list[VariantSpec], task: StandTask, *, everything: bool, shown: bool
 ) -> tuple[list[Analysis], list[Robot]]:
     """Analyses the variants and prints each as it is done."""
     from pupper_analysis.analysis.robot import analyze_variant
     from pupper_analysis.pupper.load import load_variant
-    from pupper_analysis.report.analysis import print_analysis
-    from pupper_analysis.report.console import console
-    from pupper_analysis.report.summary import print_summary
+    from pupper_analysis.report.documents.analysis import analysis_document
+    from pupper_analysis.report.terminal import console, print_document, print_head
     from pupper_analysis.stance.stand import solve_stand
 
     robots = [load_variant(spec) for spec in specs]
@@ -134,27 +147,23 @@ def _analyze_all(
     analyses = []
     for robot in robots:
         analyses.append(analyze_variant(robot, task, progress=out.is_terminal))
-        if not quiet:
-            (print_analysis if verbose else print_summary)(out, analyses[-1])
+        if shown and everything:
+            print_document(out, analysis_document(analyses[-1]), everything=True)
+        elif shown:
+            print_head(out, analysis_document(analyses[-1]))
     return analyses, robots
 
 
-def _finish(
-    specs: list[VariantSpec],
-    robots: list[Robot],
-    analyses: list[Analysis],
-    folder: Path | None,
-    json_path: Path | None,
-    report_path: Path | None,
-    *,
-    quiet: bool,
-) -> None:
-    """Compares the variants, and writes figures, JSON and report."""
+def _named(analyses: list[Analysis]) -> list[tuple[str, Analysis]]:
+    return [(analysis.name, analysis) for analysis in analyses]
+
+
+def _compared(specs: list[VariantSpec], analyses: list[Analysis]) -> list[ComparisonRow]:
+    """Puts each variant beside the base model that it is made of."""
     from pupper_analysis.analysis.robot import leg_lengths, thigh_shape_length
     from pupper_analysis.pupper import comparison
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
-    from pupper_analysis.report.console import console, escape
 
     references = {}
     for name in {spec.base for spec in specs}:
@@ -162,35 +171,39 @@ def _finish(
         references[name] = comparison.Reference(
             robot.total_mass, leg_lengths(robot)[0], thigh_shape_length(robot)
         )
-    rows = [
+    return [
         comparison.compare(analysis, spec.base, references[spec.base])
         for spec, analysis in zip(specs, analyses, strict=True)
     ]
-    out = console()
-    if not quiet:
-        comparison.print_comparison(out, rows)
-    if folder is not None:
-        for line in _draw(robots, analyses, folder):
-            if not quiet:
-                out.print(escape(line))
-    if json_path is not None:
-        content: dict[str, Any] = {
-            "variants": {analysis.name: analysis for analysis in analyses},
-            "comparison": rows,
-        }
-        shared.write_json(json_path, content)
-        if not quiet:
-            out.print(escape(f"results: {json_path}"))
-    if report_path is not None:
-        shared.write_page(report_path, [*analyses, comparison.comparison_table(rows)], robots)
-        if not quiet:
-            out.print(escape(f"report: {report_path}"))
+
+
+def _print_comparison(rows: list[ComparisonRow]) -> None:
+    from pupper_analysis.pupper.comparison import comparison_table
+    from pupper_analysis.report.terminal import console, print_table
+
+    print_table(console(), comparison_table(rows))
+
+
+def _write(
+    robots: list[Robot],
+    analyses: list[Analysis],
+    rows: list[ComparisonRow],
+    json_path: Path | None,
+    report_path: Path | None,
+) -> None:
+    """Writes JSON and report, and says how many are verified."""
+    from pupper_analysis.pupper.comparison import comparison_table
+
+    content: dict[str, Any] = {"variants": dict(_named(analyses)), "comparison": rows}
+    shared.write_json(json_path, content)
+    shared.write_page(report_path, [*analyses, comparison_table(rows)], robots)
     good = sum(analysis.verified for analysis in analyses)
-    out.print(f"{good} of {len(analyses)} verified")
+    data = click.get_current_context().params["style"] != "text"
+    click.echo(f"{good} of {len(analyses)} verified", err=data)
 
 
-def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> list[str]:
-    """Writes all figures; returns what to say of them."""
+def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
+    """Writes all figures."""
     from pupper_analysis.report import render
     from pupper_analysis.report.figures.gains import gain_figure
     from pupper_analysis.report.figures.heights import height_figure
@@ -207,15 +220,15 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> list[s
     picture = render.render_variants(
         list(zip(robots, stands, strict=True)), folder / "variants.png"
     )
-    lines = [f"figures: {folder}/"]
+    shared.written(f"{folder}/")
     if picture.note:
-        lines.append(f"note: {picture.note}")
-    return lines
+        click.echo(f"note: {picture.note}", err=True)
 
 
 def _print_list(specs: list[VariantSpec]) -> None:
     from pupper_analysis.pupper import comparison
     from pupper_analysis.pupper.load import load_variant
-    from pupper_analysis.report.console import console
+    from pupper_analysis.report.terminal import console, print_table
 
-    comparison.print_variants(console(), [(spec, load_variant(spec)) for spec in specs])
+    variants = [(spec, load_variant(spec)) for spec in specs]
+    print_table(console(), comparison.variants_table(variants))

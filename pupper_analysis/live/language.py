@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.live.door import without_folders
+from pupper_analysis.report.document import Text
+from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.html import sentences
-from pupper_analysis.report.html.document import Text
-from pupper_analysis.report.html.tasks import task_text
 from pupper_analysis.report.html.words import text
 from pupper_analysis.report.verdict import Clause
 from pupper_analysis.stance.task import StandTask

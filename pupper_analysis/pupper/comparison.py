@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
 from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.report.console import titled_table
-from pupper_analysis.report.html.document import Cell, Column, Name, Table, number
+from pupper_analysis.report.document import Cell, Column, Name, Table, number
 from pupper_analysis.report.html.words import text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -20,27 +18,30 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 
-def print_variants(out: Console, variants: Iterable[tuple[VariantSpec, Robot]]) -> None:
-    """Prints what variants there are."""
-    columns = (
-        "variant",
-        "base",
-        "leg_scale",
-        "torso_mass_scale",
-        "mass\n(kg)",
-        "stand height\n(m)",
+def variants_table(variants: Iterable[tuple[VariantSpec, Robot]]) -> Table:
+    """Returns what variants there are."""
+    return Table(
+        text("Variants"),
+        (
+            Column(text("variant"), left=True),
+            Column(text("base"), left=True),
+            Column(Name("leg_scale"), "1"),
+            Column(Name("torso_mass_scale"), "1"),
+            Column(text("mass"), "kg"),
+            Column(text("stand height"), "m"),
+        ),
+        tuple(
+            (
+                Name(spec.name),
+                Name(spec.base),
+                number(spec.leg_scale, "g"),
+                number(spec.torso_mass_scale, "g"),
+                number(robot.total_mass, ".3f"),
+                number(robot.stand_height, ".4f"),
+            )
+            for spec, robot in variants
+        ),
     )
-    table = titled_table(out, "Variants", *columns, left=2)
-    for spec, robot in variants:
-        table.add_row(
-            spec.name,
-            spec.base,
-            f"{spec.leg_scale:g}",
-            f"{spec.torso_mass_scale:g}",
-            f"{robot.total_mass:.3f}",
-            f"{robot.stand_height:.4f}",
-        )
-    out.print(table)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,47 +140,8 @@ def _ratio(length: float | None, reference: float | None) -> float | None:
     return length / reference if length is not None and reference else None
 
 
-def _millimetres(length: float) -> str:
-    return f"{round(1e3 * length, 3) + 0.0:.3f}"  # + 0.0: no minus before a zero
-
-
-def print_comparison(out: Console, rows: Sequence[ComparisonRow]) -> None:
-    """Prints the table that compares robots."""
-    table = titled_table(
-        out,
-        "Comparison (ratios to the unscaled base model)",
-        "",
-        *(row.name for row in rows),
-    )
-    lines: list[tuple[str, list[str]]] = [
-        ("mass (kg)", [f"{row.total_mass:.3f}" for row in rows]),
-        ("mass ratio", [f"{row.mass_ratio:.3f}" for row in rows]),
-        ("thigh ratio, hip to knee", [_or_dash(row.thigh_ratio) for row in rows]),
-        ("thigh ratio, drawn shape", [_or_dash(row.thigh_shape_ratio) for row in rows]),
-        ("stand height (m)", [f"{row.height:.4f}" for row in rows]),
-        ("peak torque (N m)", [f"{row.peak_torque:.3f}" for row in rows]),
-        ("peak utilisation", [f"{row.peak_utilisation:.1%}" for row in rows]),
-        (
-            "without feed-forward",
-            ["stands" if row.stands_without else "[red]FAILS[/]" for row in rows],
-        ),
-        ("  servo sag (mm)", [_millimetres(row.servo_sag) for row in rows]),
-        ("contact softness (mm)", [_millimetres(row.contact_sag) for row in rows]),
-        ("torque off prediction", [f"{row.torque_error:.3%}" for row in rows]),
-        ("foot force off prediction", [f"{row.force_error:.3%}" for row in rows]),
-        ("cross-check, worst", [f"{row.cross_check:.1e}" for row in rows]),
-        (
-            "verdict",
-            [f"[{'green' if row.verified else 'red'}]{_verdict(row)}[/]" for row in rows],
-        ),
-    ]
-    for name, values in lines:
-        table.add_row(name, *values)
-    out.print(table)
-
-
 def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
-    """Returns the table that compares robots, for a page: a row each, so that it can be sorted."""
+    """Returns the table that compares robots: a row each, so that it can be sorted."""
     columns = (
         ("mass", "kg", "total_mass", ".3f", 1.0),
         ("mass ratio", "1", "mass_ratio", ".3f", 1.0),
@@ -199,20 +161,16 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
         numbers = [
             number(getattr(row, field), form, scale=scale) for _, _, field, form, scale in columns
         ]
-        stands = text("stands") if row.stands_without else text("FAILS")
-        verdict = text(_verdict(row))
-        cells.append((Name(row.name), *numbers, stands, verdict))
+        stands = text("stands") if row.stands_without else text("FAILS").marked("bad")
+        verdict = text(_verdict(row)).marked("good" if row.verified else "bad")
+        cells.append((Name(row.name), verdict, stands, *numbers))
     return Table(
         text("Comparison (ratios to the unscaled base model)"),
         (
             Column(text("variant"), left=True),
-            *(Column(text(name), unit) for name, unit, *_ in columns),
-            Column(text("without feed-forward"), left=True),
             Column(text("verdict"), left=True),
+            Column(text("without feed-forward"), left=True),
+            *(Column(text(name), unit) for name, unit, *_ in columns),
         ),
         tuple(cells),
     )
-
-
-def _or_dash(ratio: float | None) -> str:
-    return "-" if ratio is None else f"{ratio:.3f}"

@@ -10,8 +10,8 @@ import numpy as np
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.pupper.window import check_display, show
-from pupper_analysis.report.console import console
-from pupper_analysis.report.stance import print_tracking
+from pupper_analysis.report.documents.path_there import tracking_document
+from pupper_analysis.report.terminal import console, print_document
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.path_commands import path_commands
@@ -90,7 +90,7 @@ def demo(
         _show(robot, path)
     tracking = track_path(robot, path)
     print(f"{name}: {DEMOS[name]}")
-    print_tracking(console(), path, tracking)
+    print_document(console(), tracking_document(name, path, tracking), everything=True)
     if csv is not None:
         path.to_csv(csv)
         print(f"path: {csv}")

@@ -1,88 +1,24 @@
-"""Prints the comparison of two model files, for people and for machines."""
+"""What the comparison of two model files finds, in order, and for machines."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Difference
-from pupper_analysis.checks.engines import EDGES, EXTRAS
 from pupper_analysis.checks.patterns import Cause
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.report.console import SafeTable, escape, print_notes
 from pupper_analysis.report.formats import Annotation, Case
 
-SHOWN = 20
-"""Groups of differences that are printed unless all are asked for."""
 
-_GROUPED = 4  # elements of a group that are named
-
-
-def print_models(out: Console, comparison: Comparison, *, everything: bool = False) -> None:
-    """Prints a comparison: the verdict and its first cause, all differences, what is left.
-
-    Args:
-        out: Where to.
-        comparison: The comparison.
-        everything: Print all differences, however many.
-    """
-    causes, groups = by_cause(comparison, everything)
-    verdict = "[bold green]AGREE[/]" if comparison.agree else "[bold red]DISAGREE[/]"
-    if comparison.same_robot and not comparison.agree:
-        verdict = "[bold yellow]ONE ROBOT, OTHER COORDINATES[/]"
-    first = first_to_mend(comparison, causes, groups)
-    out.print(f"{verdict}: {escape(first)}", soft_wrap=True)
-    _print_causes(out, comparison, causes, everything)
-    shown = groups if everything else groups[:SHOWN]
-    for number, group in enumerate(shown, start=1):
-        _print_group(out, number, group, everything)
-    if len(shown) < len(groups):
-        out.print(f"… and {len(groups) - len(shown)} more with less effect; --all prints them")
-    if comparison.differences:
-        left = max(comparison.left.values())
-        complete = "" if comparison.complete else ", [red]so something is missing in this list[/]"
-        out.print(
-            f"\nexplained: {100 * comparison.explained:.6g} % of the deviation; with the MJCF's "
-            f"values in the URDF's model {left:.1e} is left{complete}",
-            soft_wrap=True,
-        )
-    for objection in comparison.objections:
-        out.print(f"[red]{escape(str(objection))}[/]", soft_wrap=True)
-    _print_quantities(out, comparison)
-    print_notes(out, matching_notes(comparison))
-
-
-def _print_causes(
-    out: Console, comparison: Comparison, causes: Iterable[Cause], everything: bool
-) -> None:
-    """Prints what one file lacks as a whole, and slips that explain several differences."""
-    for part in comparison.parts:
-        said = f"{part}; it was taken off to compare the rest"
-        out.print(f"\n[bold]-[/] {escape(said)}", soft_wrap=True)
-    for cause in causes:
-        more = "" if everything else "; --all prints each"
-        said = f"{cause.message} (this alone makes {len(cause.differences)} differences{more})"
-        out.print(f"\n[bold]-[/] {escape(said)}", soft_wrap=True)
-        first = comparison.differences[cause.differences[0]]
-        where = f"   {first.urdf_place}   {first.mjcf_place}"
-        out.print(escape(where), style="dim", soft_wrap=True)
-        does = f"   the {first.kind} of {first.element}: {effects_told(first)}"
-        out.print(escape(does), soft_wrap=True)
-
-
-def by_cause(
-    comparison: Comparison, everything: bool
-) -> tuple[tuple[Cause, ...], list[list[Difference]]]:
-    """Returns the causes, and the differences that none explains, or all, in groups."""
+def by_cause(comparison: Comparison) -> tuple[tuple[Cause, ...], list[list[Difference]]]:
+    """Returns the causes, and in groups the differences that none explains."""
     explained = {number for cause in comparison.causes for number in cause.differences}
     rest = [
         difference
         for number, difference in enumerate(comparison.differences)
-        if everything or number not in explained
+        if number not in explained
     ]
     return comparison.causes, _groups(rest)
 
@@ -134,20 +70,6 @@ def _groups(differences: Iterable[Difference]) -> list[list[Difference]]:
     return list(groups.values())
 
 
-def _print_group(out: Console, number: int, group: list[Difference], everything: bool) -> None:
-    first = group[0]
-    more = ""
-    if len(group) > 1:
-        names = [difference.element for difference in group[1:]]
-        listed = ", ".join(names[:_GROUPED]) + (" …" if len(names) > _GROUPED else "")
-        more = f"; likewise on {len(names)} more: {', '.join(names) if everything else listed}"
-    out.print(f"\n[bold]{number}.[/] {escape(first.message + more)}", soft_wrap=True)
-    out.print(escape(f"   {first.urdf_place}   {first.mjcf_place}"), style="dim", soft_wrap=True)
-    for said in first.made_of if first.kind == "mass" else ():
-        out.print(escape(f"   {said}"), style="dim", soft_wrap=True)
-    out.print(f"   {effects_told(first)}", soft_wrap=True, style="" if first.effects else "dim")
-
-
 def effects_told(difference: Difference) -> Diagnostic:
     """Returns what a difference does."""
     if not difference.effects:
@@ -163,39 +85,6 @@ def effects_told(difference: Difference) -> Diagnostic:
         for name, effect in sorted(difference.effects.items(), key=lambda item: -item[1].share)
     ]
     return diagnose("effects", effects=effects)
-
-
-def _print_quantities(out: Console, comparison: Comparison) -> None:
-    check = comparison.check
-    out.print(
-        f"\nDeviation relative to each quantity's scale, at {check.configurations} random "
-        "configurations",
-        style="bold",
-    )
-    every = dict.fromkeys(EDGES.values())
-    sides = [side for side in every if any(side in q.edges for q in check.quantities)]
-    extras = any(quantity.edges.get(EXTRAS) for quantity in check.quantities)
-    if not extras:
-        sides.remove(EXTRAS)  # a column of zeros: the MJCF has none
-    # With that column, 80 characters are enough only if the columns share their padding.
-    table = SafeTable(
-        box=SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        header_style="dim",
-        collapse_padding=extras,
-    )
-    table.add_column("quantity", no_wrap=True)
-    for side in sides:
-        table.add_column(side.replace(" (", "\n("), justify="right", no_wrap=True)
-    table.add_column("worst at", overflow="fold")
-    for quantity in check.quantities:
-        cells = [f"{quantity.edges[side]:.1e}" if side in quantity.edges else "" for side in sides]
-        table.add_row(quantity.name, *cells, "" if quantity.passed else escape(quantity.where))
-    out.print(table)
-    print_notes(out, check.notes)
-    for engine in comparison.engines:
-        out.print(f"note: the engines differ on one model: {escape(str(engine))}", style="yellow")
 
 
 def remarks(comparison: Comparison) -> list[Annotation]:

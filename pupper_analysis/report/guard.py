@@ -1,97 +1,50 @@
-"""Prints the check of a repository's models, for people and for machines."""
+"""The check of a repository's models, in a line and for machines."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-
-from rich.console import Console
+from collections.abc import Iterator
 
 from pupper_analysis.guard.check import RepositoryCheck
 from pupper_analysis.guard.remarks import Remark, State
-from pupper_analysis.report.audit import LEVELS, STYLES
-from pupper_analysis.report.console import escape
+from pupper_analysis.report.audit import LEVELS
+from pupper_analysis.report.document import Name, Text
 from pupper_analysis.report.formats import Annotation, Case
+from pupper_analysis.report.html.words import joined, text
 from pupper_analysis.report.sarif import from_root
 
 
-def print_check(out: Console, check: RepositoryCheck, *, everything: bool = False) -> None:
-    """Prints what fails, with its place, and how much is known.
-
-    Args:
-        out: Where to.
-        check: The check.
-        everything: Print what does not fail, too.
-    """
-    shown = [remark for remark in check.remarks if everything or remark.fails]
-    for group in _groups(shown):
-        _print_group(out, group)
-    for entry in check.stale:
-        text = f"stale: {entry}: it does not occur any more"
-        out.print(escape(text + _what_of_stale(check)), style="yellow", soft_wrap=True)
-    for pair in check.pairs:
-        told = "[red]FAILS[/]" if pair.failures else "[green]OK[/]"
-        parts = [f"{pair.failures} to mend"] * bool(pair.failures)
-        parts += [f"{pair.known} known"] * bool(pair.known)
-        parts += {True: ["they agree"], False: ["they differ"], None: []}[pair.agree]
-        files = escape(f"{pair.name}: {', '.join(pair.files)}")
-        out.print(f"{told} {files}{': ' * bool(parts)}{', '.join(parts)}", soft_wrap=True)
-        for rule, reason in pair.disabled.items():
-            out.print(escape(f"  {rule} is switched off: {reason}"), style="dim", soft_wrap=True)
-    verdict = "[bold green]PASSED[/]" if check.passed else "[bold red]FAILED[/]"
-    out.print(f"{verdict}: {escape(summary(check))}", soft_wrap=True)
-
-
-def _groups(remarks: Iterable[Remark]) -> list[list[Remark]]:
-    """Puts together remarks of one kind and file with the same values, old and new."""
-    groups: dict[tuple[str, ...], list[Remark]] = {}
-    for remark in remarks:
-        same = (remark.state, str(remark.values), str(remark.before))
-        key = (remark.check, remark.pair, remark.kind, remark.file, *same)
-        groups.setdefault(key, []).append(remark)
-    return list(groups.values())
-
-
-def _print_group(out: Console, group: list[Remark]) -> None:
-    first, *others = group
-    style, place = STYLES[first.severity], _from_root(first.place) or first.file
-    out.print(
-        f"[{style}]{first.severity}[/] {escape(place)} "
-        f"[dim]{escape(f'{first.check} {first.kind}')} ({first.state})[/]",
-        soft_wrap=True,
-    )
-    other = f" [{_from_root(first.other_place)}]" if first.other_place else ""
-    names = ", ".join(remark.element for remark in others)
-    more = f"; likewise on {len(others)} more: {names}" if others else ""
-    out.print(f"  {escape(first.message + other + more)}", soft_wrap=True)
-    if first.before is not None:
-        out.print(f"  {escape(_before(first))}", style="dim", soft_wrap=True)
-
-
-def summary(check: RepositoryCheck) -> str:
+def summary(check: RepositoryCheck) -> Text:
     """Returns how much was found, in a line."""
-    parts = [f"{check.failures} to mend"]
     counts = {state: sum(r.state is state for r in check.remarks) for state in State}
     minor = sum(r.state is not State.KNOWN and not r.fails for r in check.remarks)
-    parts += [f"{minor} of less severity than fails"] * bool(minor)
-    parts += [f"{counts[State.KNOWN]} known"] * bool(counts[State.KNOWN])
-    parts += [f"{len(check.stale)} stale"] * bool(check.stale)
-    text = ", ".join(parts)
-    return f"{text}; the baseline is written: {check.baseline}" if check.updated else text
+    parts = [text("{count} to mend", count=check.failures)]
+    if minor:
+        parts.append(text("{count} of less severity than fails", count=minor))
+    if counts[State.KNOWN]:
+        parts.append(text("{count} known", count=counts[State.KNOWN]))
+    if check.stale:
+        parts.append(text("{count} stale", count=len(check.stale)))
+    found = joined(parts)
+    if check.updated:
+        baseline = Name(str(check.baseline))
+        return text("{found}; the baseline is written: {file}", found=found, file=baseline)
+    return found
 
 
-def _before(remark: Remark) -> str:
-    before = remark.before or {}
+def before_in_words(remark: Remark) -> Text:
+    """Returns what the baseline has of a remark."""
     values = (
-        f"{value}" if name == "message" else f"{name} {value}" for name, value in before.items()
+        str(value) if name == "message" else f"{name} {value}"
+        for name, value in (remark.before or {}).items()
     )
-    return f"the baseline has: {', '.join(values)}"
+    return text("the baseline has: {values}", values=", ".join(values))
 
 
 def _what_of_stale(check: RepositoryCheck) -> str:
     return "; it was taken out" if check.updated else "; --update-baseline takes it out"
 
 
-def _from_root(place: str | None) -> str:
+def from_the_root(place: str | None) -> str:
     """Returns ``file:line`` with the file as CI services find it."""
     file, line = Annotation("", "", "", place).file_and_line
     if not file:
@@ -140,9 +93,9 @@ def _places(remark: Remark) -> list[str | None]:
 
 def _annotation(remark: Remark, place: str | None) -> Annotation:
     both = (remark.place, remark.other_place)
-    others = [_from_root(one) for one in both if one and one != place]
+    others = [from_the_root(one) for one in both if one and one != place]
     other = f" [{others[0]}]" if others else ""
-    before = f"; {_before(remark)}" if remark.before is not None else ""
+    before = f"; {before_in_words(remark).en}" if remark.before is not None else ""
     return Annotation(
         "error" if remark.fails else LEVELS[remark.severity],
         remark.subject,
@@ -173,5 +126,5 @@ def cases(check: RepositoryCheck) -> Iterator[Case]:
 
 
 def _failure(remarks: list[Remark]) -> str | None:
-    lines = [f"{_from_root(r.place)}: {r.message}" for r in remarks if r.fails]
+    lines = [f"{from_the_root(r.place)}: {r.message}" for r in remarks if r.fails]
     return "\n".join(lines) or None

@@ -6,10 +6,9 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from rich.console import Console
-
 from pupper_analysis.models.joint_drives import MadeServo
-from pupper_analysis.report.console import escape
+from pupper_analysis.report.document import Said, Text
+from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.as_published import OwnRun, Published, ServoSource, ServosUsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Ending, Verdict, VerdictCode
@@ -58,16 +57,23 @@ def word(verdict: Verdict) -> str:
     return "FAILS"
 
 
-def print_verdict(out: Console, verdict: Verdict, name: str = "") -> None:
-    """Prints a verdict in one line: what is good in it green, what decides against it red."""
-    against = "yellow" if verdict.passed else "red"
-    parts = []
-    for clause in clauses(verdict):
-        first, space, rest = escape(str(clause)).partition(" ")
-        if first.isupper():
-            first = f"[bold {'green' if clause.good else against}]{first}[/]"
-        parts.append(first + space + rest)
-    out.print((f"{escape(name)}: " if name else "") + "; ".join(parts), soft_wrap=True)
+def clause_text(clause: Clause) -> Text:
+    """Returns a clause in both languages."""
+    values = {name: Said(value) for name, value in clause.values.items()}
+    return text(clause.sentence, **values).marked("good" if clause.good else "bad")
+
+
+def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
+    """Returns what a verdict says, a line each; against one that has passed, warnings."""
+    lines = map(clause_text, clauses(verdict))
+    if not verdict.passed:
+        return tuple(lines)
+    return tuple(line.marked("warn") if line.mark == "bad" else line for line in lines)
+
+
+def verdict_word(verdict: Verdict) -> Text:
+    """Returns a verdict in a word or two."""
+    return text(word(verdict))
 
 
 _OWN = {
@@ -222,11 +228,6 @@ def on_servos(servos: ServosUsed, *, good: bool) -> Clause:
         "on servos that were made up at {count} joints (kp {kp} N m/rad, kd {kd} N m s/rad)",
         {"count": str(len(servos.made)), "kp": _span(servos.kp), "kd": _span(servos.kd)},
     )
-
-
-def made_up(servos: ServosUsed) -> str:
-    """Says at a line's end that it rests on servos that were made up; nothing if none were."""
-    return f", {on_servos(servos, good=True)}" if servos.made else ""
 
 
 def _listed(names: tuple[str, ...]) -> str:

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.report.html.document import Name, Plot, Words
+from pupper_analysis.report.document import Name, Words
 from pupper_analysis.report.html.plots import (
     BOTTOM,
     LEFT,
     TOP,
     WIDTH,
+    Drawing,
     Mark,
+    draw,
     straight,
     ticks,
     word_at,
 )
 from pupper_analysis.report.html.words import text, word
-from pupper_analysis.study.cells import Cells, EndMap, MeanMap, labelled, span
+from pupper_analysis.report.plots import EndsPlot, FrontPlot, MeansPlot, ParallelPlot
+from pupper_analysis.study.cells import Cells, labelled, span
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,22 +63,11 @@ def colour(share: float) -> str:
     return "#{:02x}{:02x}{:02x}".format(*mixed)
 
 
-def mean_plot(
-    title: Words, found: MeanMap, x: str, y: str, measure: str, ends: tuple[float, float]
-) -> Plot:
-    """Draws means over two variables, which show under the pointer.
-
-    Cells are crossed out by lines in whose mean designs are missing, as they do not stand.
-
-    Args:
-        title: What they show.
-        found: The means.
-        x: The variable along.
-        y: The variable upwards.
-        measure: The measure.
-        ends: The least and the greatest value that colours tell.
-    """
-    low, high = ends
+@draw.register
+def _means(plot: MeansPlot) -> Drawing:
+    """Draws means, which show under the pointer."""
+    found, x, y = plot.found, plot.x, plot.y
+    low, high = plot.ends
     wide = span(low, high)
 
     def filled(row: int, column: int) -> tuple[str, float]:
@@ -95,20 +87,13 @@ def mean_plot(
     grid = _Grid(found.x, found.y)
     marks = [*grid.cells(filled), *grid.crossed(found.partial), *grid.axes(x, y)]
     marks += _bar(low, high)
-    marks.append(grid.labels(Name(labelled(measure)), x, y, told))
-    return Plot(title, WIDTH, MAP_HEIGHT, tuple(marks))
+    marks.append(grid.labels(Name(labelled(plot.measure)), x, y, told))
+    return Drawing(plot.title, WIDTH, MAP_HEIGHT, tuple(marks))
 
 
-def end_plot(title: Words, found: EndMap, x: str, y: str, kinds: Sequence[str]) -> Plot:
-    """Draws what most designs of each cell come to; paler where they come to different ends.
-
-    Args:
-        title: What it shows.
-        found: What becomes of the designs.
-        x: The variable along.
-        y: The variable upwards.
-        kinds: Of the whole study, whose colours are the same in all its maps.
-    """
+@draw.register
+def _ends(plot: EndsPlot) -> Drawing:
+    found, x, y, kinds = plot.found, plot.x, plot.y, plot.kinds
     total, most = found.counts.sum(axis=0), found.counts.argmax(axis=0)
     tones = [_ENDS[0], *(_ENDS[1 + i % (len(_ENDS) - 1)] for i in range(len(kinds) - 1))]
     shade = [tones[kinds.index(kind)] for kind in found.kinds]
@@ -135,18 +120,12 @@ def end_plot(title: Words, found: EndMap, x: str, y: str, kinds: Sequence[str]) 
             marks.append(grid.labels(name, x, y, told, chosen))
     counts = found.counts.sum(axis=(1, 2))
     legend = tuple((name, shade[kind]) for kind, name in enumerate(named) if counts[kind])
-    return Plot(title, WIDTH, MAP_HEIGHT, tuple(marks), legend)
+    return Drawing(plot.title, WIDTH, MAP_HEIGHT, tuple(marks), legend)
 
 
-def parallel_plot(title: Words, table: pd.DataFrame, columns: Sequence[str], shade: str) -> Plot:
-    """Draws each design as a line over several columns, coloured by one of them.
-
-    Args:
-        title: What it shows.
-        table: Of a study.
-        columns: From left to right.
-        shade: The column that colours the lines; grey are designs that have none.
-    """
+@draw.register
+def _parallel(plot: ParallelPlot) -> Drawing:
+    table, columns, shade = plot.table, plot.columns, plot.shade
     shown = _evenly(table, MOST_LINES)
     places, numbers = shown.index.to_numpy(), shown[list(columns)].to_numpy(float)
     low, high = (table[list(columns)].agg(end).to_numpy(float) for end in ("min", "max"))
@@ -179,21 +158,13 @@ def parallel_plot(title: Words, table: pd.DataFrame, columns: Sequence[str], sha
             word_at(at, foot + 32 + 16 * (index % 2), Name(_cut(labelled(name))), "middle")
         )
     marks += _bar(least, most)
-    return Plot(title, WIDTH, MAP_HEIGHT, tuple(marks))
+    return Drawing(plot.title, WIDTH, MAP_HEIGHT, tuple(marks))
 
 
-def front_plot(
-    title: Words, table: pd.DataFrame, front: pd.DataFrame, objectives: Sequence[str]
-) -> Plot:
-    """Draws designs over two measures, and the front of those that no other beats.
-
-    Args:
-        title: What it shows.
-        table: Of a study.
-        front: The front of it.
-        objectives: Columns: along, and upwards.
-    """
-    x, y = objectives
+@draw.register
+def _front(plot: FrontPlot) -> Drawing:
+    table, front = plot.table, plot.front
+    x, y = plot.objectives
     known = table.dropna(subset=[x, y])
     low = [float(known[name].min()) for name in (x, y)]
     high = [float(known[name].max()) for name in (x, y)]
@@ -231,7 +202,7 @@ def front_plot(
         marks += [{"tag": "circle", "class": f"dot {style}", "cx": cx, "cy": cy, "r": size}
                   for cx, cy in points.tolist()]  # fmt: skip
     legend = ((text("designs"), "s0"), (text("no other design beats these"), "s1"))
-    return Plot(title, WIDTH, MAP_HEIGHT, tuple(marks), legend)
+    return Drawing(plot.title, WIDTH, MAP_HEIGHT, tuple(marks), legend)
 
 
 class _Grid:

@@ -15,22 +15,28 @@ from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.report.document import OverlayScene
 from pupper_analysis.report.formats import visible
-from pupper_analysis.report.html.scene import bodies_of, extent_of, geoms_of, packed, short_numbers
+from pupper_analysis.report.html.scene import (
+    bodies_of,
+    extent_of,
+    geoms_of,
+    packed,
+    scene_of,
+    short_numbers,
+)
 from pupper_analysis.report.html.words import text
 
 Array = NDArray[np.float64]
 
 
-def overlay_of(comparison: Comparison) -> dict[str, Any] | None:
-    """Returns what is drawn of two files, both at zero angles and with their roots at one place.
+@scene_of.register
+def _overlay(scene: OverlayScene) -> dict[str, Any] | None:
+    """Returns both files at zero angles, in the world of the MJCF, their roots at one place.
 
-    Args:
-        comparison: The comparison; bodies with differences are marked, and say which.
-
-    Returns:
-        The scene, in the world of the MJCF (m); None where a file has gone, or has no bodies.
+    Bodies with differences are marked, and say which. None where a file has gone, or has no bodies.
     """
+    comparison = scene.comparison
     try:
         model = read_mjcf(comparison.mjcf).compile()
         lines = _urdf_lines(comparison.urdf)

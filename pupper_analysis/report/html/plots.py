@@ -1,4 +1,4 @@
-"""Drawings as inline SVG: lines, bars and directions, with values that show under the pointer.
+"""Plots drawn as inline SVG: lines, bars and directions, with values that show under the pointer.
 
 A mark is a dictionary that the template writes as one element: ``tag`` names it, ``words`` is a
 text that it shows, ``points`` are places (n, 2) with one of ``labels`` each.
@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import singledispatch
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from pupper_analysis.report.html.document import Name, Plot, Text, Words, number
+from pupper_analysis.report.document import Name, Text, Words, number
+from pupper_analysis.report.plots import Axis, BarPlot, DirectionPlot, LinePlot, Plot
 
 Array = NDArray[np.float64]
 Mark = Mapping[str, Any]
@@ -33,21 +35,34 @@ STYLES = 6
 """Styles of series in the style sheet (``s0`` ...), each of its own colour, dashes and marker."""
 
 
-@dataclass(frozen=True, eq=False)
-class Series:
-    """One line of a drawing.
+@dataclass(frozen=True)
+class Drawing:
+    """A drawing, with its marks in the user's units of an SVG.
 
     Attributes:
-        name: Whose it is.
-        x: (n,) along, in the axis's unit.
-        y: (n,) up, in the axis's unit; what is not finite is left out.
-        points: Whether every point is marked.
+        title: What it shows.
+        width: Of the drawing.
+        height: Of the drawing.
+        marks: Its lines, points and words, in the order in which they are drawn.
+        legend: (words, class) of each series.
     """
 
-    name: Words
-    x: ArrayLike
-    y: ArrayLike
-    points: bool = False
+    kind: ClassVar[str] = "plot"
+    title: Words
+    width: float
+    height: float
+    marks: tuple[Mark, ...]
+    legend: tuple[tuple[Words, str], ...] = ()
+
+
+@singledispatch
+def draw(plot: Plot) -> Drawing:
+    """Draws a plot.
+
+    Raises:
+        TypeError: If nobody has said how such a plot is drawn.
+    """
+    raise TypeError(f"no drawing of {type(plot).__name__}")
 
 
 _FLAT = 1e-3
@@ -55,29 +70,14 @@ _FLAT = 1e-3
 same six digits at all of its lines."""
 
 
-@dataclass(frozen=True)
-class Axis:
-    """What an axis measures.
+def scaled(axis: Axis, values: Array) -> Array:
+    """Returns values as they are drawn along an axis."""
+    return np.log10(values) if axis.log else values
 
-    Attributes:
-        name: The quantity.
-        unit: Its unit.
-        form: How its values are written.
-        log: Whether it is logarithmic.
-    """
 
-    name: Words
-    unit: str
-    form: str
-    log: bool = False
-
-    def scaled(self, values: Array) -> Array:
-        """Returns values as they are drawn."""
-        return np.log10(values) if self.log else values
-
-    def label(self, value: float) -> str:
-        """Writes a value with its unit."""
-        return f"{number(value, self.form).text} {self.unit}"
+def label(axis: Axis, value: float) -> str:
+    """Writes a value with its unit."""
+    return f"{number(value, axis.form).text} {axis.unit}"
 
 
 def ticks(low: float, high: float, count: int = 5) -> list[float]:
@@ -89,25 +89,16 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
     return [round(index * step, 12) for index in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
-def line_plot(
-    title: Words, x: Axis, y: Axis, series: Sequence[Series], source: tuple[Words, ...] = ()
-) -> Plot:
-    """Draws lines over one another.
-
-    Args:
-        title: What they show.
-        x: The axis along.
-        y: The axis up.
-        series: The lines, at least one with a finite value.
-        source: Where the numbers come from.
-    """
+@draw.register
+def _lines(plot: LinePlot) -> Drawing:
+    x, y, series = plot.x, plot.y, plot.series
     lines = []
     for one in series:
         across, up = (np.asarray(values, dtype=float) for values in (one.x, one.y))
         good = np.isfinite(across) & np.isfinite(up)
         lines.append(_thinned(np.column_stack([across[good], up[good]])))
     points = np.concatenate(lines)
-    along, upward = x.scaled(points[:, 0]), y.scaled(points[:, 1])
+    along, upward = scaled(x, points[:, 0]), scaled(y, points[:, 1])
     left, right = _range(along, 0.0 if not x.log else 0.03)
     low, high = _range(upward, 0.06)
     flat = 0.0 if y.log else _FLAT * max(abs(low), abs(high)) - (high - low)
@@ -116,8 +107,8 @@ def line_plot(
     wide, tall = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
 
     def place(values: Array) -> Array:
-        across = LEFT + wide * (x.scaled(values[:, 0]) - left) / (right - left)
-        up = TOP + tall * (high - y.scaled(values[:, 1])) / (high - low)
+        across = LEFT + wide * (scaled(x, values[:, 0]) - left) / (right - left)
+        up = TOP + tall * (high - scaled(y, values[:, 1])) / (high - low)
         return np.column_stack([across, up])
 
     marks: list[Mark] = []
@@ -131,45 +122,15 @@ def line_plot(
         marks.append(word_at(LEFT - 6, at + 4, Name(f"{value:g}"), "end"))
     marks += _axes(x, y, wide, tall)
     for index, (one, line) in enumerate(zip(series, lines, strict=True)):
-        labels = [f"{x.label(across)}, {y.label(up)}" for across, up in line]
+        labels = [f"{label(x, across)}, {label(y, up)}" for across, up in line]
         marks += _series(place(line), labels, one.name, index, points=one.points)
     legend = tuple((one.name, f"s{index % STYLES}") for index, one in enumerate(series))
-    return Plot(title, WIDTH, HEIGHT, tuple(marks), legend, source)
+    return Drawing(plot.title, WIDTH, HEIGHT, tuple(marks), legend)
 
 
-@dataclass(frozen=True)
-class Bar:
-    """A bar of a bar plot.
-
-    Attributes:
-        name: Its name.
-        value: Its length, in the axis's unit.
-        other: What is marked beside it by a tick; None for nothing.
-        limit: How long it may be; None for no limit.
-    """
-
-    name: Words
-    value: float
-    other: float | None = None
-    limit: float | None = None
-
-
-def bar_plot(
-    title: Words,
-    axis: Axis,
-    bars: Sequence[Bar],
-    legend: tuple[tuple[Words, str], ...],
-    source: tuple[Words, ...] = (),
-) -> Plot:
-    """Draws bars from zero to both sides, each with its limit and with another value beside it.
-
-    Args:
-        title: What they show.
-        axis: What they measure.
-        bars: The bars, from above.
-        legend: (words, class): of ``bar``, ``other`` and ``limit``.
-        source: Where the numbers come from.
-    """
+@draw.register
+def _bars(plot: BarPlot) -> Drawing:
+    axis, bars = plot.axis, plot.bars
     shown = [_shortened(bar.name) for bar in bars]
     names, values, step = 24.0 + LETTER * max(map(_letters, shown)), 84.0, 22.0
     wide, tall = WIDTH - names - values, step * len(bars)
@@ -198,23 +159,16 @@ def bar_plot(
             edge = at(bar.other)
             marks.append(straight(edge, middle - 8, edge, middle + 8, "other"))
         marks.append(word_at(names - 8, middle + 4, name, "end"))
-        marks.append(word_at(WIDTH - 4, middle + 4, Name(axis.label(bar.value)), "end"))
+        marks.append(word_at(WIDTH - 4, middle + 4, Name(label(axis, bar.value)), "end"))
     marks.append(straight(at(0.0), TOP, at(0.0), TOP + tall, "axis"))
     marks.append(word_at(names + wide / 2, TOP + tall + 36, axis.name, "middle", axis.unit))
-    return Plot(title, WIDTH, TOP + tall + BOTTOM, tuple(marks), legend, source)
+    legend = tuple(zip(plot.legend, ("bar", "other", "limit"), strict=True))
+    return Drawing(plot.title, WIDTH, TOP + tall + BOTTOM, tuple(marks), legend)
 
 
-def direction_plot(
-    title: Words, axis: Axis, series: Sequence[Series], source: tuple[Words, ...] = ()
-) -> Plot:
-    """Draws values by direction, as seen from above: forward is up, left is left.
-
-    Args:
-        title: What they show.
-        axis: What their distances from the middle measure.
-        series: Per robot, ``x`` are the directions (rad) and ``y`` the values.
-        source: Where the numbers come from.
-    """
+@draw.register
+def _directions(plot: DirectionPlot) -> Drawing:
+    axis, series = plot.axis, plot.series
     size = 420.0
     middle = size / 2
     reach = max(float(np.max(np.asarray(one.y, dtype=float))) for one in series) or 1.0
@@ -239,18 +193,18 @@ def direction_plot(
     for index, one in enumerate(series):
         directions, values = (np.asarray(one.x, dtype=float), np.asarray(one.y, dtype=float))
         labels = [
-            f"{math.degrees(angle):.0f}°, {axis.label(value)}"
+            f"{math.degrees(angle):.0f}°, {label(axis, value)}"
             for angle, value in zip(directions, values, strict=True)
         ]
         places = place(directions, values)
         marks += _series(places, labels, one.name, index, points=True, closed=True)
     marks.append(word_at(middle, size - 4, axis.name, "middle", axis.unit))
     legend = tuple((one.name, f"s{index % STYLES}") for index, one in enumerate(series))
-    return Plot(title, size, size, tuple(marks), legend, source)
+    return Drawing(plot.title, size, size, tuple(marks), legend)
 
 
 def _letters(words: Words) -> int:
-    return max(len(words.en), len(words.zh)) if isinstance(words, Text) else len(words.text)
+    return max(len(words.en), len(words.zh)) if isinstance(words, Text) else len(str(words.text))
 
 
 def _shortened(words: Words) -> Words:

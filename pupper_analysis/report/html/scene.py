@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from functools import singledispatch
 from typing import Any
 
 import mujoco
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.analysis.robot import joint_summaries
+from pupper_analysis.report.document import Motion, StandScene, Text
 from pupper_analysis.report.formats import visible
-from pupper_analysis.report.html.document import Text
 from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
@@ -44,35 +44,22 @@ MOST_FRAMES = 80
 _COARSEST = 512  # cells along a mesh's longest side at first, when it is made coarser
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """What a view can step through.
+@singledispatch
+def scene_of(scene: object) -> dict[str, Any] | None:
+    """Returns a scene as plain lists and numbers: lengths in m, in the world unless said.
 
-    Attributes:
-        name: What moves.
-        time: (n,) when (s).
-        qpos: (n, nq) how the robot is then.
+    Returns:
+        The scene; None where what it is made of has gone.
+
+    Raises:
+        TypeError: If nobody has said how such a scene is drawn.
     """
-
-    name: Text
-    time: Array
-    qpos: Array
+    raise TypeError(f"no view of {type(scene).__name__}")
 
 
-def scene_of(
-    robot: Robot,
-    stand: Stand,
-    statics: GravityCompensation | None,
-    motions: Sequence[Motion] = (),
-) -> dict[str, Any]:
-    """Returns a stand as plain lists and numbers: lengths in m, in the world unless said.
-
-    Args:
-        robot: The robot.
-        stand: How it stands.
-        statics: What holds it there, if forces, torques and the com are to be shown.
-        motions: What can be stepped through, beside the stand itself.
-    """
+@scene_of.register
+def _stand(scene: StandScene) -> dict[str, Any]:
+    robot, stand, statics = scene.robot, scene.stand, scene.statics
     model = robot.mj_model
     data = mujoco.MjData(model)
     points = np.array(list(stand.contact_points.values()))
@@ -86,7 +73,7 @@ def scene_of(
         "bodies": bodies_of(model),
         "geoms": geoms,
         "meshes": meshes,
-        "motions": [_frames(robot, data, motion) for motion in (still, *motions)],
+        "motions": [_frames(robot, data, motion) for motion in (still, *scene.motions)],
         "joints": _joints(robot, stand, statics),
         "contacts": [
             {
@@ -296,14 +283,14 @@ def coarser(vertices: Array, triangles: Integers, cells: int) -> tuple[Array, In
     return merged, moved[whole]
 
 
-def shared(scenes: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+def shared(scenes: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Takes meshes out of scenes, where several robots have the same, and returns each once.
 
     The scenes' own are replaced by the names under which they are returned.
     """
     found: dict[tuple[str, str, str], str] = {}
     meshes: dict[str, dict[str, Any]] = {}
-    for scene in scenes.values():
+    for scene in scenes:
         names = {}
         for name, mesh in scene.pop("meshes").items():
             key = (mesh["vertices"], mesh["faces"], str(mesh["low"]) + str(mesh["span"]))

@@ -15,8 +15,7 @@ from importlib.resources import files
 from types import MappingProxyType
 
 from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.report.html.document import Said, Text
-from pupper_analysis.report.html.words import catalogue
+from pupper_analysis.report.document import Said, Text
 
 _HOLE = re.compile(r"\{(\w+)\}")
 
@@ -46,6 +45,13 @@ class Pattern:
     chinese: str
     literal: int
     start: str
+
+
+@cache
+def catalogue() -> Mapping[str, str]:
+    """Returns {English: Simplified Chinese} of the report's own texts."""
+    file = files("pupper_analysis.report.html").joinpath("templates", "chinese.toml")
+    return MappingProxyType(tomllib.loads(file.read_text(encoding="utf-8")))
 
 
 @cache

@@ -15,12 +15,15 @@ import orjson
 from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
+from pupper_analysis.report.document import Block, Document, Lines, Report, Table, Text, View
+from pupper_analysis.report.documents.registry import report
 from pupper_analysis.report.formats import visible
-from pupper_analysis.report.html.document import Block, Section, Table, Text, View, Words
+from pupper_analysis.report.html import maps, overlay  # noqa: F401  (say how they are drawn)
 from pupper_analysis.report.html.library import installed_library
-from pupper_analysis.report.html.scene import shared
-from pupper_analysis.report.html.sections import overview_of, section_of, title_of
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.html.plots import draw
+from pupper_analysis.report.html.scene import scene_of, shared
+from pupper_analysis.report.html.words import spoken, text
+from pupper_analysis.report.plots import Plot
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -70,18 +73,13 @@ def write_report(
         raise ConfigurationError("results", f"{reprlib.repr(odd[0])} is no result")
     if not named:
         raise ConfigurationError("results", "there is no result to report")
-    known = {robot.name: robot for robot in robots}
-    shown = [result for _, result in named if not isinstance(result, Table)]
-    overview = (
-        *(result for _, result in named if isinstance(result, Table)),
-        *overview_of(shown),
+    shown = report(
+        [(name or "", result) for name, result in named if not isinstance(result, Table)],
+        robots,
+        [result for _, result in named if isinstance(result, Table)],
     )
-    sections = tuple(
-        section_of(result, name, known) for name, result in named if not isinstance(result, Table)
-    )
-    title = title_of(shown)
     with whole_file(Path(path)) as file:
-        file.write(_page(title, sections, overview, language).encode())
+        file.write(page(shown, language).encode())
 
 
 def _named(
@@ -95,25 +93,27 @@ def _named(
     return [(None, result) for result in results]
 
 
-def _page(
-    title: Words, sections: tuple[Section, ...], overview: tuple[Block, ...], language: str
-) -> str:
+def page(shown: Report, language: str = "en") -> str:
+    """Returns a report as one HTML page.
+
+    Args:
+        shown: The report.
+        language: In which it opens, ``"en"`` or ``"zh"``.
+    """
     library = installed_library()
-    scenes: dict[str, dict[str, Any]] = {}
-    sections = tuple(
-        _with_own_scenes(section, index, scenes) for index, section in enumerate(sections)
-    )
+    scenes: list[dict[str, Any]] = []
+    sections = tuple(_drawn(document, scenes) for document in shown.documents)
     meshes = shared(scenes)
     judged = [section for section in sections if section.passed is not None]
     page: str = (
         _environment()
         .get_template("page.html")
         .render(
-            title=title,
+            title=shown.title,
             language=LANGUAGES[language],
             version=_version(),
             sections=sections,
-            overview=overview,
+            overview=[_block(block, scenes) for block in shown.overview],
             counted=_counted(judged),
             ui=_interface(),
             words=_spoken(),
@@ -128,19 +128,29 @@ def _page(
     return page
 
 
-def _with_own_scenes(section: Section, number: int, scenes: dict[str, dict[str, Any]]) -> Section:
-    """Returns a section with copies of its views' scenes, which are put into ``scenes`` too."""
-    blocks = []
-    for place, block in enumerate(section.blocks):
-        if isinstance(block, View):
-            scene = dict(block.scene)
-            scenes[f"{number}.{place}"] = scene
-            block = replace(block, scene=scene)
-        blocks.append(block)
-    return replace(section, blocks=tuple(blocks))
+def _drawn(document: Document, scenes: list[dict[str, Any]]) -> Document:
+    """Returns a document with its plots drawn, and its views built and put into ``scenes``."""
+    blocks = [_block(block, scenes) for block in document.blocks]
+    return replace(document, blocks=tuple(block for block in blocks if block is not None))
 
 
-def _counted(judged: list[Section]) -> Text | None:
+def _block(block: Block, scenes: list[dict[str, Any]]) -> Any:
+    """Returns what the template shows of a block; None where nothing is to be shown."""
+    if isinstance(block, Plot):
+        return draw(block)
+    if not isinstance(block, View):
+        return block
+    if block.scene is None:
+        left_out = text("The view in three dimensions is left out: no robot was given.")
+        return Lines((left_out,))
+    scene = scene_of(block.scene)
+    if scene is None:
+        return None
+    scenes.append(scene)
+    return {"kind": "view", "title": block.title, "note": block.note, "scene": scene}
+
+
+def _counted(judged: list[Document]) -> Text | None:
     if len(judged) < 2:  # of one, its own verdict says it
         return None
     good = sum(bool(section.passed) for section in judged)
@@ -182,6 +192,8 @@ def _interface() -> dict[str, Any]:
         "summary": "Summary",
         "english_only": "Sentences with a bar before them have no translation.",
         "made_by": "Made by pupper_analysis. Units are SI, unless a header says otherwise.",
+        "failed": "What failed",
+        "notes": "Notes",
         "licences": "Licences of the scripts in this file",
     }
     return {"layers": layers, **{name: text(english) for name, english in said.items()}}
@@ -226,6 +238,7 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     # What is not a number becomes null, which JSON has a word for.
+    environment.globals["spoken"] = spoken
     environment.policies["json.dumps_function"] = lambda value, **_: orjson.dumps(value).decode()
     return environment
 

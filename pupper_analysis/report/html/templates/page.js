@@ -33,6 +33,29 @@
     for (const listener of window.report.listeners) listener();
   });
 
+  // Parts: opened by a link that leads to them, and all of them on paper.
+  const parts = [...document.querySelectorAll("details.part")];
+  const unfold = () => {
+    const target = location.hash.length > 1 && document.getElementById(location.hash.slice(1));
+    const part = target && (target.closest("details.part") ?? target.querySelector("details.part"));
+    if (!part || part.open) return;
+    part.open = true;
+    target.scrollIntoView();
+  };
+  addEventListener("hashchange", unfold);
+  for (const link of document.querySelectorAll('a[href^="#"]'))
+    link.addEventListener("click", () => setTimeout(unfold)); // the hash may be there already
+  unfold();
+  let folded = [];
+  addEventListener("beforeprint", () => {
+    folded = [...folded, ...parts.filter((part) => !part.open)];
+    for (const part of folded) part.open = true;
+  });
+  addEventListener("afterprint", () => {
+    for (const part of folded) part.open = false;
+    folded = [];
+  });
+
   // Tables: by number where a cell has one, else by text; the third click restores the order.
   function key(row, column) {
     const cell = row.cells[column];

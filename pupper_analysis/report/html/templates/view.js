@@ -463,9 +463,11 @@
 
     /** Puts a picture of the view beside it, for paper: views that nobody has scrolled to are empty. */
     picture() {
+      if (this.box.querySelector(".printed")) return; // a preview asks for it again and again
       const there = Boolean(this.renderer);
       this.start();
       if (!this.renderer) return;
+      this.resize();
       this.draw();
       const picture = new Image();
       picture.className = "printed";

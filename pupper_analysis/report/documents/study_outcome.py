@@ -1,18 +1,20 @@
-"""The section of a study: what failed, what is worth building, what matters, how sure it is."""
+"""The document of a study: what failed, what is worth building, what matters, how sure it is."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pupper_analysis.report.html import document as doc
-from pupper_analysis.report.html.maps import end_plot, front_plot, mean_plot, parallel_plot
-from pupper_analysis.report.html.sentences import said
-from pupper_analysis.report.html.sources import page
+from pupper_analysis.report import document as doc
+from pupper_analysis.report import plots
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.sources import page
 from pupper_analysis.report.html.words import text, word
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.cells import (
     Panel,
     end_map,
@@ -47,8 +49,9 @@ MOST_ROWS = 300
 """Of a table of designs: more than anyone reads, and pages stay small."""
 
 
-def study_section(outcome: StudyOutcome) -> doc.Section:
-    """Returns what is shown of a study."""
+@build.register(StudyOutcome)
+def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Document:
+    """Returns what is shown of a study; see ``build``."""
     blocks: list[doc.Block] = [_variables(outcome), _measured(outcome)]
     blocks += _failures(outcome)
     blocks += _drawings(outcome)
@@ -67,8 +70,9 @@ def study_section(outcome: StudyOutcome) -> doc.Section:
         both = outcome.certainty.both
         told.append(text("It stands, with all motors under their limits, in {share} of designs",
                          share=f"{both.probability:.1%}"))  # fmt: skip
-    return doc.Section(text("A study of {robot}", robot=doc.Name(outcome.robot)), tuple(blocks),
-                   told=tuple(told))  # fmt: skip
+    return doc.Document(
+        text("Study of designs"), doc.Name(outcome.robot), tuple(blocks), told=tuple(told)
+    )
 
 
 def _source() -> tuple[doc.Words, ...]:
@@ -113,7 +117,7 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
             *(doc.number(value, ".5g") for value in (one.least, one.median, one.greatest)),
             doc.number(one.designs, ".0f"),
             doc.Name(one.unit),
-            said(one.meaning),
+            doc.Said(one.meaning),
         )
         for one in outcome.measured
     ]
@@ -141,7 +145,7 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
             doc.Name(one.measure or ""),
             doc.number(one.designs, ".0f"),
             doc.Number(f"{one.share:.1%}", 100 * one.share, share=one.share),
-            said(one.reason),
+            doc.Said(one.reason),
         )
         for one in outcome.failures
     ]
@@ -169,13 +173,14 @@ def _drawings(outcome: StudyOutcome) -> list[doc.Block]:
         title = text("What becomes of designs over {x} and {y}", x=doc.Name(x), y=doc.Name(y))
         for panel in shown:
             found = end_map(panel.table, x, y)
-            blocks.append(end_plot(_of_panel(title, panel), found, x, y, kinds))
+            blocks.append(plots.EndsPlot(_of_panel(title, panel), found, x, y, kinds))
         for measure in names[:MAPS]:
             blocks += _means(measure, shown, x, y)
     columns = [name for name in outcome.variables if table[name].nunique() > 1]
     if columns and names:
         title = text("Designs as lines, coloured by {measure}", measure=doc.Name(names[0]))
-        blocks.append(parallel_plot(title, table, [*columns, *names[:LINES]], names[0]))
+        listed = [*columns, *names[:LINES]]
+        blocks.append(plots.ParallelPlot(title, table, listed, names[0]))
     return blocks
 
 
@@ -187,7 +192,8 @@ def _means(measure: str, shown: Sequence[Panel], x: str, y: str) -> list[doc.Blo
     title = text("{measure} over {x} and {y}", measure=doc.Name(labelled(measure)),
                  x=doc.Name(x), y=doc.Name(y))  # fmt: skip
     blocks: list[doc.Block] = [
-        mean_plot(_of_panel(title, panel), found, x, y, measure, ends) for panel, found in maps
+        plots.MeansPlot(_of_panel(title, panel), found, x, y, measure, ends)
+        for panel, found in maps
     ]
     if any(found.partial.any() for _, found in maps):
         blocks.append(doc.Lines((text(_PARTIAL),), "warn"))
@@ -212,7 +218,7 @@ def _front(outcome: StudyOutcome) -> list[doc.Block]:
     blocks: list[doc.Block] = []
     if len(objectives) == 2:
         drawn = text("Designs worth building: the front")
-        blocks.append(front_plot(drawn, outcome.table, front, list(objectives)))
+        blocks.append(plots.FrontPlot(drawn, outcome.table, front, list(objectives)))
     columns = [name for name in outcome.variables if name not in objectives]
     measured = [one.measure for one in outcome.measured if one.measure not in objectives]
     blocks.append(_table(title, front, [*objectives, *columns, *measured[:LINES]]))
@@ -352,7 +358,8 @@ def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) 
 
 def _designs(outcome: StudyOutcome) -> doc.Table:
     measured = [one.measure for one in outcome.measured]
-    return _table(text("Designs"), outcome.table, [*outcome.variables, *measured])
+    columns = [*outcome.variables, *measured]
+    return replace(_table(text("Designs"), outcome.table, columns), detail=True)
 
 
 def _table(title: doc.Words, table: pd.DataFrame, columns: Sequence[str]) -> doc.Table:

@@ -7,8 +7,8 @@ from dataclasses import fields
 
 import numpy as np
 
-from pupper_analysis.report.html.document import Cell, Name, number
-from pupper_analysis.report.html.tasks import task_text
+from pupper_analysis.report.document import Cell, Name, number
+from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.results import Result, short
 from pupper_analysis.stance.task import StandTask
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 
-from pupper_analysis.report.html import document as doc
-from pupper_analysis.report.html import plots
-from pupper_analysis.report.html.scene import Motion, scene_of
-from pupper_analysis.report.html.sources import page
-from pupper_analysis.report.html.words import text
+from pupper_analysis.models.efforts import EffortStatement
+from pupper_analysis.report import document as doc
+from pupper_analysis.report import plots
+from pupper_analysis.report.documents.sources import page
+from pupper_analysis.report.html.words import joined, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
@@ -21,7 +22,7 @@ BUSY, FULL = 0.9, 1.0
 def utilisation(share: float) -> doc.Number:
     """Returns a share of a motor's limit as a cell with a bar."""
     mark = "bad" if share > FULL else "warn" if share > BUSY else ""
-    return doc.Number(f"{share:.1%}", 100 * share, mark, min(share, 1.0))
+    return doc.Number(f"{100 * share:.1f}", 100 * share, mark, min(share, 1.0))
 
 
 def proof(verification: StandVerification) -> doc.Text:
@@ -40,6 +41,7 @@ def load_blocks(
     minimum_peak: GravityCompensation,
     verification: StandVerification,
     limits: Sequence[float],
+    origins: Iterable[EffortStatement | None],
     more: Mapping[doc.Column, Sequence[float]],
 ) -> list[doc.Block]:
     """Returns what motors and feet hold, predicted and simulated.
@@ -49,6 +51,7 @@ def load_blocks(
         minimum_peak: Of least peak utilisation.
         verification: The simulation.
         limits: (nu,) of the motors (N m).
+        origins: (nu,) where these are from.
         more: Further columns, {column: (nu,)}.
     """
     source = (
@@ -86,6 +89,7 @@ def load_blocks(
                 "with the contact forces of least peak utilisation, {peak}.",
                 peak=f"{minimum_peak.motor_utilisation.max():.1%}",
             ),
+            text("limit: {origins}", origins=origins_text(origins)),
         ),
         source,
     )
@@ -96,9 +100,22 @@ def load_blocks(
     ]
 
 
+def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
+    """Returns where torque limits are from, those of most joints first."""
+    counts = Counter(None if one is None else (one.attribute, one.file) for one in origins)
+    listed = []
+    for origin, count in counts.most_common():
+        place = text("no limit")
+        if origin is not None:
+            place = text("{attribute} in the {file}", attribute=origin[0], file=origin[1])
+        several = len(counts) > 1
+        listed.append(text("{place} ({count})", place=place, count=count) if several else place)
+    return joined(listed)
+
+
 def torque_plot(
     statics: GravityCompensation, verification: StandVerification, limits: Sequence[float]
-) -> doc.Plot:
+) -> plots.BarPlot:
     """Draws each motor's torque, predicted and simulated, against its limit."""
     bars = [
         plots.Bar(
@@ -109,11 +126,11 @@ def torque_plot(
         )
         for index, name in enumerate(statics.joint_names)
     ]
-    return plots.bar_plot(
+    return plots.BarPlot(
         text("Motor torques against their limits"),
         plots.Axis(text("torque"), "N m", "+.3f"),
         bars,
-        ((text("predicted"), "bar"), (text("simulated"), "other"), (text("limit"), "limit")),
+        (text("predicted"), text("simulated"), text("limit")),
     )
 
 
@@ -162,7 +179,7 @@ def _contacts(
             *axes,
             doc.Column(text("friction used"), "%"),
             *simulated,
-            doc.Column(text("minimum peak, x y z"), "N", left=True),
+            doc.Column(text("minimum peak, x y z"), "N", left=True, detail=True),
         ),
         tuple(rows),
         tuple(notes),
@@ -178,14 +195,19 @@ def view_block(
     robot: Robot | None,
     stand: Stand,
     statics: GravityCompensation | None,
-    motions: Sequence[Motion] = (),
-) -> doc.Block:
-    """Returns the stand in three dimensions, or that it is left out; see ``scene_of``."""
-    if robot is None:
-        return doc.Lines((text("The view in three dimensions is left out: no robot was given."),))
+    motions: Sequence[doc.Motion] = (),
+) -> doc.View:
+    """Returns the stand in three dimensions; without a robot, none is in it.
+
+    Args:
+        robot: The robot, if it is at hand.
+        stand: How it stands.
+        statics: What holds it there, if that is to be shown.
+        motions: What can be stepped through.
+    """
     return doc.View(
         text("The stand in three dimensions"),
-        scene_of(robot, stand, statics, motions),
+        None if robot is None else doc.StandScene(robot, stand, statics, motions),
         text(
             "Shapes, masses and joint axes are those of the MJCF; contact forces, com and support "
             "polygon are the prediction's."

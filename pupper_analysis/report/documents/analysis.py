@@ -1,4 +1,4 @@
-"""The section of an analysis: all that was found out about one robot."""
+"""The document of an analysis: all that was found out about one robot."""
 
 from __future__ import annotations
 
@@ -7,54 +7,90 @@ from collections.abc import Iterable
 import numpy as np
 
 from pupper_analysis.analysis.robot import Analysis
-from pupper_analysis.report.html import document as doc
-from pupper_analysis.report.html.loads import load_blocks, view_block
-from pupper_analysis.report.html.sentences import said
-from pupper_analysis.report.html.simulated import (
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.loads import load_blocks, origins_text, view_block
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.simulated import (
     motions_of,
     simulation_blocks,
     sweep_blocks,
 )
-from pupper_analysis.report.html.sources import files, is_derived, joint_places, page
-from pupper_analysis.report.html.tasks import task_text
-from pupper_analysis.report.html.verdict import verdict_lines
+from pupper_analysis.report.documents.sources import files, is_derived, joint_places, page
+from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.html.words import text, word
+from pupper_analysis.report.verdict import verdict_lines
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.verify import StandVerification
 
 
-def analysis_section(analysis: Analysis, robot: Robot | None) -> doc.Section:
-    """Returns all that was found out about one robot.
-
-    Args:
-        analysis: The analysis.
-        robot: The robot, for its view and the lines of its files; None if it is not at hand.
-    """
-    blocks: list[doc.Block] = []
-    if not analysis.verified:
-        lines = (*verdict_lines(analysis.verdict), *map(said, analysis.failures))
-        blocks.append(doc.Lines(lines, "bad", text("What failed")))
+@build.register(Analysis)
+def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Document:
+    """Returns all that was found out about one robot; see ``build``."""
     runs = (analysis.verification, analysis.sagging)
-    blocks.append(view_block(robot, analysis.stand, analysis.statics, motions_of(runs)))
-    blocks += _structure(analysis, robot)
-    blocks.append(_stand(analysis))
-    blocks += load_blocks(
-        analysis.statics,
-        analysis.minimum_peak,
-        analysis.verification,
-        [joint.effort for joint in analysis.joints],
-        {doc.Column(text("hanging"), "N m"): analysis.hanging_torques.tolist()},
-    )
-    blocks += simulation_blocks(analysis)
-    blocks += sweep_blocks(analysis.sweep)
-    blocks.append(_jacobians(analysis))
-    blocks.append(_check(analysis))
-    return doc.Section(
+    blocks: list[doc.Block] = [
+        view_block(robot, analysis.stand, analysis.statics, motions_of(runs)),
+        *_structure(analysis, robot),
+        _stand(analysis),
+        *load_blocks(
+            analysis.statics,
+            analysis.minimum_peak,
+            analysis.verification,
+            [joint.effort for joint in analysis.joints],
+            [joint.effort_origin for joint in analysis.joints],
+            {doc.Column(text("hanging"), "N m"): analysis.hanging_torques.tolist()},
+        ),
+        *simulation_blocks(analysis),
+        *sweep_blocks(analysis.sweep),
+        _jacobians(analysis),
+        _check(analysis),
+    ]
+    return doc.Document(
+        text("Analysis"),
         doc.Name(analysis.name),
         tuple(blocks),
-        analysis.verified,
-        text("VERIFIED") if analysis.verified else text("FAILED"),
-        (*verdict_lines(analysis.verdict), *map(said, analysis.failures), *_surprises(analysis)),
+        passed=analysis.verified,
+        verdict=text("VERIFIED") if analysis.verified else text("FAILED"),
+        failures=tuple(map(doc.Said, analysis.failures)),
+        told=(*_key_figures(analysis), *verdict_lines(analysis.verdict), *_surprises(analysis)),
+        notes=tuple(map(doc.Said, analysis.notes)),
     )
+
+
+def _key_figures(analysis: Analysis) -> Iterable[doc.Words]:
+    """Says in a line each: mass and peak torque; how high it stands; how well the files agree."""
+    statics = analysis.statics
+    share = statics.motor_utilisation
+    limited = bool(share.any())
+    most = int(np.argmax(share if limited else np.abs(statics.joint_torques)))
+    peak = text(
+        "{mass} kg; peak torque {torque} N m at {joint}",
+        mass=f"{analysis.total_mass:.3f}",
+        torque=f"{statics.joint_torques[most]:+.3f}",
+        joint=doc.Name(statics.joint_names[most]),
+    )
+    if limited:
+        peak = text("{peak}, {share} of its limit", peak=peak, share=f"{share[most]:.1%}")
+    yield peak
+    yield text(
+        "stands {height} mm high, in MuJoCo {held}; commanded the same joints without "
+        "feed-forward {let_go}",
+        height=f"{1e3 * analysis.stand.qpos[2]:.1f}",
+        held=_height(analysis.verification),
+        let_go=_height(analysis.sagging),
+    )
+    check = analysis.check
+    worst = next(one for one in check.quantities if one.name == check.worst)
+    yield text(
+        "URDF and MJCF: worst deviation {relative} ({quantity})",
+        relative=f"{worst.relative:.1e}",
+        quantity=word(worst.name),
+    )
+
+
+def _height(run: StandVerification) -> doc.Words:
+    if not np.isfinite(run.base_height):
+        return text("diverged")
+    return doc.Name(f"{1e3 * run.base_height:.1f} mm")
 
 
 def _surprises(analysis: Analysis) -> Iterable[doc.Words]:
@@ -78,8 +114,7 @@ def _surprises(analysis: Analysis) -> Iterable[doc.Words]:
         )
     else:
         yield text("Commanded the pose alone, without feed-forward, it does not stand:")
-        yield from map(said, without.failures)
-    yield from map(said, analysis.notes)
+        yield from map(doc.Said, without.failures)
 
 
 def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
@@ -145,6 +180,7 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
         doc.Column(text("line of the URDF"), left=True),
         doc.Column(text("line of the MJCF"), left=True),
     )
+    origins = (joint.effort_origin for joint in analysis.joints)
     notes: list[doc.Words] = [text("Axes at zero angles, in the base's frame.")]
     if robot is not None and is_derived(robot):
         notes.append(text("The lines are those of the files, without the changes."))
@@ -164,7 +200,7 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
             *(located if places else ()),
         ),
         tuple(rows),
-        (*notes, *map(said, analysis.notes)),
+        (*notes, text("effort: {origins}", origins=origins_text(origins))),
         (
             text("Limits from the URDF, efforts from both; armature and the rest from the MJCF."),
             page("conventions.md", "Coordinates"),
@@ -242,7 +278,7 @@ def _check(analysis: Analysis) -> doc.Block:
                 doc.number(quantity.deviation, ".1e"),
                 doc.Name(quantity.unit),
                 doc.Number(f"{quantity.relative:.1e}", quantity.relative),
-                text("ok") if quantity.passed else text("DIFFERS"),
+                text("ok") if quantity.passed else text("DIFFERS").marked("bad"),
             )
         )
     return doc.Table(
@@ -263,7 +299,7 @@ def _check(analysis: Analysis) -> doc.Block:
             doc.Column(text("verdict"), left=True),
         ),
         tuple(rows),
-        tuple(map(said, check.notes)),
+        tuple(map(doc.Said, check.notes)),
         (
             text("Two models in two engines; kinematics also by yourdfpy."),
             page("physics.md", "The cross-check"),

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from pupper_analysis.report.html.document import Name, Text
+from pupper_analysis.report.document import Name, Text
 from pupper_analysis.report.html.words import text
 from pupper_analysis.stance.task import StandTask
 
 
 def task_text(task: StandTask) -> Text:
     """Returns what is asked of a stand: in English as the task itself says it."""
-    return Text(str(task), "，".join(part.zh for part in _parts(task)))  # noqa: RUF001
+    return Text(str(task), lambda: "，".join(part.zh for part in _parts(task)))  # noqa: RUF001
 
 
 def _parts(task: StandTask) -> Iterator[Text]:

@@ -9,8 +9,7 @@ from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.standard_input import content, is_held
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.report.html.document import Name, Text, Words
-from pupper_analysis.report.html.sentences import said
+from pupper_analysis.report.document import Name, Text
 from pupper_analysis.report.html.words import text
 from pupper_analysis.robot.robot import Robot
 
@@ -35,11 +34,6 @@ def files(robot: Robot | None) -> Text:
     if is_derived(robot):
         return text("Made from {urdf} (URDF) and {mjcf} (MJCF), with changes.", **names)
     return text("From {urdf} (URDF) and {mjcf} (MJCF).", **names)
-
-
-def source_of(robot: Robot | None) -> list[Words]:
-    """Returns which two files a robot is from, and what was assumed on loading them."""
-    return [files(robot), *map(said, () if robot is None else robot.notes)]
 
 
 def is_derived(robot: Robot) -> bool:

@@ -8,12 +8,10 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from pupper_analysis.analysis.robot import Analysis
-from pupper_analysis.report.html import document as doc
-from pupper_analysis.report.html import plots
-from pupper_analysis.report.html.loads import proof
-from pupper_analysis.report.html.scene import Motion
-from pupper_analysis.report.html.sentences import said
-from pupper_analysis.report.html.sources import page
+from pupper_analysis.report import document as doc
+from pupper_analysis.report import plots
+from pupper_analysis.report.documents.loads import proof
+from pupper_analysis.report.documents.sources import page
 from pupper_analysis.report.html.words import text
 from pupper_analysis.simulation.gain_sweep import GainSweep
 from pupper_analysis.simulation.verify import StandVerification
@@ -23,7 +21,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
     """Returns what the simulations of a stand say, with feed-forward and without."""
     run = analysis.verification
     both = (run, analysis.sagging)
-    verdicts = tuple(text("stands") if one.passed else text("FAILED") for one in both)
+    verdicts = tuple(text("stands") if one.passed else text("FAILED").marked("bad") for one in both)
     table = doc.Table(
         text(
             "MuJoCo, {seconds} s on the floating base ({integrator}, {step} ms; kp {kp} N m/rad, "
@@ -49,11 +47,11 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
         both, ("with feed-forward it fails", "without feed-forward it fails"), strict=True
     ):
         if one.failures:
-            yield doc.Lines(tuple(map(said, one.failures)), "warn", text(title))
+            yield doc.Lines(tuple(map(doc.Said, one.failures)), "warn", text(title))
     yield height_plot(both, float(analysis.stand.qpos[2]))
 
 
-def height_plot(runs: Sequence[StandVerification], task: float) -> doc.Plot:
+def height_plot(runs: Sequence[StandVerification], task: float) -> plots.LinePlot:
     """Draws the base's height over the simulated time, with feed-forward and without.
 
     Args:
@@ -70,7 +68,7 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.Plot:
     ]
     ends = np.array([runs[0].time[0], max(run.time[-1] for run in runs)])
     series.append(plots.Series(text("task"), ends, np.full(2, 1e3 * task)))
-    return plots.line_plot(
+    return plots.LinePlot(
         text("Height of the simulated base"),
         plots.Axis(text("time"), "s", ".2f"),
         plots.Axis(text("base height"), "mm", ".2f"),
@@ -124,9 +122,9 @@ def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
 def _damping_cell(lasts: bool, doubling_time: float, damping_ratio: float) -> doc.Cell:
     """Returns how a pair of gains is damped, or that it does not last."""
     if math.isnan(doubling_time):
-        return text("does not rest")
+        return text("does not rest").marked("bad")
     if not lasts:
-        return text("doubles in {time} s", time=f"{doubling_time:.2g}")
+        return text("doubles in {time} s", time=f"{doubling_time:.2g}").marked("bad")
     return doc.number(damping_ratio if math.isfinite(damping_ratio) else None, ".2f")
 
 
@@ -156,7 +154,7 @@ def _sweep_plot(sweep: GainSweep) -> Iterable[doc.Block]:
         if np.isfinite(row).any()
     ]
     if finite and len(sweep.kd) > 1:
-        yield plots.line_plot(
+        yield plots.LinePlot(
             text("Height deviation by servo gains"),
             plots.Axis(text("kd"), "N m s/rad", "g", log=bool(sweep.kd.min() > 0)),
             plots.Axis(text("height deviation"), "mm", ".4f", log=True),
@@ -174,10 +172,10 @@ def _positive(values: doc.Array) -> doc.Array:
     return np.where(values > 0, values, np.nan)
 
 
-def motions_of(runs: Sequence[StandVerification]) -> list[Motion]:
+def motions_of(runs: Sequence[StandVerification]) -> list[doc.Motion]:
     """Returns the simulated motions."""
     return [
-        Motion(
+        doc.Motion(
             text("simulated, with feed-forward")
             if run.feedforward
             else text("simulated, without feed-forward"),

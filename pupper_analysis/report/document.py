@@ -1,0 +1,347 @@
+"""What is told of a result, before it is shown anywhere: a verdict, key figures, tables, plots.
+
+A document is made once, by the builder of its result's type (``documents``), and shown by each
+renderer in its own way: on a terminal, on a page, in Markdown. No text here is markup, whatever it
+holds: names in model files are anybody's, and each renderer escapes all of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.report.plots import Plot
+
+if TYPE_CHECKING:
+    from pupper_analysis.checks.compare import Comparison
+    from pupper_analysis.diagnostics import Diagnostic
+    from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.stance.stand import Stand
+    from pupper_analysis.statics.equilibrium import GravityCompensation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Text:
+    """A text of the report itself, in both languages; see ``words``.
+
+    Attributes:
+        en: In English.
+        chinese: In Simplified Chinese, or what makes it: who reads English does not wait for it.
+        mark: ``"good"``, ``"bad"``, ``"warn"``, ``"quiet"`` (of less weight) or nothing.
+    """
+
+    en: str
+    chinese: str | Callable[[], str] = field(compare=False)
+    mark: str = ""
+
+    @property
+    def zh(self) -> str:
+        """In Simplified Chinese."""
+        return self.chinese if isinstance(self.chinese, str) else self.chinese()
+
+    def marked(self, mark: str) -> Text:
+        """Returns the text with an emphasis."""
+        return Text(self.en, self.chinese, mark)
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a result says; whoever shows a sentence in Chinese has it translated.
+
+    Attributes:
+        text: A diagnostic, or a sentence in English.
+        mark: As of a ``Text``.
+    """
+
+    text: str | Diagnostic
+    mark: str = ""
+
+
+@dataclass(frozen=True)
+class Name:
+    """A name, of a file, a joint, an option: no word of a language, and never translated.
+
+    Attributes:
+        text: The name.
+        mark: As of a ``Text``.
+    """
+
+    text: str
+    mark: str = ""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number, as it is shown and as it is sorted.
+
+    Attributes:
+        text: Its digits.
+        value: The number, in the unit that is shown; not a number where there is none.
+        mark: ``"good"``, ``"bad"``, ``"warn"``, ``"best"`` or nothing.
+        share: Of a whole, from 0 to 1, to be drawn as a bar; None for no bar.
+    """
+
+    text: str
+    value: float
+    mark: str = ""
+    share: float | None = None
+
+
+Words = Text | Said | Name
+"""What may stand in a line."""
+
+Cell = Text | Said | Name | Number
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        name: Its header.
+        unit: Of its numbers; ``"1"`` where they have no dimension, nothing where it has none.
+        left: Whether it is text, and stands on the left.
+        detail: Whether a short view leaves it out.
+    """
+
+    name: Words
+    unit: str = ""
+    left: bool = False
+    detail: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table that can be sorted.
+
+    Attributes:
+        title: What it shows.
+        columns: Its columns; the first is each row's header.
+        rows: Per row, its cells.
+        notes: Remarks on it.
+        source: Where its numbers come from, and how they are verified.
+        detail: Whether a short view leaves it out.
+    """
+
+    kind: ClassVar[str] = "table"
+    title: Words
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    notes: tuple[Words, ...] = ()
+    source: tuple[Words, ...] = ()
+    detail: bool = False
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Remarks, one below the other.
+
+    Attributes:
+        lines: The remarks.
+        mark: ``"bad"`` for failures, ``"warn"`` for what to look at, or nothing.
+        title: Over them; None for no title.
+        detail: Whether a short view leaves it out.
+    """
+
+    kind: ClassVar[str] = "lines"
+    lines: tuple[Words, ...]
+    mark: str = ""
+    title: Words | None = None
+    detail: bool = False
+
+
+@dataclass(frozen=True)
+class Place:
+    """A line of a file.
+
+    Attributes:
+        place: The file's name and the number of its line; or that it is not in the file.
+        line: What stands there.
+        path: The file and its line as one opens them; empty if it is nowhere.
+    """
+
+    place: Words
+    line: Words
+    path: str = ""
+
+
+@dataclass(frozen=True)
+class Sides:
+    """What is found at one place of a file, or at two of two files side by side.
+
+    Attributes:
+        title: What is found, or what differs.
+        columns: Where.
+        notes: What it does.
+        tag: Of which kind it is, and how bad; None where all are alike.
+        detail: Whether a short view leaves it out.
+    """
+
+    kind: ClassVar[str] = "sides"
+    title: Words
+    columns: tuple[Place, ...]
+    notes: tuple[Words, ...] = ()
+    tag: Words | None = None
+    detail: bool = False
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A text that is shown letter by letter, such as the changes of a file.
+
+    Attributes:
+        title: What it is.
+        text: The text.
+        language: What it is written in, as Markdown names it: ``diff``.
+        detail: Whether a short view leaves it out.
+    """
+
+    kind: ClassVar[str] = "listing"
+    title: Words
+    text: str
+    language: str = ""
+    detail: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a view can step through.
+
+    Attributes:
+        name: What moves.
+        time: (n,) when (s).
+        qpos: (n, nq) how the robot is then.
+    """
+
+    name: Text
+    time: Array
+    qpos: Array
+
+
+@dataclass(frozen=True, eq=False)
+class StandScene:
+    """A robot as it stands, and what acts on it.
+
+    Attributes:
+        robot: The robot.
+        stand: How it stands.
+        statics: What holds it there, if forces, torques and the com are to be shown.
+        motions: What can be stepped through, beside the stand itself.
+    """
+
+    robot: Robot
+    stand: Stand
+    statics: GravityCompensation | None = None
+    motions: Sequence[Motion] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class OverlayScene:
+    """Two files of a robot over each other, with what differs marked.
+
+    Attributes:
+        comparison: Of the two files.
+    """
+
+    comparison: Comparison
+
+
+@dataclass(frozen=True)
+class View:
+    """A robot that one can turn, where there are three dimensions.
+
+    Attributes:
+        title: What it shows.
+        scene: What is in it; None where the robot is not at hand.
+        note: What it is made of.
+        detail: Whether a short view leaves it out.
+    """
+
+    kind: ClassVar[str] = "view"
+    title: Words
+    scene: StandScene | OverlayScene | None
+    note: Words | None = None
+    detail: bool = False
+
+
+Block = Table | Lines | Sides | Listing | Plot | View
+
+
+@dataclass(frozen=True)
+class Document:
+    """What is told of one result.
+
+    Attributes:
+        kind: What is told: an analysis, a stance.
+        title: What of: a robot, a file, two files.
+        blocks: What is shown, what matters most first.
+        passed: The verdict; None where there is none.
+        verdict: The verdict in a word or two; None where there is none.
+        warned: Whether it is between the two: it has passed, but has something to look at, or has
+            not, but for a convention.
+        failures: Why the verdict is not better.
+        told: The key figures, and what the verdict rests on.
+        notes: What was assumed, found or left out on the way.
+    """
+
+    kind: Words
+    title: Words
+    blocks: tuple[Block, ...]
+    passed: bool | None = None
+    verdict: Words | None = None
+    warned: bool = False
+    failures: tuple[Words, ...] = ()
+    told: tuple[Words, ...] = ()
+    notes: tuple[Words, ...] = ()
+
+    @property
+    def mark(self) -> str:
+        """The verdict's emphasis: ``"good"``, ``"bad"``, ``"warn"`` or nothing."""
+        if self.passed is None:
+            return ""
+        return "warn" if self.warned else "good" if self.passed else "bad"
+
+
+@dataclass(frozen=True)
+class Report:
+    """What is told of several results together.
+
+    Attributes:
+        title: What they are, and what of.
+        documents: One for each.
+        overview: What compares them.
+    """
+
+    title: Words
+    documents: tuple[Document, ...]
+    overview: tuple[Block, ...] = ()
+
+
+def number(value: float | None, form: str, mark: str = "", scale: float = 1.0) -> Number:
+    """Returns a number as a cell.
+
+    Args:
+        value: The number, in SI units; None is shown as a dash.
+        form: How it is formatted, such as ``".3f"`` or ``".1%"``.
+        mark: See ``Number``.
+        scale: What it is multiplied by to be in the unit that is shown.
+    """
+    if value is None:
+        return Number("-", math.nan, mark)
+    shown = scale * float(value)
+    text = format(shown, form)
+    if not float(text.rstrip("%") or "nan"):
+        text = format(0.0, form)  # no minus before a zero
+    return Number(text, shown, mark)
+
+
+def vector(values: Sequence[float] | Array, form: str) -> Name:
+    """Returns a vector as a cell."""
+    return Name(" ".join(number(value, form).text for value in values))

@@ -1,0 +1,146 @@
+"""The document of an audit: what is wrong in one file, with the line where it stands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.sources import page, quoted
+from pupper_analysis.report.html.words import joined, text, word
+from pupper_analysis.robot.robot import Robot
+
+MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.INFO: ""}
+"""The emphasis of each severity."""
+
+SHOWN = 40
+"""Groups of findings that are shown with their lines; the table has them all."""
+
+
+@build.register(Audit)
+def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
+    """Returns what is wrong in one file; see ``build``."""
+    counts = [
+        text("{count} {severity}", count=count, severity=word(_plural(severity, count)))
+        for severity, count in audit.counts.items()
+    ]
+    rules = text("by {count} rules", count=len(audit.rules_run))
+    blocks: list[doc.Block] = list(_groups(audit))
+    if audit.findings:
+        blocks.append(_findings(audit))
+    suspect = bool(audit.counts.get(Severity.WARNING))
+    passed = text("SUSPECT") if suspect else text("SOUND")  # no error, but likely a slip
+    return doc.Document(
+        text("Audit"),
+        doc.Name(Path(audit.file).name),
+        tuple(blocks),
+        passed=audit.passed,
+        verdict=passed if audit.passed else text("UNSOUND"),
+        warned=audit.passed and suspect,
+        told=(joined([*counts, rules]),),
+        notes=tuple(map(doc.Said, audit.notes)),
+    )
+
+
+def _plural(severity: str, count: int) -> str:
+    return severity if severity == Severity.INFO or count == 1 else f"{severity}s"
+
+
+def _groups(audit: Audit) -> Iterable[doc.Sides]:
+    """Yields findings, the worst first, with the line of the first of those that are alike.
+
+    Why they matter, and what to do, is said once for those of a rule.
+    """
+    rules: dict[tuple[str, Severity, str, str], dict[str, list[Finding]]] = {}
+    for finding in audit.findings:
+        key = finding.rule, finding.severity, finding.why, finding.todo
+        rules.setdefault(key, {}).setdefault(finding.message, []).append(finding)
+    shown = 0
+    for (_, _, why, todo), alike in rules.items():
+        advice: tuple[doc.Words, ...] = (
+            text("{why} {todo}", why=doc.Said(why), todo=doc.Said(todo)).marked("quiet"),
+        )
+        for place, group in enumerate(alike.values(), start=1):
+            sides = _alike(audit, group, advice if place == len(alike) else ())
+            yield replace(sides, detail=shown >= SHOWN)
+            shown += 1
+
+
+def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]) -> doc.Sides:
+    """Returns findings of which only the element is another."""
+    first, *others = group
+    said = text("{element}: {message}", element=doc.Said(first.element),
+                message=doc.Said(first.message))  # fmt: skip
+    if others:
+        names = joined(doc.Said(other.element) for other in others)
+        said = text("{finding}; likewise {names}", finding=said, names=names)
+    place, path = _place(first)
+    quote = doc.Name(quoted(path, audit.file))
+    tag = text(
+        "{severity} {rule}",
+        severity=word(str(first.severity)),
+        rule=first.rule,
+    ).marked(MARKS[first.severity])
+    return doc.Sides(said, (doc.Place(doc.Name(place), quote, path),), advice, tag)
+
+
+def _place(finding: Finding) -> tuple[str, str]:
+    """Returns where a finding stands: with the file's name alone, and with its path."""
+    line = "" if finding.line is None else f":{finding.line}"
+    return f"{Path(finding.file).name}{line}", f"{finding.file}{line}"
+
+
+def _findings(audit: Audit) -> doc.Table:
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.Number(str(order), order, MARKS[one.severity]),
+            word(str(one.severity)),
+            doc.Name(_place(one)[0]),
+            doc.Said(one.element),
+            doc.Said(one.message),
+            doc.Name(one.rule),
+            word(RULES[one.rule].title) if one.rule in RULES else doc.Name(""),
+        )
+        for order, one in enumerate(audit.findings, start=1)
+    ]
+    return doc.Table(
+        text("Findings, the worst first"),
+        (
+            doc.Column(text("no."), "1"),
+            doc.Column(text("severity"), left=True),
+            doc.Column(text("line"), left=True),
+            doc.Column(text("of"), left=True),
+            doc.Column(text("finding"), left=True),
+            doc.Column(text("rule"), left=True),
+            doc.Column(text("what the rule looks for"), left=True),
+        ),
+        tuple(rows),
+        (),
+        (page("audit.md", "What is compared with what"),),
+        detail=True,
+    )
+
+
+def rules_table() -> doc.Table:
+    """Returns all rules."""
+    return doc.Table(
+        text("{count} rules; --disable RULE leaves one out", count=len(RULES)),
+        (
+            doc.Column(text("rule"), left=True),
+            doc.Column(text("severity"), left=True),
+            doc.Column(text("formats"), left=True),
+            doc.Column(text("what the rule looks for"), left=True),
+        ),
+        tuple(
+            (
+                doc.Name(rule.id),
+                word(str(rule.severity)),
+                doc.Name(", ".join(rule.formats)),
+                word(rule.title),
+            )
+            for rule in RULES.values()
+        ),
+    )

@@ -1,0 +1,48 @@
+"""The document of a workspace: how far a base can go, with its feet planted."""
+
+from __future__ import annotations
+
+import math
+
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.loads import view_block
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.standing import robot_notes
+from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.report.html.words import text
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.workspace import BaseWorkspace
+
+
+@build.register(BaseWorkspace)
+def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> doc.Document:
+    """Returns how far a base can go; see ``build``."""
+    rows: list[tuple[doc.Cell, ...]] = []
+    for direction, interval in workspace.intervals.items():
+        angle = direction in ("roll", "pitch", "yaw")
+        scale = math.degrees(1.0) if angle else 1e3
+        ends = (doc.number(end, "+.1f", scale=scale) for end in (interval.low, interval.high))
+        rows.append((text(direction), *ends, doc.Name("°" if angle else "mm")))
+    table = doc.Table(
+        text("How far the base can go, each alone"),
+        (
+            doc.Column(text("direction"), left=True),
+            doc.Column(text("from")),
+            doc.Column(text("to")),
+            doc.Column(text("unit"), left=True),
+        ),
+        tuple(rows),
+        (
+            text(
+                "Of reach and balance alone, whatever motors and servos hold: stand, with a pose "
+                "of these, tells whether it holds."
+            ),
+        ),
+    )
+    return doc.Document(
+        text("Workspace"),
+        doc.Name("" if robot is None else robot.name),
+        (table, view_block(robot, workspace.start, None)),
+        told=(task_text(workspace.start.task),),
+        notes=robot_notes(robot),
+    )

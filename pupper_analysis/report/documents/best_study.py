@@ -1,0 +1,87 @@
+"""The document of the best stance: how it was found, what it costs, and whether it holds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from pupper_analysis.analysis.best import BestStudy
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.loaded_stance import (
+    kilograms,
+    payload_document,
+    payload_table,
+)
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.stance import stance_document
+from pupper_analysis.report.html.words import text
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.optimize.best import BestStance
+from pupper_analysis.stance.optimize.search import Objective
+
+_WHAT = {
+    Objective.UTILISATION: "peak motor utilisation",
+    Objective.MARGIN: "distance of the com from the support polygon's edge",
+    Objective.PAYLOAD: "payload",
+}
+
+
+@build.register(BestStudy)
+def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
+    """Returns the best stance, how it was found, and what is found out about it; see ``build``."""
+    found = stance_document(study.stance, robot)
+    blocks: tuple[doc.Block, ...] = (_coordinates(study.best), *found.blocks)
+    told: tuple[doc.Words, ...] = (_search(study.best), *found.told)
+    failures, verdict = found.failures, found.verdict
+    if study.loaded is not None:
+        loaded = payload_document(study.loaded)
+        blocks = (payload_table(study.loaded), *blocks)
+        # The stance of both is the same, and told once.
+        told += tuple(line for line in loaded.told if line not in found.told)
+        failures += loaded.failures
+        verdict = verdict if loaded.passed else loaded.verdict
+    return replace(
+        found,
+        kind=text("Best stance"),
+        blocks=blocks,
+        passed=study.passed,
+        verdict=verdict,
+        failures=failures,
+        told=told,
+    )
+
+
+def _search(best: BestStance) -> doc.Text:
+    values: tuple[object, object] = (kilograms(best.value), kilograms(best.nominal_value))
+    if best.objective is not Objective.PAYLOAD:
+        unit = " m" if best.objective is Objective.MARGIN else ""
+        values = (f"{best.value:.4g}{unit}", f"{best.nominal_value:.4g}{unit}")
+    return text(
+        "best of {count} stances: {what} {value}, against {nominal} as asked",
+        count=best.evaluations,
+        what=text(_WHAT[best.objective]),
+        value=values[0],
+        nominal=values[1],
+    )
+
+
+def _coordinates(best: BestStance) -> doc.Table:
+    """Returns where the best stance is."""
+    rows: list[tuple[doc.Cell, ...]] = []
+    for name, value in best.coordinates.items():
+        angle = name in ("roll", "pitch", "yaw")
+        cell = doc.number(value, "+.1f", scale=math.degrees(1.0) if angle else 1e3)
+        rows.append((doc.Name(name), cell, doc.Name("°" if angle else "mm")))
+    notes: tuple[doc.Words, ...] = ()
+    if best.active:
+        notes = (text("at its limit: {names}", names=doc.Name(", ".join(best.active))),)
+    return doc.Table(
+        text("Where the best stance is"),
+        (
+            doc.Column(text("coordinate"), left=True),
+            doc.Column(text("value")),
+            doc.Column(text("unit"), left=True),
+        ),
+        tuple(rows),
+        notes,
+    )

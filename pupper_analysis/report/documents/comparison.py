@@ -1,0 +1,242 @@
+"""The document of a comparison: what makes two files disagree, both lines of each side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.checks.differences import Difference
+from pupper_analysis.checks.engines import (
+    EDGES,
+    EXTRAS,
+    MJCF_MUJOCO,
+    MJCF_PINOCCHIO,
+    URDF_MUJOCO,
+    URDF_PINOCCHIO,
+    URDF_READ,
+    URDF_YOURDFPY,
+)
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.comparison import (
+    by_cause,
+    effects_told,
+    first_to_mend,
+    matching_notes,
+)
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.sources import page, quoted
+from pupper_analysis.report.html.words import joined, text, word
+from pupper_analysis.results import short
+from pupper_analysis.robot.robot import Robot
+
+_OVERLAY = (
+    "Shapes are the MJCF's, at zero angles; bodies with differences are coloured. Lines join the "
+    "URDF's joints, from the same root; a joint's frame may sit anywhere on its axis."
+)
+
+SHORT, SHOWN = 20, 40
+"""Groups of differences whose lines are shown side by side, in a short view and in any; the table
+has them all."""
+
+_ONE_FILE = {
+    EDGES[URDF_PINOCCHIO, URDF_MUJOCO],
+    EDGES[MJCF_PINOCCHIO, MJCF_MUJOCO],
+    EDGES[URDF_PINOCCHIO, URDF_YOURDFPY],
+    EDGES[URDF_READ, URDF_MUJOCO],
+}
+"""Deviations of two engines or readers on one file: they are about none of the two files."""
+
+GROUPED = 4
+"""Elements of a group that are named; the table has them all."""
+
+
+@build.register(Comparison)
+def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.Document:
+    """Returns what makes two files disagree; see ``build``."""
+    causes, groups = by_cause(comparison)
+    agree, same = comparison.agree, comparison.same_robot
+    said = (*matching_notes(comparison), *comparison.check.notes)
+    notes: list[doc.Words] = list(map(doc.Said, said))
+    notes += [
+        text("the engines differ on one model: {engine}", engine=doc.Said(engine))
+        for engine in comparison.engines
+    ]
+    differ = text("ONE ROBOT, OTHER COORDINATES") if same else text("DISAGREE")
+    return doc.Document(
+        text("Cross-check"),
+        text("{urdf} and {mjcf}", urdf=_file(comparison.urdf), mjcf=_file(comparison.mjcf)),
+        tuple(_blocks(comparison)),
+        passed=agree,
+        verdict=text("AGREE") if agree else differ,
+        warned=same and not agree,
+        told=(
+            doc.Said(first_to_mend(comparison, causes, groups)),
+            text("1 difference")
+            if len(comparison.differences) == 1
+            else text("{count} differences", count=len(comparison.differences)),
+            *_explained(comparison),
+        ),
+        notes=tuple(notes),
+    )
+
+
+def _file(path: str) -> doc.Name:
+    return doc.Name(Path(path).name)
+
+
+def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
+    """Yields what differs, what is to be mended first, first; then how much that explains."""
+    causes, groups = by_cause(comparison)
+    files = {"URDF: {file}": comparison.urdf, "MJCF: {file}": comparison.mjcf}
+    named = tuple(text(said, file=doc.Name(file)) for said, file in files.items())
+    yield doc.Lines(named, detail=True)
+    yield doc.View(
+        text("The two files over each other"), doc.OverlayScene(comparison), text(_OVERLAY)
+    )
+    for part in comparison.parts:
+        off = text("{part}; it was taken off to compare the rest", part=doc.Said(part))
+        yield doc.Lines((off,), "bad", text("Only in one file"))
+    for cause in causes:
+        first = comparison.differences[cause.differences[0]]
+        made = text("This alone makes {count} differences.", count=len(cause.differences))
+        such = text("the {kind} of {element}:", kind=word(first.kind), element=first.element)
+        yield _sides(comparison, first, doc.Said(cause.diagnostic), made, such)
+    for place, group in enumerate(groups[:SHOWN]):
+        sides = _sides(comparison, group[0], doc.Said(group[0].diagnostic), *_likewise(group))
+        yield replace(sides, detail=place >= SHORT)
+    if len(groups) > SHOWN:
+        more = text("{count} more are in the table alone.", count=len(groups) - SHOWN)
+        yield doc.Lines((more,), detail=True)
+    if comparison.differences:
+        yield _differences(comparison)
+    if comparison.objections:
+        yield doc.Lines(tuple(map(doc.Said, comparison.objections)), "bad", text("Objections"))
+    yield _quantities(comparison)
+
+
+def _likewise(group: list[Difference]) -> Iterable[doc.Words]:
+    """Says of which else it is true."""
+    if len(group) > 1:
+        names = [doc.Name(difference.element) for difference in group[1 : GROUPED + 1]]
+        listed = joined(names)
+        if len(group) > GROUPED + 1:
+            listed = text("{names} …", names=listed)
+        yield text("likewise on {count} more: {names}", count=len(group) - 1, names=listed)
+
+
+def _sides(
+    comparison: Comparison, difference: Difference, title: doc.Words, *notes: doc.Words
+) -> doc.Sides:
+    paths = (comparison.urdf, comparison.mjcf)
+    columns = []
+    for place, value in (
+        (difference.urdf_place, difference.urdf),
+        (difference.mjcf_place, difference.mjcf),
+    ):
+        line = quoted(place, *paths)
+        shown = doc.Name(line) if line else doc.Name(f"{short(value)} {difference.unit}")
+        named = doc.Name(_short(place)) if place else text("not in the file")
+        columns.append(doc.Place(named, shown, place or ""))
+    made_of = map(doc.Said, difference.made_of)
+    return doc.Sides(title, tuple(columns), (*notes, *made_of, _effects(difference)))
+
+
+def _effects(difference: Difference) -> doc.Said:
+    """Returns what a difference does."""
+    return doc.Said(effects_told(difference), "" if difference.effects else "quiet")
+
+
+def _differences(comparison: Comparison) -> doc.Table:
+    rows: list[tuple[doc.Cell, ...]] = []
+    for order, difference in enumerate(comparison.differences, start=1):
+        effect = difference.weight[1]
+        rows.append(
+            (
+                doc.number(order, "g"),
+                word(difference.kind),
+                doc.Name(difference.element),
+                _value(difference.urdf),
+                _value(difference.mjcf),
+                doc.Name(difference.unit),
+                doc.Number(f"{effect:.1e}", effect),
+                doc.Name(_short(difference.urdf_place)),
+                doc.Name(_short(difference.mjcf_place)),
+            )
+        )
+    return doc.Table(
+        text("All differences, what is to be mended first, first"),
+        (
+            doc.Column(text("no."), "1"),
+            doc.Column(text("kind"), left=True),
+            doc.Column(text("of"), left=True),
+            doc.Column(text("in the URDF")),
+            doc.Column(text("in the MJCF")),
+            doc.Column(text("unit"), left=True),
+            doc.Column(text("greatest relative effect"), "1"),
+            doc.Column(text("line of the URDF"), left=True),
+            doc.Column(text("line of the MJCF"), left=True),
+        ),
+        tuple(rows),
+        (),
+        (page("disagreement.md", "How to read it"),),
+        detail=True,
+    )
+
+
+def _short(place: str | None) -> str:
+    """Returns a place with its file's name alone: the folders are told once."""
+    return "" if place is None else Path(place).name
+
+
+def _value(value: object) -> doc.Cell:
+    if isinstance(value, float | int):
+        return doc.number(float(value), ".6g")
+    return doc.Name("-" if value is None else short(value))
+
+
+def _explained(comparison: Comparison) -> Iterable[doc.Words]:
+    """Says how much of the deviation the differences explain."""
+    if not comparison.differences:
+        return
+    explained = text(
+        "explained: {share} % of the deviation; with the MJCF's values in the URDF's model {left} "
+        "is left",
+        share=f"{100 * comparison.explained:.6g}",
+        left=f"{max(comparison.left.values()):.1e}",
+    )
+    if not comparison.complete:
+        missing = "{explained}, so something is missing in this list"
+        explained = text(missing, explained=explained).marked("bad")
+    yield explained
+
+
+def _quantities(comparison: Comparison) -> doc.Table:
+    check = comparison.check
+    every = dict.fromkeys(EDGES.values())
+    sides = [side for side in every if any(side in q.edges for q in check.quantities)]
+    if not any(quantity.edges.get(EXTRAS) for quantity in check.quantities):
+        sides.remove(EXTRAS)  # a column of zeros: the MJCF has nothing that a URDF has not
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            word(quantity.name),
+            *(doc.number(quantity.edges.get(side), ".1e") for side in sides),
+            doc.Name("" if quantity.passed else quantity.where),
+        )
+        for quantity in check.quantities
+    ]
+    return doc.Table(
+        text(
+            "Deviation relative to each quantity's scale, at {count} random configurations",
+            count=check.configurations,
+        ),
+        (
+            doc.Column(text("quantity"), left=True),
+            *(doc.Column(word(side), "1", detail=side in _ONE_FILE) for side in sides),
+            doc.Column(text("worst at"), left=True),
+        ),
+        tuple(rows),
+        (),
+        (page("disagreement.md", "Why the list is complete"),),
+    )

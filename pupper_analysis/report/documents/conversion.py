@@ -1,0 +1,71 @@
+"""The document of a conversion: what was written, added and left out, and the proof."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from pupper_analysis.convert.conversion import Conversion
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.html.words import text
+from pupper_analysis.robot.robot import Robot
+
+
+@build.register(Conversion)
+def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.Document:
+    """Returns what became of a conversion; see ``build``."""
+    blocks = [
+        doc.Lines(tuple(map(doc.Name, conversion.written)), title=text("What was written")),
+    ]
+    if conversion.left:
+        left = tuple(map(doc.Said, conversion.left))
+        blocks.append(doc.Lines(left, "warn", text("What is left")))
+    return doc.Document(
+        text("Conversion"),
+        text("{old} and {new}", old=_name(conversion.source), new=_name(conversion.output)),
+        tuple(blocks),
+        passed=conversion.passed,
+        verdict=text("AGREE") if conversion.agree else text("DISAGREE"),
+        failures=tuple(map(doc.Said, conversion.failures)),
+        told=tuple(_proof(conversion)),
+        notes=tuple(map(doc.Said, conversion.notes)),
+    )
+
+
+def _name(path: str) -> doc.Name:
+    return doc.Name(Path(path).name)
+
+
+def _proof(conversion: Conversion) -> Iterable[doc.Words]:
+    """Says how near the new file is to the source, and whether its robot stands."""
+    compared = conversion.comparison
+    near = text(
+        "differences from {source}: {count}; the dynamics deviate by {worst}",
+        source=doc.Name(conversion.source),
+        count=len(compared.differences),
+        worst=f"{max(compared.deviations.values()):.1e}",
+    )
+    if repairs := len(conversion.repairs):
+        near = text("{near}; repaired inertials: {count}", near=near, count=repairs)
+    yield near
+    stood = conversion.verification
+    if stood is not None:
+        yield text(
+            "STANDS for {seconds} s in MuJoCo, {height} m high; torques as predicted to {torque}"
+            if stood.passed
+            else "DOES NOT STAND for {seconds} s in MuJoCo, {height} m high; torques as predicted "
+            "to {torque}",
+            seconds=f"{stood.duration:g}",
+            height=f"{stood.base_height:.4f}",
+            torque=f"{stood.torque_error:.1e}",
+        ).marked("good" if stood.passed else "bad")
+    kept = conversion.kept
+    if kept is not None and not kept.failures and (least := kept.stability.least_damped):
+        yield text(
+            "FORGETS A NUDGE of {speed} m/s and rad/s from its keyframe: the least damping ratio "
+            "is {damping}, at {frequency} Hz",
+            speed=f"{kept.nudge.speed:g}",
+            damping=f"{least.damping_ratio:.2g}",
+            frequency=f"{least.frequency:.2g}",
+        ).marked("good")

@@ -1,0 +1,66 @@
+"""The document of an estimate: what a study would take."""
+
+from __future__ import annotations
+
+import math
+import os
+
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.html.words import joined, text
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.study.estimate import Estimate
+
+
+@build.register(Estimate)
+def estimate_document(
+    expected: Estimate, _: Robot | None = None, workers: int | None = None
+) -> doc.Document:
+    """Returns what a study would take; see ``build``.
+
+    Args:
+        expected: The estimate.
+        workers: On how many processes; by default as many as this machine has cores.
+    """
+    count = workers or os.cpu_count() or 1
+    told = [
+        text(
+            "{count} designs, of which {there} are there",
+            count=expected.designs,
+            there=expected.there,
+        ),
+        text(
+            "{mean} ms each on average of a few that were timed here, {slowest} ms the slowest",
+            mean=f"{1e3 * expected.seconds_each:.0f}",
+            slowest=f"{1e3 * expected.slowest:.0f}",
+        ),
+        text(
+            "about {time} on {count} workers",
+            time=duration(expected.seconds(count)),
+            count=count,
+        ),
+    ]
+    if expected.left_out:
+        told.append(
+            text(
+                "not imported, and so neither timed nor counted: {names}, code that runs without "
+                "--dry-run",
+                names=joined(map(doc.Name, expected.left_out)),
+            )
+        )
+    if expected.failures:
+        kinds = joined(map(doc.Said, expected.failures))
+        told.append(text("of those that were timed some failed: {kinds}", kinds=kinds))
+    return doc.Document(text("Study of designs"), text("what it would take"), (), told=tuple(told))
+
+
+def duration(seconds: float) -> str:
+    """Returns a time as people say it."""
+    if not math.isfinite(seconds):
+        return "-"
+    whole = round(seconds)
+    if whole < 120:
+        return f"{whole} s"
+    if whole < 7200:
+        return f"{whole // 60} min"
+    return f"{whole / 3600:.1f} h"

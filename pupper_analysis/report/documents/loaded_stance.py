@@ -1,0 +1,141 @@
+"""The document of a payload: what a stance can carry, and what the simulation makes of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from pupper_analysis.analysis.payload import LoadedStance
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.loads import view_block
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.standing import made_up, robot_notes
+from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.report.html.words import joined, text
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.payload.limit import PayloadLimit
+
+_MORE = 1.001
+"""Times what motors bear: legs that share a load bear more."""
+
+
+@build.register(LoadedStance)
+def payload_document(loaded: LoadedStance, robot: Robot | None = None) -> doc.Document:
+    """Returns what a stance can carry; see ``build``."""
+    limit = payload_text(loaded.payload)
+    return doc.Document(
+        text("Payload"),
+        doc.Name(loaded.name),
+        (view_block(robot, loaded.stand, None), payload_table(loaded), *_buckling(loaded)),
+        passed=loaded.passed,
+        verdict=text("CARRIES") if loaded.passed else text("FAILS"),
+        failures=() if loaded.passed else tuple(_trial(loaded)),
+        told=(
+            limit,
+            *(_trial(loaded) if loaded.passed else ()),
+            task_text(loaded.stand.task),
+            *made_up(loaded.servos),
+        ),
+        notes=robot_notes(robot),
+    )
+
+
+def payload_text(payload: PayloadLimit) -> doc.Text:
+    """Returns the greatest mass, where it is, and what gives way beyond it."""
+    failure: doc.Words = doc.Said(payload.failure.value)
+    if payload.where:
+        failure = text("{failure} ({where})", failure=failure, where=", ".join(payload.where))
+    return text(
+        "payload at ({place}) mm of the base: {mass}, then {failure}",
+        place=", ".join(f"{1e3 * value:.0f}" for value in payload.point),
+        mass=kilograms(payload.mass),
+        failure=failure,
+    )
+
+
+def payload_table(loaded: LoadedStance) -> doc.Table:
+    """Returns what each bound lets it carry."""
+    payload = loaded.payload
+    bounds = [
+        ("motors", payload.motors.mass),
+        ("servos' stiffness", payload.servos.mass),
+        ("contacts", payload.contacts.mass),
+    ]
+    shared = payload.shared
+    if shared is not None and payload.motors.mass * _MORE < shared.mass < math.inf:
+        bounds.insert(1, ("motors, if the legs share it as these can", shared.mass))
+    notes: list[doc.Words] = [
+        text("Static, at the motors' peak torque as the files state it; rounded down.")
+    ]
+    if payload.unlimited:
+        notes.append(
+            text(
+                "Motors without effort limit, which set no payload: {count} ({joints}).",
+                count=len(payload.unlimited),
+                joints=joined(map(doc.Name, payload.unlimited)),
+            )
+        )
+    return doc.Table(
+        text("What bounds the payload"),
+        (doc.Column(text("bound"), left=True), doc.Column(text("payload"))),
+        tuple((text(name), kilograms(mass)) for name, mass in bounds),
+        tuple(notes),
+    )
+
+
+def _buckling(loaded: LoadedStance) -> Iterable[doc.Table]:
+    """Yields how fast a stand buckles near what its servos hold."""
+    if not loaded.buckling:
+        return
+    limit = loaded.payload.servos.mass
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.number(one.mass, ".2f"),
+            doc.number(one.mass / limit, ".2f"),
+            *(
+                doc.number(None if math.isinf(time) else time, ".3g")
+                for time in (one.doubling_time, one.free_doubling_time)
+            ),
+        )
+        for one in loaded.buckling
+    ]
+    yield doc.Table(
+        text("How fast it buckles on its servos: in what time a deviation doubles"),
+        (
+            doc.Column(text("payload"), "kg"),
+            doc.Column(text("of the servos' limit"), "1"),
+            doc.Column(text("doubles in"), "s"),
+            doc.Column(text("without dry friction"), "s"),
+        ),
+        tuple(rows),
+    )
+
+
+def kilograms(mass: float) -> doc.Words:
+    """Returns a mass that can be borne (kg), rounded down: what is told is borne."""
+    if math.isinf(mass):
+        return text("no limit")
+    return doc.Name(f"{math.floor(100 * mass) / 100:.2f} kg")
+
+
+def _trial(loaded: LoadedStance) -> Iterable[doc.Words]:
+    """Says what became of it in simulation, with nearly its payload on it."""
+    trial = loaded.trial
+    if trial is None:
+        return
+    mass, seconds = kilograms(trial.mass), f"{trial.duration:g}"
+    if trial.failure is None:
+        yield text(
+            "simulated with {mass} on it, {seconds} s, nudged: it stays up",
+            mass=mass,
+            seconds=seconds,
+        )
+    else:
+        yield text(
+            "simulated with {mass} on it, {seconds} s, nudged: at {time} s {failure} ({where})",
+            mass=mass,
+            seconds=seconds,
+            time=f"{trial.time:.2f}",
+            failure=doc.Said(trial.failure.value),
+            where=", ".join(trial.where),
+        )

@@ -1,0 +1,116 @@
+"""The document of a diff: what has changed between two versions of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from pupper_analysis.checks.versions.compare import ModelChange, ModelDiff
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.sources import quoted
+from pupper_analysis.report.html.words import joined, text, word
+from pupper_analysis.results import short
+from pupper_analysis.robot.robot import Robot
+
+_FELT = 1e-3
+"""Relative change of a torque or a mass that is shown: less changes no digit that is printed."""
+
+
+@build.register(ModelDiff)
+def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
+    """Returns what has changed, and what it does to mass and torques; see ``build``."""
+    count = len(diff.changes)
+    changes = text("1 change") if count == 1 else text("{count} changes", count=count)
+    return doc.Document(
+        text("Changes"),
+        text("{old} and {new}", old=doc.Name(diff.old), new=doc.Name(diff.new)),
+        tuple(_blocks(diff)),
+        passed=diff.same,
+        verdict=text("SAME") if diff.same else text("DIFFERENT"),
+        told=(text("no change") if diff.same else changes, *_mass(diff)),
+        notes=tuple(map(doc.Said, diff.notes)),
+    )
+
+
+def _mass(diff: ModelDiff) -> Iterable[doc.Words]:
+    if not diff.same:
+        old, new = diff.mass
+        mass = text("mass: {old} kg, now {new} kg", old=f"{old:.6g}", new=f"{new:.6g}")
+        if change := _percent(old, new):
+            mass = text("{mass} ({change})", mass=mass, change=change)
+        yield mass
+
+
+def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
+    for change in diff.changes:
+        yield doc.Sides(
+            doc.Said(change.diagnostic),
+            (
+                _place(diff.old, change.old_place, change.old, change.unit),
+                _place(diff.new, change.new_place, change.new, change.unit),
+            ),
+            (_effects(change),),
+        )
+    if not diff.same:
+        yield from _torques(diff)
+    if not diff.complete:
+        name = max(diff.left, key=lambda quantity: diff.left[quantity])
+        left = text(
+            "{left} of {quantity} is left that no change explains",
+            left=f"{diff.left[name]:.1e}",
+            quantity=word(name),
+        )
+        yield doc.Lines((left,), "bad")
+
+
+def _place(file: str, place: str, value: object, unit: str) -> doc.Place:
+    line = quoted(place, file) or f"{short(value)} {unit}".rstrip()
+    named = doc.Name(Path(place).name) if place else text("not in the file")
+    return doc.Place(named, doc.Name("-" if value is None else line), place)
+
+
+def _effects(change: ModelChange) -> doc.Text:
+    if not change.effects:
+        return text("no effect on the dynamics of the tree of joints").marked("quiet")
+    effects = sorted(change.effects.items(), key=lambda item: -item[1].relative)
+    listed = joined(
+        text("{quantity} by {effect}", quantity=word(name), effect=f"{effect.relative:.1e}")
+        for name, effect in effects
+    )
+    return text("alone it changes {effects}", effects=listed)
+
+
+def _percent(old: float, new: float) -> str:
+    return f"{100 * (new / old - 1):+.3g} %" if old and old != new else ""
+
+
+def _torques(diff: ModelDiff) -> Iterable[doc.Block]:
+    """Yields the torques against gravity that have changed."""
+    changed = {
+        name: pair
+        for name, pair in diff.torques.items()
+        if abs(pair[1] - pair[0]) > _FELT * max(pair)
+    }
+    if not changed:
+        yield doc.Lines((text("the torques that hold its links in the air are what they were"),))
+        return
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.Name(name),
+            doc.number(old, ".4g"),
+            doc.number(new, ".4g"),
+            doc.Number(_percent(old, new), 100 * (new / old - 1) if old else float("nan")),
+        )
+        for name, (old, new) in changed.items()
+    ]
+    yield doc.Table(
+        text("Greatest torque that holds the links in the air, base level and held"),
+        (
+            doc.Column(text("joint"), left=True),
+            doc.Column(text("old"), "N m"),
+            doc.Column(text("new"), "N m"),
+            doc.Column(text("change"), "%"),
+        ),
+        tuple(rows),
+    )

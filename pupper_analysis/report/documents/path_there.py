@@ -1,0 +1,155 @@
+"""The document of a path: how a robot moves to a stance, and how well it is followed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from pupper_analysis.analysis.path import PathThere
+from pupper_analysis.report import document as doc
+from pupper_analysis.report import plots
+from pupper_analysis.report.documents.loads import view_block
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.standing import made_up, robot_notes
+from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.report.html.words import text
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.tracking import PathTracking
+from pupper_analysis.stance.path.stance_path import StancePath
+
+
+@build.register(PathThere)
+def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
+    """Returns the path to a stance, which its view steps through; see ``build``."""
+    path, tracking = there.path, there.tracking
+    motion = doc.Motion(text("the path"), path.time, path.qpos)
+    return doc.Document(
+        text("Path to a stance"),
+        doc.Name(there.name),
+        (view_block(robot, there.stand, None, [motion]), *path_blocks(path, tracking)),
+        passed=there.passed,
+        verdict=text("TRACKED") if there.passed else text("FAILED"),
+        failures=tuple(map(doc.Said, tracking.failures)),
+        told=(task_text(there.stand.task), *_least_time(there), *made_up(there.servos)),
+        notes=robot_notes(robot),
+    )
+
+
+def tracking_document(name: str, path: StancePath, tracking: PathTracking) -> doc.Document:
+    """Returns how well a path of several stances is followed.
+
+    Args:
+        name: What moves.
+        path: The path.
+        tracking: What became of it in simulation.
+    """
+    return doc.Document(
+        text("Path"),
+        doc.Name(name),
+        path_blocks(path, tracking),
+        passed=tracking.passed,
+        verdict=text("TRACKED") if tracking.passed else text("FAILED"),
+        failures=tuple(map(doc.Said, tracking.failures)),
+    )
+
+
+def _least_time(there: PathThere) -> Iterable[doc.Words]:
+    if there.binding is None:
+        return
+    yield text(
+        "least time {time} s, with {reserve} of every limit in reserve: bound by {binding}; "
+        "{bound} s if the acceleration could jump",
+        time=f"{there.path.time[-1]:.3g}",
+        reserve=f"{there.reserve:.0%}",
+        binding=doc.Said(str(there.binding)),
+        bound=f"{there.lower_bound:.3g}",
+    )
+
+
+def path_blocks(path: StancePath, tracking: PathTracking) -> tuple[doc.Block, ...]:
+    """Returns a path in numbers and lines, and how it is followed.
+
+    Args:
+        path: The path.
+        tracking: What became of it in simulation.
+    """
+    time = plots.Axis(text("time"), "s", ".2f")
+    feet = [
+        plots.Series(doc.Name(foot), path.time, path.loads[:, index])
+        for index, foot in enumerate(path.feet)
+    ]
+    return (
+        _planned(path),
+        _tracked(tracking),
+        plots.LinePlot(
+            text("Height of the base along the path"),
+            time,
+            plots.Axis(text("base height"), "mm", ".2f"),
+            [plots.Series(text("base height"), path.time, 1e3 * path.qpos[:, 2])],
+        ),
+        plots.LinePlot(
+            text("Load of the feet along the path"),
+            time,
+            plots.Axis(text("load"), "N", ".2f"),
+            feet,
+        ),
+    )
+
+
+def _planned(path: StancePath) -> doc.Table:
+    peak = text(
+        "greatest torque of motors in motion: {joint} at {time} s",
+        joint=doc.Name(path.peak_joint),
+        time=f"{path.peak_time:.2f}",
+    )
+    lowest = path.loads.min(axis=0)
+    loads = (
+        (text("least load of {foot}", foot=doc.Name(foot)), "N", low, ".2f")
+        for foot, low in zip(path.feet, lowest, strict=True)
+    )
+    return _facts(
+        text("The path"),
+        (text("time"), "s", float(path.time[-1]), ".4g"),
+        (text("samples"), "1", float(len(path.time)), ".0f"),
+        (peak, "%", 100 * path.peak_utilisation, ".1f"),
+        (text("greatest speed of joints"), "%", 100 * path.peak_speed_utilisation, ".1f"),
+        (text("least com margin"), "mm", 1e3 * float(path.com_margin.min()), ".1f"),
+        (
+            text("least margin of the zero-moment point"),
+            "mm",
+            1e3 * float(path.zmp_margin.min()),
+            ".1f",
+        ),
+        *loads,
+        note=text("Torques and speeds are in parts of their limits."),
+    )
+
+
+def _tracked(tracking: PathTracking) -> doc.Table:
+    return _facts(
+        text("How it is followed in MuJoCo"),
+        (text("torque error, of the largest"), "%", 100 * tracking.torque_error, ".1f"),
+        (text("joint error"), "rad", tracking.joint_error, ".3f"),
+        (text("joint error, rms"), "rad", tracking.joint_error_rms, ".3f"),
+        (text("error of height"), "mm", 1e3 * tracking.height_error, ".1f"),
+        (text("error of orientation"), "rad", tracking.orientation_error, ".3f"),
+        (text("foot slip"), "mm", 1e3 * max(tracking.foot_slip.values()), ".1f"),
+    )
+
+
+def _facts(
+    title: doc.Words, *facts: tuple[doc.Words, str, float, str], note: doc.Words | None = None
+) -> doc.Table:
+    """Returns a table of quantities: name, unit, value, and how that is written."""
+    return doc.Table(
+        title,
+        (
+            doc.Column(text("quantity"), left=True),
+            doc.Column(text("value")),
+            doc.Column(text("unit"), left=True),
+        ),
+        tuple(
+            (name, doc.number(value, form), doc.Name("" if unit == "1" else unit))
+            for name, unit, value, form in facts
+        ),
+        () if note is None else (note,),
+    )

@@ -1,0 +1,143 @@
+"""The document of pushes: how hard a stance can be pushed, each way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import cast
+
+from pupper_analysis.analysis.push import PushedStance
+from pupper_analysis.report import document as doc
+from pupper_analysis.report import plots
+from pupper_analysis.report.documents.loads import view_block
+from pupper_analysis.report.documents.registry import build, compare
+from pupper_analysis.report.documents.standing import ground_text, made_up, robot_notes
+from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.report.html.words import text
+from pupper_analysis.report.verdict import verdict_lines
+from pupper_analysis.results import Result
+from pupper_analysis.robot.robot import Robot
+
+
+@build.register(PushedStance)
+def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Document:
+    """Returns how hard a stance can be pushed, each way; see ``build``."""
+    return doc.Document(
+        text("Pushes"),
+        doc.Name(pushed.name),
+        (view_block(robot, pushed.stand, None), _table(pushed), _plot([pushed])),
+        passed=pushed.passed,
+        verdict=text("LASTS") if pushed.passed else text("FAILS"),
+        failures=tuple(_against(pushed)),
+        told=(
+            *_weakest(pushed),
+            task_text(pushed.stand.task),
+            *(made_up(pushed.verdict.servos) if pushed.passed else ()),
+            ground_text(pushed.stand.depths.values()),
+        ),
+        notes=robot_notes(robot),
+    )
+
+
+def _against(pushed: PushedStance) -> Iterable[doc.Words]:
+    """Says what is against the stand that was pushed, and that none was survived if none was."""
+    if not pushed.passed:
+        yield from verdict_lines(pushed.verdict)
+    if pushed.recovery.unpushed:
+        yield text("it does not stand, so it withstands no push")
+
+
+def _weakest(pushed: PushedStance) -> Iterable[doc.Words]:
+    """Says which way it is the weakest, and how it fails then."""
+    recovery = pushed.recovery
+    if recovery.unpushed:
+        yield text("of {mass} kg", mass=f"{recovery.mass:.2f}")
+        return
+    yield text(
+        "weakest at {direction}°: {impulse} N s, {speed} m/s of its {mass} kg; then {failure} (a "
+        "rigid robot tips at {tipping} N s)",
+        direction=f"{math.degrees(recovery.weakest_direction):.0f}",
+        impulse=f"{recovery.weakest_impulse:.2f}",
+        speed=f"{recovery.weakest_impulse / recovery.mass:.2f}",
+        mass=f"{recovery.mass:.2f}",
+        failure=doc.Said(recovery.weakest_failure),
+        tipping=f"{float(min(recovery.tipping_estimate)):.2f}",
+    )
+
+
+def _table(pushed: PushedStance) -> doc.Table:
+    recovery = pushed.recovery
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.number(math.degrees(angle), ".0f"),
+            doc.number(recovery.impulses[index], ".2f"),
+            doc.number(recovery.velocity_steps[index], ".3f"),
+            doc.number(recovery.tipping_estimate[index], ".2f"),
+            doc.Said(recovery.failures[index]),
+        )
+        for index, angle in enumerate(recovery.directions)
+    ]
+    return doc.Table(
+        text("Largest push that the stand survives"),
+        (
+            doc.Column(text("direction"), "°"),
+            doc.Column(text("impulse"), "N s"),
+            doc.Column(text("step of velocity"), "m/s"),
+            doc.Column(text("a rigid robot tips at"), "N s"),
+            doc.Column(text("how it fails then"), left=True),
+        ),
+        tuple(rows),
+        (text("Directions about the vertical, of the base: forward 0°, left 90°."),),
+        (
+            text(
+                "Each is found by simulations in MuJoCo ({count} in all), of {seconds} s each; a "
+                "push of {resolution} N s more fails.",
+                count=recovery.rollouts,
+                seconds=f"{recovery.duration:g}",
+                resolution=f"{recovery.resolution:g}",
+            ),
+        ),
+    )
+
+
+def _plot(pushes: Sequence[PushedStance]) -> plots.DirectionPlot:
+    """Returns the largest pushes by direction, of one robot or several."""
+    return plots.DirectionPlot(
+        text("Largest push that the stand survives, from above: forward is up"),
+        plots.Axis(text("impulse"), "N s", ".2f"),
+        [
+            plots.Series(doc.Name(one.name), one.recovery.directions, one.recovery.impulses)
+            for one in pushes
+        ],
+    )
+
+
+@compare.register(PushedStance)
+def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.Block, ...]:
+    """Returns the largest pushes of several robots side by side, if they have the same directions.
+
+    Args:
+        first: One of them.
+        results: All of them.
+    """
+    pushes = cast("Sequence[PushedStance]", results)
+    directions = first.recovery.directions
+    if len({one.recovery.directions.tobytes() for one in pushes}) != 1:
+        return ()
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.number(math.degrees(angle), ".0f"),
+            *(doc.number(one.recovery.impulses[index], ".2f") for one in pushes),
+        )
+        for index, angle in enumerate(directions)
+    ]
+    table = doc.Table(
+        text("Largest push that the stand survives"),
+        (
+            doc.Column(text("direction"), "°"),
+            *(doc.Column(doc.Name(one.name), "N s") for one in pushes),
+        ),
+        tuple(rows),
+        (text("Directions about the vertical, of the base: forward 0°, left 90°."),),
+    )
+    return table, _plot(pushes)

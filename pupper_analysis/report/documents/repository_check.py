@@ -1,0 +1,127 @@
+"""The document of a check: what of a repository's models fails, and how much is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from pupper_analysis.guard.check import PairCheck, RepositoryCheck
+from pupper_analysis.guard.remarks import Remark
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.audit import MARKS
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.sources import quoted
+from pupper_analysis.report.guard import before_in_words, from_the_root, summary
+from pupper_analysis.report.html.words import joined, text, word
+from pupper_analysis.robot.robot import Robot
+
+
+@build.register(RepositoryCheck)
+def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Document:
+    """Returns what fails, with its place, and how much is known; see ``build``."""
+    blocks: list[doc.Block] = [_group(group) for group in _groups(check.remarks)]
+    if check.stale:
+        after = "--update-baseline takes it out"
+        if check.updated:
+            after = "it was taken out"
+        stale = (
+            text("{entry}: it does not occur any more; {after}", entry=doc.Name(str(entry)),
+                 after=text(after))
+            for entry in check.stale
+        )  # fmt: skip
+        blocks.append(doc.Lines(tuple(stale), "warn", text("stale")))
+    blocks.append(_pairs(check.pairs))
+    notes = tuple(
+        text("{name}: {note}", name=doc.Name(pair.name), note=doc.Said(note))
+        for pair in check.pairs
+        for note in pair.notes
+    )
+    if notes:
+        blocks.append(doc.Lines(notes, title=text("Notes"), detail=True))
+    return doc.Document(
+        text("Check of a repository"),
+        doc.Name(Path(check.config).name),
+        tuple(blocks),
+        passed=check.passed,
+        verdict=text("PASSED") if check.passed else text("FAILED"),
+        told=(summary(check),),
+    )
+
+
+def _groups(remarks: Iterable[Remark]) -> list[list[Remark]]:
+    """Puts together remarks of one kind and file with the same values, old and new."""
+    groups: dict[tuple[str, ...], list[Remark]] = {}
+    for remark in remarks:
+        same = (remark.state, str(remark.values), str(remark.before))
+        key = (remark.check, remark.pair, remark.kind, remark.file, *same)
+        groups.setdefault(key, []).append(remark)
+    return list(groups.values())
+
+
+def _group(group: list[Remark]) -> doc.Sides:
+    first, *others = group
+    notes: list[doc.Words] = []
+    if others:
+        names = joined(doc.Name(remark.element) for remark in others)
+        notes.append(text("likewise on {count} more: {names}", count=len(others), names=names))
+    if first.before is not None:
+        notes.append(before_in_words(first))
+    tag = text(
+        "{severity} {check} {kind} ({state})",
+        severity=word(str(first.severity)),
+        check=first.check,
+        kind=first.kind,
+        state=word(str(first.state)),
+    ).marked(MARKS[first.severity])
+    places = [first.place or first.file, *([first.other_place] if first.other_place else [])]
+    columns = tuple(
+        doc.Place(
+            doc.Name(from_the_root(place) or place),
+            doc.Name(quoted(place, first.file)),
+            from_the_root(place) or place,
+        )
+        for place in places
+    )
+    sides = doc.Sides(doc.Said(first.message), columns, tuple(notes), tag)
+    return replace(sides, detail=not any(remark.fails for remark in group))
+
+
+def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
+    """Returns what was checked."""
+    listed = list(pairs)
+    agree: dict[bool | None, doc.Cell] = {
+        True: text("they agree"),
+        False: text("they differ"),
+        None: doc.Name(""),
+    }
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.Name(pair.name),
+            text("FAILED").marked("bad") if pair.failures else text("OK").marked("good"),
+            doc.number(pair.failures, "g"),
+            doc.number(pair.known, "g"),
+            agree[pair.agree],
+            doc.Name(", ".join(pair.files)),
+        )
+        for pair in listed
+    ]
+    off = tuple(
+        text("{name}: {rule} is switched off: {reason}", name=doc.Name(pair.name),
+             rule=doc.Name(rule), reason=doc.Name(reason))
+        for pair in listed
+        for rule, reason in pair.disabled.items()
+    )  # fmt: skip
+    return doc.Table(
+        text("What was checked"),
+        (
+            doc.Column(text("pair"), left=True),
+            doc.Column(text("verdict"), left=True),
+            doc.Column(text("to mend"), "1"),
+            doc.Column(text("known"), "1"),
+            doc.Column(text("the files"), left=True),
+            doc.Column(text("files"), left=True),
+        ),
+        tuple(rows),
+        off,
+    )

@@ -1,0 +1,132 @@
+"""The document of a stance: what it costs, and whether it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from pupper_analysis.analysis.stance import Stance
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.loads import load_blocks, proof, view_block
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.simulated import height_plot, motions_of, run_rows
+from pupper_analysis.report.documents.sources import page
+from pupper_analysis.report.documents.standing import ground_text, robot_notes
+from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.report.html.words import joined, text
+from pupper_analysis.report.verdict import verdict_lines, verdict_word
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.verify import StandVerification
+from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN
+
+DISAGREEMENT = 1e-4
+"""What a stand may leave of the balance in MuJoCo's terms before it is remarked upon (N, N m)."""
+
+
+@build.register(Stance)
+def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
+    """Returns a stance, what it costs, and whether it holds; see ``build``."""
+    run = stance.verification
+    stand = stance.sunk or stance.stand
+    blocks = [
+        view_block(robot, stand, stance.statics, motions_of([run])),
+        *load_blocks(
+            stance.statics,
+            stance.minimum_peak,
+            run,
+            stance.limits.tolist(),
+            stance.limit_origins,
+            {doc.Column(text("position"), "rad"): stance.joint_positions.tolist()},
+        ),
+        _simulated(run),
+        height_plot([run], float(stand.qpos[2])),
+    ]
+    verdict = verdict_lines(stance.verdict)
+    return doc.Document(
+        text("Stance"),
+        doc.Name(stance.name),
+        tuple(blocks),
+        passed=stance.passed,
+        verdict=verdict_word(stance.verdict),
+        failures=() if stance.passed else tuple(line for line in verdict if line.mark != "good"),
+        told=(
+            task_text(stance.stand.task),
+            *(line for line in verdict if stance.passed or line.mark == "good"),
+            *_told(stance),
+        ),
+        notes=(*_disagreement(run), *robot_notes(robot)),
+    )
+
+
+def _simulated(run: StandVerification) -> doc.Table:
+    """Returns what the simulation made of the stand."""
+    return doc.Table(
+        text("MuJoCo, {seconds} s on the floating base", seconds=f"{run.duration:g}"),
+        (
+            doc.Column(text("quantity"), left=True),
+            doc.Column(text("with feed-forward")),
+            doc.Column(text("unit"), left=True),
+        ),
+        run_rows([run]),
+        (),
+        (page("stances.md", "What the simulation says"), proof(run)),
+        detail=True,
+    )
+
+
+def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
+    """Says that the two models are not of one robot, if by the MJCF the stand is out of balance."""
+    if run.mujoco_residual > DISAGREEMENT:
+        yield text(
+            "the two models disagree: by the MJCF {residual} N (or N m) of the balance are left; "
+            "pupper-analysis crosscheck says why",
+            residual=f"{run.mujoco_residual:.1e}",
+        )
+
+
+def _told(stance: Stance) -> Iterable[doc.Words]:
+    settled = stance.settled
+    if settled is None:
+        unsettled = doc.Said(stance.unsettled)
+        yield text("without feed-forward, no sag is predicted: {why}", why=unsettled)
+    else:
+        settles = text(
+            "commanded these joints alone it settles at {height} m: servos give {servo} mm, the "
+            "ground {contact} mm",
+            height=f"{settled.base_height:.5f}",
+            servo=f"{1e3 * settled.servo_sag:.2f}",
+            contact=f"{1e3 * settled.contact_sag:.2f}",
+        )
+        if settled.failures:
+            why = joined(map(doc.Said, settled.failures), "; ")
+            settles = text("{settles}; but {why}", settles=settles, why=why)
+        elif settled.release_margin < RELEASE_MARGIN:
+            settles = text(
+                "{settles}, if it is let down slowly (let go at once, feet slip in the fall)",
+                settles=settles,
+            )
+        yield settles
+    if stance.minimum_stiffness is not None:
+        yield text(
+            "minimum stiffness of servos that carry it without feed-forward: {kp} N m/rad",
+            kp=f"{stance.minimum_stiffness:.2f}",
+        )
+    near, links = stance.stand.ground_clearance, stance.stand.self_clearance
+    if near is not None:
+        yield text(
+            "lowest part but the feet: {link}, {distance} mm",
+            link=doc.Name(near.links[0]),
+            distance=f"{1e3 * near.distance:.1f}",
+        )
+    if links is not None:
+        yield text(
+            "nearest links: {links}, {distance} mm apart",
+            links=doc.Name(" / ".join(links.links)),
+            distance=f"{1e3 * links.distance:.1f}",
+        )
+    if stance.loops_open is not None:
+        yield text(
+            "the MJCF's loops and couplings are open in it by up to {most} m or rad, as their "
+            "softness has it",
+            most=f"{stance.loops_open:.2g}",
+        )
+    yield ground_text(stance.sunk.depths.values() if stance.sunk else ())

@@ -1,0 +1,122 @@
+"""The document of a sync: what is written to make two files agree, and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.html.words import text
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.sync.choices import label, line_at
+from pupper_analysis.sync.models import Sync
+from pupper_analysis.sync.plan import Cause
+
+
+def question(sync: Sync, place: int) -> str:
+    """Returns a difference with its number and with its two lines."""
+    difference = sync.differences[place]
+    lines = [f"\n{place + 1}. {difference.message}"]
+    for said in (difference.urdf_place, difference.mjcf_place):
+        if said is not None:
+            lines.append(f"   {said}: {line_at(said)}")
+    return "\n".join(lines)
+
+
+@build.register(Sync)
+def sync_document(
+    sync: Sync,
+    _: Robot | None = None,
+    *,
+    chosen: bool = True,
+    dry_run: bool = False,
+) -> doc.Document:
+    """Returns what was written, and what is left; see ``build``.
+
+    Args:
+        sync: What was done.
+        chosen: Whether it was said whose values are taken; if not, the choices are shown.
+        dry_run: It was not done: show how the files would change.
+    """
+    blocks = _done(sync, dry_run) if chosen or not sync.differences else _choices(sync)
+    count = len(sync.edits)
+    would = dry_run or sync.withheld or bool(sync.differences and not chosen)
+    written = text(
+        "attributes that would be written: {count}" if would else "attributes written: {count}",
+        count=count,
+    )
+    told = [written]
+    if sync.left:
+        told.append(text("differences left: {count}", count=len(sync.left)))
+    return doc.Document(
+        text("Sync"),
+        text("URDF and MJCF"),
+        tuple(blocks),
+        passed=sync.agree,
+        verdict=text("AGREE") if sync.agree else text("DISAGREE"),
+        failures=tuple(_withheld(sync)),
+        told=tuple(told),
+        notes=tuple(
+            text("{difference}: {note}", difference=doc.Said(named), note=doc.Said(note))
+            for named, note in sync.notes.items()
+        ),
+    )
+
+
+def _withheld(sync: Sync) -> Iterable[doc.Words]:
+    if sync.withheld:
+        failed = sum(left.cause == Cause.NOT_MENDED for left in sync.left)
+        yield text(
+            "nothing is written: {count} of the chosen differences cannot be mended, and the rest "
+            "alone would make a robot of two versions; choose what is meant, or add --partial",
+            count=failed,
+        )
+
+
+def _choices(sync: Sync) -> Iterable[doc.Block]:
+    """Yields the differences with their numbers, and what to type."""
+    for difference in sync.differences:
+        places = (difference.urdf_place, difference.mjcf_place)
+        columns = tuple(
+            doc.Place(doc.Name(place), doc.Name(line_at(place)), place) for place in places if place
+        )
+        yield doc.Sides(doc.Said(difference.diagnostic), columns)
+    first, kind = label(sync.differences[0]), sync.differences[0].kind
+    kind = f'"{kind}"' if " " in kind else kind
+    yield doc.Lines(
+        (
+            text(
+                "Nothing was changed. --take urdf takes the URDF's values and writes them into the "
+                "MJCF, --take mjcf the other way; for some alone:"
+            ),
+            doc.Name(f'--take mjcf:1   --take urdf:"{first}"   --take mjcf:{kind}'),
+            text("with --dry-run it shows what it would change."),
+        )
+    )
+
+
+def _done(sync: Sync, dry_run: bool) -> Iterable[doc.Block]:
+    """Yields what was written, or would be, and what is left."""
+    if dry_run:
+        if sync.diff:
+            yield doc.Listing(text("What would change"), sync.diff, "diff")
+    elif sync.edits and not sync.withheld:
+        edits = []
+        for edit in sync.edits:
+            old = "(not stated)" if edit.old is None else edit.old
+            said = f"{edit.file}:{edit.line}: {edit.element}: {edit.attribute}: {old} -> {edit.new}"
+            edits.append(doc.Name(said))
+        yield doc.Lines(tuple(edits), title=text("What was written"))
+    if sync.backups:
+        kept = (text("the old file is kept: {file}", file=doc.Name(one)) for one in sync.backups)
+        yield doc.Lines(tuple(kept))
+    if sync.left:
+        yield doc.Lines(
+            tuple(
+                text("{difference}: {note}", difference=doc.Said(left.difference),
+                     note=doc.Said(left.reason))
+                for left in sync.left
+            ),
+            "bad",
+            text("What is left"),
+        )  # fmt: skip

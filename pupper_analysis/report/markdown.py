@@ -1,0 +1,184 @@
+"""Documents as Markdown, for a comment on a pull request: GitHub's dialect, which GitLab reads too.
+
+What a short view leaves out is folded. Names are anybody's: none of them becomes markup, a mention
+or a reference.
+
+Source: GitHub Flavored Markdown Spec, version 0.29-gfm.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import singledispatch
+
+from pupper_analysis.report.document import (
+    Cell,
+    Column,
+    Document,
+    Lines,
+    Listing,
+    Number,
+    Place,
+    Report,
+    Sides,
+    Table,
+    Words,
+)
+from pupper_analysis.report.formats import visible
+from pupper_analysis.report.html.words import english
+
+SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
+"""Before a verdict."""
+
+MOST_ROWS = 60
+"""Of a table: a comment may have 65,536 characters, and that of a check has several tables."""
+
+MOST_LETTERS = 60_000
+"""Of a comment, with room for what is put around it."""
+
+_ACTS = re.compile(r"([\\`*_\[\]<>#|~&$])|^(\s*(?:[-+]|\d+[.)])(?=\s))")
+"""What may begin or end markup, within words too; and what makes an item of a list of a line."""
+
+_REFERS = re.compile(
+    r"(?<=[@#])(?=\w)|(?<=GH-)(?=\d)|(?<=:)(?=//)|(?<=www)(?=\.)|(?<=:)(?=[\w+-]+:)"
+)
+"""Where a mention, a reference, a link or an emoji begins that needs no markup."""
+
+_JOINER = "\u2060"
+"""Takes no room, and keeps letters from being read as one word."""
+
+
+def markdown(report: Report) -> str:
+    """Returns documents as Markdown.
+
+    Args:
+        report: The documents.
+    """
+    parts = [part for block in report.overview for part in _folded(block)]
+    for document in report.documents:
+        parts += _document(document, whole=not report.overview)
+    text = "\n\n".join(parts) + "\n"
+    if len(text) <= MOST_LETTERS:
+        return text
+    short = "\n\n".join(
+        [part for document in report.documents for part in _document(document, whole=False)]
+    )
+    told = "*Its tables are longer than a comment may be: `--json` has all numbers.*"
+    return f"{short[:MOST_LETTERS]}\n\n{told}\n"
+
+
+def _document(document: Document, *, whole: bool) -> list[str]:
+    sign = SIGNS.get(document.mark, "")
+    verdict = "" if document.verdict is None else f"{_escaped(document.verdict)} "
+    title = f"### {f'{sign} ' if sign else ''}{verdict}{_escaped(document.title)}"
+    told = [f"- **{_escaped(one)}**" for one in document.failures]
+    told += [f"- {_escaped(one)}" for one in document.told]
+    parts = [title, "\n".join(told)] if told else [title]
+    if whole:
+        for block in document.blocks:
+            parts += _folded(block)
+    if document.notes:
+        notes = "\n".join(f"- {_escaped(note)}" for note in document.notes)
+        parts.append(_fold(f"{len(document.notes)} notes", notes))
+    return parts
+
+
+def _folded(block: object) -> list[str]:
+    """Returns a block; one that a short view leaves out is shown when it is asked for."""
+    parts = _block(block)
+    if parts and getattr(block, "detail", False):
+        return [_fold(_escaped(_title(block)), "\n\n".join(parts))]
+    return parts
+
+
+def _title(block: object) -> Words:
+    title: Words = getattr(block, "title", None) or getattr(block, "lines")[0]  # noqa: B009
+    return title
+
+
+def _fold(title: str, text: str) -> str:
+    return f"<details><summary>{title}</summary>\n\n{text}\n\n</details>"
+
+
+@singledispatch
+def _block(_: object) -> list[str]:
+    """Returns a block; plots and views are left out."""
+    return []
+
+
+@_block.register
+def _table(table: Table) -> list[str]:
+    heads = [_header(column) for column in table.columns]
+    rules = [":---" if column.left or not index else "---:" for index, column in
+             enumerate(table.columns)]  # fmt: skip
+    rows = [[_cell(cell) for cell in row] for row in table.rows[:MOST_ROWS]]
+    lines = [f"| {' | '.join(row)} |" for row in (heads, rules, *rows)]
+    parts = [f"**{_escaped(table.title)}**", "\n".join(lines)]
+    left = len(table.rows) - MOST_ROWS
+    if left > 0:
+        parts.append(f"*{left} more rows: `--json` has them.*")
+    if table.notes:
+        parts.append("\n".join(f"- {_escaped(note)}" for note in table.notes))
+    return parts
+
+
+def _header(column: Column) -> str:
+    unit = f" ({_escape(column.unit)})" if column.unit not in ("", "1") else ""
+    return f"{_escaped(column.name)}{unit}" or " "
+
+
+def _cell(cell: Cell) -> str:
+    text = _escape(cell.text) if isinstance(cell, Number) else _escaped(cell)
+    return f"**{text}**" if text and cell.mark in ("bad", "warn", "best") else text
+
+
+@_block.register
+def _lines(block: Lines) -> list[str]:
+    title = [] if block.title is None else [f"**{_escaped(block.title)}**"]
+    return [*title, "\n".join(f"- {_escaped(line)}" for line in block.lines)]
+
+
+@_block.register
+def _sides(block: Sides) -> list[str]:
+    tag = "" if block.tag is None else f"{_escaped(block.tag)} "
+    lines = [f"- {tag}**{_escaped(block.title)}**"]
+    lines += [f"  - {_place(one)}" for one in block.columns]
+    lines += [f"  - {_escaped(note)}" for note in block.notes]
+    return ["\n".join(lines)]
+
+
+def _place(place: Place) -> str:
+    quoted = _code(english(place.line).replace("\n", " "))
+    return f"{_escape(place.path) or _escaped(place.place)}: {quoted}"
+
+
+@_block.register
+def _listing(block: Listing) -> list[str]:
+    text = "\n".join(map(visible, block.text.rstrip("\n").split("\n")))
+    fence = "`" * max(3, _longest(text) + 1)
+    return [f"**{_escaped(block.title)}**", f"{fence}{block.language}\n{text}\n{fence}"]
+
+
+def _code(text: str) -> str:
+    """Returns a text in which nothing is markup, letter by letter."""
+    shown = visible(text).replace("|", "¦")
+    marks = "`" * (_longest(shown) + 1)
+    return f"{marks} {shown} {marks}" if shown.strip() else ""
+
+
+def _longest(text: str) -> int:
+    """Returns of how many ticks the longest row of them has."""
+    return max(map(len, re.findall("`+", text)), default=0)
+
+
+def _escaped(words: Words) -> str:
+    return _escape(english(words))
+
+
+def _escape(text: str) -> str:
+    """Returns a text in which nothing acts: no markup, no mention, no reference, no link."""
+    return _ACTS.sub(_tamed, _REFERS.sub(_JOINER, visible(text)))
+
+
+def _tamed(found: re.Match[str]) -> str:
+    return f"\\{found[1]}" if found[1] else f"{found[2][:-1]}\\{found[2][-1]}"

@@ -1,0 +1,189 @@
+"""What is drawn, as data: which lines over which axes. How it is drawn is a renderer's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pupper_analysis.report.document import Words
+    from pupper_analysis.study.cells import EndMap, MeanMap
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What an axis measures.
+
+    Attributes:
+        name: The quantity.
+        unit: Its unit.
+        form: How its values are written.
+        log: Whether it is logarithmic.
+    """
+
+    name: Words
+    unit: str
+    form: str
+    log: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One line of a drawing.
+
+    Attributes:
+        name: Whose it is.
+        x: (n,) along, in the axis's unit.
+        y: (n,) up, in the axis's unit; what is not finite is left out.
+        points: Whether every point is marked.
+    """
+
+    name: Words
+    x: ArrayLike
+    y: ArrayLike
+    points: bool = False
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A bar of a bar plot.
+
+    Attributes:
+        name: Its name.
+        value: Its length, in the axis's unit.
+        other: What is marked beside it by a tick; None for nothing.
+        limit: How long it may be; None for no limit.
+    """
+
+    name: Words
+    value: float
+    other: float | None = None
+    limit: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Plot:
+    """A drawing.
+
+    Attributes:
+        title: What it shows.
+        detail: Whether a short view leaves it out.
+    """
+
+    kind: ClassVar[str] = "plot"
+    detail: ClassVar[bool] = False
+    title: Words
+
+
+@dataclass(frozen=True, eq=False)
+class LinePlot(Plot):
+    """Lines over one another.
+
+    Attributes:
+        x: The axis along.
+        y: The axis up.
+        series: The lines, at least one with a finite value.
+    """
+
+    x: Axis
+    y: Axis
+    series: Sequence[Series]
+
+
+@dataclass(frozen=True, eq=False)
+class BarPlot(Plot):
+    """Bars from zero to both sides, each with its limit and with another value beside it.
+
+    Attributes:
+        axis: What they measure.
+        bars: The bars, from above.
+        legend: What a bar's value, the other value and the limit are.
+    """
+
+    axis: Axis
+    bars: Sequence[Bar]
+    legend: tuple[Words, Words, Words]
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionPlot(Plot):
+    """Values by direction, as seen from above: forward is up, left is left.
+
+    Attributes:
+        axis: What their distances from the middle measure.
+        series: Per robot, ``x`` are the directions (rad) and ``y`` the values.
+    """
+
+    axis: Axis
+    series: Sequence[Series]
+
+
+@dataclass(frozen=True, eq=False)
+class MeansPlot(Plot):
+    """Means of a measure over two variables; cells in whose mean designs are missing are crossed.
+
+    Attributes:
+        found: The means.
+        x: The variable along.
+        y: The variable upwards.
+        measure: The measure.
+        ends: The least and the greatest value that colours tell.
+    """
+
+    found: MeanMap
+    x: str
+    y: str
+    measure: str
+    ends: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class EndsPlot(Plot):
+    """What most designs of each cell come to; paler where they come to different ends.
+
+    Attributes:
+        found: What becomes of the designs.
+        x: The variable along.
+        y: The variable upwards.
+        kinds: Of the whole study, whose colours are the same in all its maps.
+    """
+
+    found: EndMap
+    x: str
+    y: str
+    kinds: Sequence[str]
+
+
+@dataclass(frozen=True, eq=False)
+class ParallelPlot(Plot):
+    """Each design as a line over several columns, coloured by one of them.
+
+    Attributes:
+        table: Of a study.
+        columns: From left to right.
+        shade: The column that colours the lines; grey are designs that have none.
+    """
+
+    table: pd.DataFrame
+    columns: Sequence[str]
+    shade: str
+
+
+@dataclass(frozen=True, eq=False)
+class FrontPlot(Plot):
+    """Designs over two measures, and the front of those that no other beats.
+
+    Attributes:
+        table: Of a study.
+        front: The front of it.
+        objectives: Columns: along, and upwards.
+    """
+
+    table: pd.DataFrame
+    front: pd.DataFrame
+    objectives: Sequence[str]
