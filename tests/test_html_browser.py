@@ -267,7 +267,7 @@ def test_the_language_switches_everything(opened: Opened) -> None:
     page.locator("#language").click()
     assert page.locator("html").get_attribute("lang") == "zh-Hans"
     assert page.locator("h2").first.inner_text() == "概要"
-    assert page.title() == "机器人分析"
+    assert page.title() == "分析：v3"
     assert page.locator(".canvas").get_attribute("aria-label").startswith("机器人三维视图")
     assert page.locator("select.motion option").nth(1).inner_text().startswith("仿真")
     page.get_by_role("button", name="leg_front_r_2", exact=True).focus()

@@ -124,7 +124,8 @@ def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path)
     )
     assert status == 0, err
     assert "TRACKED" in out
-    assert "path of 3 s" in out
+    assert ["time", "3", "s"] in [line.split() for line in out.splitlines()]
+    assert f"written: {csv}\nwritten: {npz}\nwritten: {file}\n" in out
     assert json.loads(file.read_text())["binding"] is None
     rows = csv.read_text().splitlines()
     with np.load(npz) as content:
