@@ -538,7 +538,8 @@ def test_the_command_says_what_it_did(tmp_path: Path) -> None:
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     assert "written: quad.xml" in done.stdout
-    assert "AGREE: 0 differences from quad.urdf" in done.stdout
+    assert "AGREE quad.urdf and " in done.stdout
+    assert "differences from quad.urdf: 0;" in done.stdout
     assert "STANDS for 12 s in MuJoCo" in done.stdout
     result = json.loads((tmp_path / "out.json").read_text())
     assert result["passed"]

@@ -253,7 +253,6 @@ SAME = {"kd", "kp \\ kd", "yourdfpy (URDF)", "URDF: {file}", "MJCF: {file}"} | {
     "{element}: {message}",
     "{why} {todo}",
     "{names} …",
-    "{quantity} {effect}",
     "{quantity} by {effect}",
     "{severity} {rule}",
     "{count} {severity}",

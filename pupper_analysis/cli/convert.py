@@ -120,6 +120,8 @@ def convert_command(
             force=force,
         )
     shared.show([("", result)], style, everything=everything)
+    for path in result.written:
+        shared.written(path)
     shared.finish(json_path, result, passed=result.passed)
 
 

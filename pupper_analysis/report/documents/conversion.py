@@ -1,4 +1,4 @@
-"""The document of a conversion: what was written, added and left out, and the proof."""
+"""The document of a conversion: what was added and left out, and the proof."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from pupper_analysis.robot.robot import Robot
 @build.register(Conversion)
 def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.Document:
     """Returns what became of a conversion; see ``build``."""
-    blocks = [
-        doc.Lines(tuple(map(doc.Name, conversion.written)), title=text("What was written")),
-    ]
+    blocks = []
     if conversion.left:
         left = tuple(map(doc.Said, conversion.left))
         blocks.append(doc.Lines(left, "warn", text("What is left")))
