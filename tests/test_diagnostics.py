@@ -77,7 +77,6 @@ CALLS = list(calls())
 
 STILL_READ = {
     "convert/to_mjcf.py",
-    "live/language.py",
     "prepare/load.py",
     "report/html/sentences.py",
 }

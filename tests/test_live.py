@@ -98,7 +98,7 @@ def test_any_state_is_what_it_says(state: State) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("height:abc", "'abc' of height is no number"),
+        ("height:abc", "'abc' in 'height' is not a number"),
         ("height:nan", "height: nan is not finite"),
         ("height:1;height:2", "height is said twice"),
         ("size:3", "'size' is unknown; there are: height, roll"),

@@ -83,7 +83,7 @@ def test_others_must_know_the_token() -> None:
     ],
 )
 def test_what_a_browser_may_say(updates: dict[str, object], right: bool) -> None:
-    assert (problem_of(updates) == "") == right
+    assert (problem_of(updates) is None) == right
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,8 @@ from collections.abc import Mapping
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, urlsplit
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+
 MOST_BYTES = 1 << 20
 """Of a message from a browser: those of sliders and cameras have some hundred."""
 
@@ -108,8 +110,8 @@ def without_folders(text: str) -> str:
 _FOLDERS = re.compile(r"(?<![\w.:/])(?:[A-Za-z]:)?(?:[/\\][^/\\:'\"\s]+)+[/\\](?=[^/\\\s])")
 
 
-def problem_of(updates: Mapping[str, object]) -> str:
-    """Says what is wrong with a control's new value as a browser gives it; empty if nothing is.
+def problem_of(updates: Mapping[str, object]) -> Diagnostic | None:
+    """Returns what is wrong with a control's new value as a browser gives it; None if nothing is.
 
     A value may be typed beyond a slider's ends: whether a robot can have it is for others to say.
 
@@ -117,12 +119,14 @@ def problem_of(updates: Mapping[str, object]) -> str:
         updates: {property: value}.
     """
     if set(updates) != {"value"}:
-        return "a control has a value, and nothing else to be set"
+        return diagnose("control-has-a-value")
     value = updates["value"]
     if isinstance(value, str):
-        return "" if len(value) <= LONGEST_TEXT else "the text is too long"
+        if len(value) <= LONGEST_TEXT:
+            return None
+        return diagnose("text-too-long", count=len(value), most=LONGEST_TEXT)
     if isinstance(value, bool):
-        return ""
+        return None
     if not isinstance(value, int | float) or not math.isfinite(value):
-        return "a value is a finite number, a text, or yes or no"
-    return "" if abs(value) <= GREATEST else f"no slider goes to {value:g}"
+        return diagnose("no-value-of-a-control")
+    return None if abs(value) <= GREATEST else diagnose("beyond-any-slider", value=value)

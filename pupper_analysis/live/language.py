@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.live.door import without_folders
 from pupper_analysis.report.document import Text
@@ -30,7 +31,7 @@ class Language:
 
     def __post_init__(self) -> None:
         if self.code not in NAMES:
-            raise ConfigurationError("language", f"{self.code!r} is neither 'en' nor 'zh'")
+            raise ConfigurationError("language", diagnose("language-unknown", language=self.code))
 
     def __call__(self, english: str, **values: object) -> str:
         """Returns a text of the page.
@@ -44,15 +45,15 @@ class Language:
         """
         return self._of(text(english, **values))
 
-    def sentence(self, sentence: str) -> str:
+    def sentence(self, told: Diagnostic | str) -> str:
         """Returns what a result says; in English, where nobody has said it otherwise."""
-        sentence = without_folders(sentence)
+        if isinstance(told, Diagnostic):
+            return without_folders(told.text(self.code))
+        sentence = without_folders(told)
         found = sentences.said(sentence)
         if isinstance(found, Text):
             return self._of(found)
-        field, colon, problem = sentence.partition(": ")  # of a ConfigurationError
-        said = sentences.said(problem)
-        return f"{field}{colon}{self._of(said)}" if isinstance(said, Text) else sentence
+        return sentence
 
     def task(self, task: StandTask) -> str:
         """Returns what is asked of a stand."""

@@ -87,13 +87,13 @@ class Page:
     def _opened(self, client: Any) -> None:
         address, words, language = viser_parts.asked_for(self._server, client.client_id)
         say = Language(language) if language in NAMES else self._language
-        state, problem = self._state, ""
+        state, problem = self._state, None
         if words:
             try:
                 state = parse(words)
                 check(self._model, state)
             except PupperAnalysisError as error:
-                state, problem = self._state, str(error)
+                state, problem = self._state, error.diagnostic
         came = (*viser_parts.browser_of(self._server, client.client_id), words)
         state, say = self._gone_on(came) or (state, say)
         camera = client.camera

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.live import model as answers
 from pupper_analysis.live import text
@@ -50,7 +51,7 @@ class Session:
         model: Answers for the robot.
         state: What it begins with.
         address: Host and port, as the browser reaches the server.
-        problem: What was wrong with the state that it asked for; empty if nothing.
+        problem: What was wrong with the state that it asked for; None if nothing.
         say: The language that it begins with.
     """
 
@@ -60,7 +61,7 @@ class Session:
         model: Model,
         state: State,
         address: str,
-        problem: str = "",
+        problem: Diagnostic | None = None,
         say: Language | None = None,
     ) -> None:
         self._client, self._model, self._address = client, model, address
@@ -79,7 +80,7 @@ class Session:
         self._scene = Scene(client.scene)
         self._panels = Panels(client, model, address, self, say)
         self._panels.controls.put(state, told=False)
-        if problem:
+        if problem is not None:
             say = self._panels.say
             self._panels.notify("This state cannot be shown", say.sentence(problem))
         number = next(_numbers)
@@ -134,7 +135,7 @@ class Session:
         try:
             self._panels.controls.put(parse(words), told=True)
         except PupperAnalysisError as error:
-            self._panels.notify("This is no state", self._panels.say.sentence(str(error)))
+            self._panels.notify("This is no state", self._panels.say.sentence(error.diagnostic))
 
     def go_to_nearest(self) -> None:
         """Goes to the ghost."""

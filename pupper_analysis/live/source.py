@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.prepare.load import load_robot
 from pupper_analysis.robot.robot import Robot
@@ -65,7 +66,7 @@ class Pair:
         given = {name: value for name, value in {**options, **paths}.items() if value}
         robot = load_robot(**given)
         if not robot.floating or not robot.feet:
-            raise ConfigurationError("robot", f"{robot.name} has no feet to stand on")
+            raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
         return Pair(given, robot)
 
     @property
@@ -81,7 +82,7 @@ class Pair:
         """
         if scales:
             name = next(iter(scales))
-            raise ConfigurationError(name, f"{self.loaded.name} is not made by scaling")
+            raise ConfigurationError(name, diagnose("robot-not-scaled", robot=self.loaded.name))
         return self.loaded
 
     def python(self, scales: Mapping[str, float]) -> str:  # noqa: ARG002 - it has none

@@ -9,6 +9,7 @@ from typing import Any
 from urllib.parse import quote, unquote
 
 from pupper_analysis.arguments import finite
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.stance.task import StandTask
@@ -97,8 +98,8 @@ class State:
                 checked = tuple(finite(name, number) for number in numbers)
                 object.__setattr__(self, name, checked if count > 1 else checked[0])
         if self.place not in PLACES:
-            problem = f"{self.place!r} is none of {', '.join(PLACES)}"
-            raise ConfigurationError("place", problem)
+            told = diagnose("none-of", value=self.place, known=PLACES)
+            raise ConfigurationError("place", told)
         for foot, move in self.moves.items():
             for number in move:
                 finite(f"move {foot}", number)
@@ -116,19 +117,19 @@ class State:
         for name, (low, high, unit) in _FROM_TO.items():
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
-                least, most = f"{plain(low)}{unit}", f"{plain(high)}{unit}"
-                beyond = (
-                    f"less than {least}, the least"
-                    if value < low
-                    else f"more than {most}, the most"
+                told = diagnose(
+                    "below-the-least" if value < low else "above-the-most",
+                    value=f"{plain(value)}{unit}",
+                    bound=f"{plain(low if value < low else high)}{unit}",
                 )
-                raise ConfigurationError(name, f"{plain(value)}{unit} is {beyond}")
+                raise ConfigurationError(name, told)
         if self.height is not None and self.height <= 0:
-            raise ConfigurationError("height", f"{plain(self.height)} mm is not above the ground")
+            told = diagnose("height-not-above-ground", height=f"{plain(self.height)} mm")
+            raise ConfigurationError("height", told)
         for foot, height in self.lifts.items():
             if height <= 0:
-                problem = f"{plain(height)} mm is not above the ground"
-                raise ConfigurationError(f"lift {foot}", problem)
+                told = diagnose("height-not-above-ground", height=f"{plain(height)} mm")
+                raise ConfigurationError(f"lift {foot}", told)
 
     def task(self) -> StandTask:
         """Returns the stand task.
@@ -284,7 +285,7 @@ def parse(text: str) -> State:
         ConfigurationError: If it says none.
     """
     if len(text) > _LONGEST:
-        raise ConfigurationError("state", f"{len(text)} letters are more than {_LONGEST}")
+        raise ConfigurationError("state", diagnose("text-too-long", count=len(text), most=_LONGEST))
     given: dict[str, Any] = {}
     feet: dict[str, Any] = {attribute: {} for attribute, _ in _FEET.values()}
     for part in filter(None, (part.strip() for part in text.split(";"))):
@@ -295,7 +296,7 @@ def parse(text: str) -> State:
             numbers = tuple(_number(name, one) for one in said)
             feet[attribute][unquote(foot)] = numbers if count > 1 else numbers[0]
         elif name in given:
-            raise ConfigurationError("state", f"{name} is said twice")
+            raise ConfigurationError("state", diagnose("said-twice", entry=name))
         elif name == "place":
             given[name] = value
         elif name in _NUMBERS:
@@ -303,16 +304,16 @@ def parse(text: str) -> State:
             given[name] = numbers if len(numbers) > 1 else numbers[0]
         else:
             known = [f.name for f in fields(State) if f.name not in feet]
-            raise ConfigurationError(
-                "state", f"{name!r} is unknown; there are: {', '.join([*known, *_FEET])}"
-            )
+            told = diagnose("entry-unknown", entry=name, known=[*known, *_FEET])
+            raise ConfigurationError("state", told)
     return State(**given, **feet)
 
 
 def _split(name: str, value: str, count: int) -> list[str]:
     parts = value.split(",")
     if len(parts) != count:
-        raise ConfigurationError("state", f"{name}:{value} must have {count} values, by commas")
+        told = diagnose("values-by-commas", given=f"{name}:{value}", count=count)
+        raise ConfigurationError("state", told)
     return parts
 
 
@@ -320,4 +321,5 @@ def _number(name: str, text: str) -> float:
     try:
         return finite(name, float(text))
     except ValueError:
-        raise ConfigurationError("state", f"{text!r} of {name} is no number") from None
+        told = diagnose("part-is-no-number", part=text, given=name)
+        raise ConfigurationError("state", told) from None

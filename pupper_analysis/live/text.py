@@ -103,7 +103,8 @@ def verdict(say: Language, answer: Answer, judged: Verdict | None) -> str:
         return ruling(say, judged)
     if answer.unreachable:
         return box("bad", say("Out of reach."))
-    return box("bad", say.sentence(str(answer.refusal)))
+    refusal = answer.refusal
+    return box("bad", "" if refusal is None else say.sentence(refusal.diagnostic))
 
 
 def ruling(say: Language, judged: Verdict, more: str = "") -> str:
@@ -335,7 +336,7 @@ def push(say: Language, trial: PushTrial) -> str:
 
 def failure(say: Language, error: PupperAnalysisError) -> str:
     """Returns why something could not be done."""
-    return page(box("bad", say.sentence(str(error))))
+    return page(box("bad", say.sentence(error.diagnostic)))
 
 
 def unforeseen(say: Language, error: Exception) -> str:

@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.live.door import HEADERS, MOST_BYTES, Door, problem_of
 
@@ -45,11 +46,12 @@ def free_port(host: str, port: int | None) -> int:
             tried.bind((host, port or 0))
             return int(tried.getsockname()[1])
     except OverflowError:
-        raise ConfigurationError("--port", f"{port} is not from 0 to 65535") from None
+        raise ConfigurationError("--port", diagnose("no-port", port=port)) from None
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         where = f"{host}:{port}" if port else host
-        raise ConfigurationError("--host, --port", f"cannot serve on {where}: {reason}") from error
+        told = diagnose("cannot-serve", address=where, reason=reason)
+        raise ConfigurationError("--host, --port", told) from error
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import orjson
 
 from pupper_analysis.arguments import check_type
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
 from pupper_analysis.report.document import Block, Document, Lines, Report, Table, Text, View
@@ -64,7 +65,7 @@ def write_report(
         OutputError: If the file cannot be written.
     """
     if language not in LANGUAGES:
-        raise ConfigurationError("language", f"{language!r} is neither 'en' nor 'zh'")
+        raise ConfigurationError("language", diagnose("language-unknown", language=language))
     check_type("path", path, str | Path)
     check_type("robots", robots, Iterable[Robot])
     named = _named(results)
