@@ -31,9 +31,8 @@ class PupperAnalysisError(Exception):
     where: str = ""
 
     def __init__(self, problem: Problem) -> None:
-        told = problem if isinstance(problem, Diagnostic) else diagnose("problem", problem=problem)
-        self.diagnostic = told
-        super().__init__(str(told))
+        self.diagnostic = _diagnostic(problem)
+        super().__init__(str(self.diagnostic))
 
     def at(self, where: Problem) -> Self:
         """Returns the same error, with all it carries, whose message begins with where it was."""
@@ -45,6 +44,10 @@ class PupperAnalysisError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restore, (type(self), self.args, vars(self))
+
+
+def _diagnostic(problem: Problem) -> Diagnostic:
+    return problem if isinstance(problem, Diagnostic) else diagnose("problem", problem=problem)
 
 
 def _restore(kind: type[_E], args: tuple[Any, ...], data: dict[str, Any]) -> _E:
@@ -75,11 +78,13 @@ class ModelError(PupperAnalysisError):
     Attributes:
         source: The file (or the model) at fault.
         problem: What is wrong, and what would be valid.
+        cause: The same, without its words where a diagnostic was given.
     """
 
     def __init__(self, source: str | PathLike[str], problem: Problem) -> None:
         self.source = str(source)
         self.problem = str(problem)
+        self.cause = _diagnostic(problem)
         super().__init__(
             diagnose("model-unusable", source=self.source, problem=problem, sources=self.source)
         )

@@ -114,7 +114,7 @@ MALFORMED: dict[str, tuple[str | bytes, int | None, str]] = {
     "two parents": (
         urdf(link("a"), link("b"), link("c"), joint("j", "a", "c"), joint("k", "b", "c")),
         6,
-        "the child of two joints, 'j' and 'k'",
+        "the child of two joints, 'j', 'k'",
     ),
     "long chain": (urdf(link("l0"), *_CHAIN), 503, "more than 250 joints"),
     "many links": (urdf(*(link(f"l{i}") for i in range(2001))), None, "at most 2000"),

@@ -87,7 +87,7 @@ def test_what_is_replaced_is_named(tmp_path: Path) -> None:
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     (made,) = robot.description.made_servos
     assert made.instead_of is Drive.WRONG_SIGN
-    assert not any("no position servos:" in note for note in robot.notes)
+    assert not any("no position servos:" in str(note) for note in robot.notes)
     as_is = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, as_is=True)
     with pytest.raises(pa.ModelError, match=f"{made.joint}.*is no position servo"):
         study_stance(as_is, pa.StandTask())

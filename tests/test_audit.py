@@ -674,7 +674,7 @@ def test_a_file_that_mujoco_refuses_is_audited_all_the_same(tmp_path: Path) -> N
     assert {"mujoco-refuses", "range-empty", "axis-zero", "start-in-floor"} <= {
         finding.rule for finding in result.findings
     }
-    assert any("repaired copy" in note for note in result.notes)
+    assert any("repaired copy" in str(note) for note in result.notes)
 
 
 def test_stated_inertias_of_an_mjcf_are_as_written(tmp_path: Path) -> None:
@@ -933,7 +933,7 @@ def test_what_refers_to_nothing_is_found(tmp_path: Path) -> None:
     (finding,) = found(result, "mujoco-refuses")
     assert "body 'nix' not found" in finding.message
     assert "<exclude" in path.read_text().splitlines()[int(finding.line or 0) - 1]
-    assert any("of a repaired copy" in note for note in result.notes)
+    assert any("of a repaired copy" in str(note) for note in result.notes)
 
 
 def test_inertias_of_a_urdf_are_turned_as_their_origin_says(tmp_path: Path) -> None:

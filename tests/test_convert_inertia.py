@@ -70,7 +70,7 @@ def test_inertials_that_are_possible_together_alone_become_one(tmp_path: Path) -
     mjcf, found = converted(urdf, "arm.xml")
     assert found.passed, found.failures
     assert found.repairs == ()
-    assert any("has the inertias of all that is fixed to it" in note for note in found.notes)
+    assert any("has the inertias of all that is fixed to it" in str(note) for note in found.notes)
     assert same_dynamics(urdf, mjcf) < 1e-9
 
 

@@ -12,7 +12,7 @@ from conftest import changed, load, stand_of
 import pupper_analysis as pa
 from pupper_analysis.models.efforts import EffortStatement, effort_of, gear_left_out
 from pupper_analysis.robot.build import rebuilt
-from pupper_analysis.robot.efforts import efforts_in_words
+from pupper_analysis.robot.efforts import effort_notes
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.payload.limit import motor_limit
 
@@ -148,7 +148,7 @@ def test_an_effort_before_the_gear_is_multiplied_by_it(
     assert (found.upper, found.gear) == (limit, gear)
     assert found.origin == EffortStatement.of("URDF", "joint", "turn", "effort", (-4.5, 4.5), gear)
     assert gear_left_out(model, 0, 4.5) == (None if gear == 1.0 else gear)
-    assert len(efforts_in_words([found])) == (1 if gear != 1.0 or "4.4" in motor else 0)
+    assert len(effort_notes([found])) == (1 if gear != 1.0 or "4.4" in motor else 0)
 
 
 def test_motors_that_differ_by_direction() -> None:
@@ -166,7 +166,7 @@ def test_motors_that_differ_by_direction() -> None:
     mujoco.mj_forward(drive.model, data)
     torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
     np.testing.assert_allclose(torques, np.tile([0.5, -0.9], 6), rtol=1e-12)
-    assert any("give more one way" in note for note in efforts_in_words(robot.efforts))
+    assert any(note.code == "motors-uneven" for note in effort_notes(robot.efforts))
 
 
 def test_found_and_named_feet_give_the_same_limits(tmp_path: object) -> None:

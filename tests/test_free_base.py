@@ -68,7 +68,7 @@ def test_keyframes_have_the_same_pose(tmp_path: Path) -> None:
     pair = in_parts(quadruped(tmp_path), HINGES, "0.1 0.35 -0.2 0.3 -0.4 0.5", rest)
     before = compiled(pair.mjcf)
     spec = mujoco.MjSpec.from_file(str(pair.mjcf))
-    assert join_free_base(spec, pair.mjcf, [])
+    assert join_free_base(spec, pair.mjcf)
     after = spec.compile()
     assert after.nq == before.nq + 1
     data = [mujoco.MjData(model) for model in (before, after)]
@@ -96,14 +96,14 @@ def test_what_holds_or_drives_it_is_no_freedom(change: tuple[str, str], tmp_path
     assert change[0] in text
     spec = mujoco.MjSpec.from_string(text.replace(*change))
     count = len(spec.joints)
-    assert not join_free_base(spec, pair.mjcf, [])
+    assert not join_free_base(spec, pair.mjcf)
     assert len(spec.joints) == count
 
 
 def test_joints_that_the_urdf_has_too_stay(tmp_path: Path) -> None:
     pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
     spec = mujoco.MjSpec.from_file(str(pair.mjcf))
-    assert not join_free_base(spec, pair.mjcf, [], stated={"tilt"})
+    assert not join_free_base(spec, pair.mjcf, stated={"tilt"})
 
 
 def test_a_slide_without_limits_is_not_locked(tmp_path: Path) -> None:

@@ -113,7 +113,7 @@ def test_pinocchio_reads_numbers_with_line_breaks(tmp_path: Path) -> None:
     robot = read_urdf(path)
     model = pin.buildModelFromXML(robot.text, pin.JointModelFreeFlyer())
     assert model.jointPlacements[2].translation.tolist() == [1, 2, 3]
-    assert "white space" in robot.notes[0]
+    assert "white space" in str(robot.notes[0])
     assert robot.place("joint", "j", "limit").line == 5
 
 
@@ -154,7 +154,8 @@ def test_a_shape_with_a_material_for_each_colour_of_its_mesh(tmp_path: Path) -> 
 def test_a_dangling_mimic_is_noted(tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", LIMIT + '<mimic joint="x"/>')))
-    assert "mimics 'x'" in read_urdf(path).notes[0]
+    (note,) = read_urdf(path).notes
+    assert (note.code, note.values["leader"]) == ("mimic-of-no-joint", "x")
 
 
 def test_meshes_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -231,7 +232,7 @@ def test_a_limit_without_effort_or_velocity_has_none(tmp_path: Path) -> None:
     for limit in ('lower="-1" upper="1"', 'lower="-1" upper="1" velocity="3"', 'effort="2"'):
         path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", f"<limit {limit}/>")))
         robot = read_urdf(path)
-        assert "states no effort, or no velocity" in robot.notes[0]
+        assert "states no effort, or no velocity" in str(robot.notes[0])
         model = pin.buildModelFromXML(robot.text)
         assert model.effortLimit[0] == (2 if "effort" in limit else 0)
     path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", LIMIT)))
@@ -368,7 +369,7 @@ def test_meshes_are_looked_for_as_mujoco_does(
     )
     missing = read_mjcf(path)
     assert missing.compile().ngeom == 0
-    assert "1 mesh file(s) missing" in missing.notes[0]
+    assert missing.notes[0].values["files"] == (file.format(tmp_path),)
     (tmp_path / there).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / there).write_text(TETRAHEDRON)
     model = read_mjcf(path)
@@ -454,11 +455,11 @@ def test_what_refers_to_missing_files_is_left_out(tmp_path: Path) -> None:
     }
     left = {"geom": 1, "mat": 1, "sensor": 1}
     assert counts == {kind: left.get(kind, 0) for kind in counts}
-    assert [note.split(":")[0] for note in model.notes] == [
-        "1 mesh file(s) missing (k.obj)",
-        "1 height field file(s) missing (h.png)",
-        "2 texture file(s) missing (t.png, up.png)",
-        "left out, for they refer to such a geom",
+    assert [str(note).split(":")[0] for note in model.notes] == [
+        "mesh file missing (k.obj)",
+        "height field file missing (h.png)",
+        "texture files missing (t.png, up.png)",
+        "left out, for they refer to a geom whose file is missing",
     ]
     tendon = '<tendon><spatial><site site="x"/><geom geom="g"/></spatial></tendon>'
     site = '<worldbody><site name="x"/></worldbody>'
@@ -529,8 +530,9 @@ def test_attributes_that_mujoco_once_had_are_passed_over(tmp_path: Path) -> None
         part='<mujocoinclude><option mpr_iterations="50"/></mujocoinclude>',
     )
     file = read_mjcf(path)
-    passed_over = [note for note in file.notes if "no longer has, is passed over" in note]
-    assert [note.split()[0] for note in passed_over] == ["sensornoise", "apirate", "mpr_iterations"]
+    passed_over = [note for note in file.notes if note.code == "attribute-retired"]
+    attributes = [note.values["attribute"] for note in passed_over]
+    assert attributes == ["sensornoise", "apirate", "mpr_iterations"]
     model = file.compile()
     assert model.opt.enableflags == mujoco.mjtEnableBit.mjENBL_ENERGY
     assert file.place("body", "b").line == 4
@@ -547,7 +549,7 @@ def test_the_ground_of_a_scene_that_pairs_name_is_put_there(tmp_path: Path) -> N
         '</worldbody>\n<contact><pair geom1="foot" geom2="{}"/></contact></mujoco>'
     )
     file = read_mjcf(write(tmp_path, robot=robot.format("floor")))
-    assert "a plane at z = 0 was added" in file.notes[0]
+    assert "a plane at z = 0 was added" in str(file.notes[0])
     model = file.compile()
     floor = model.geom("floor")
     assert floor.type == mujoco.mjtGeom.mjGEOM_PLANE
@@ -567,7 +569,8 @@ def test_undeclared_prefixes_are_left_out_of_a_urdf(tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     path.write_text('<robot name="r" a:b="1"><link name="l" c:d="2"/><e:f/></robot>')
     file = read_urdf(path)
-    assert file.notes == ("left out, for their prefixes are not declared: a:b, c:d, e:f",)
+    (note,) = file.notes
+    assert (note.code, note.values["names"]) == ("undeclared-prefixes", ("a:b", "c:d", "e:f"))
     assert ElementTree.fromstring(file.text).find("link").attrib == {"name": "l"}
 
 

@@ -13,9 +13,8 @@ from legged import Pair, quadruped
 
 import pupper_analysis as pa
 from pupper_analysis import cli
+from pupper_analysis.diagnostics import Quantity
 from pupper_analysis.models.efforts import effort_limit
-from pupper_analysis.report.document import Text
-from pupper_analysis.report.html.sentences import said
 from pupper_analysis.robot.servos import own_servos
 
 MOTOR = re.compile(r'<motor joint="(\w+)" ctrlrange="-30 30"/>')
@@ -106,9 +105,8 @@ def test_a_position_and_a_velocity_servo_are_one(tmp_path: Path) -> None:
     assert robot.mj_model.nactuator == 12
     own = own_servos(robot)
     assert set(own.values()) == {(150.0, 5.0)}
-    (note,) = (note for note in robot.notes if "several motors" in note)
-    assert "at 12 joints (FL_roll, FL_pitch, FL_knee, FR_roll …) were taken" in note
-    assert isinstance(said(note), Text)
+    (note,) = (note for note in robot.notes if note.code == "motors-taken-together")
+    assert note.values["joints"] == robot.joint_names
     holds(robot)
 
 
@@ -138,7 +136,7 @@ def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None
     """A brake is not commanded; a filter begins at rest; who has a force of its own is no servo."""
     robot = loaded(with_motors(quadruped(tmp_path), element))
     lagging = element is LAGGING
-    assert any("no position servos" in note for note in robot.notes) != lagging
+    assert any(note.code == "servos-added" for note in robot.notes) != lagging
     holds(robot)
 
 
@@ -146,9 +144,9 @@ def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None
 def test_servos_too_stiff_for_the_integrator_are_told_what_would_hold(tmp_path: Path) -> None:
     stiff = '<position joint="{0}" kp="1500" kv="60"/>'
     robot = loaded(with_motors(quadruped(tmp_path), stiff))
-    (note,) = (note for note in robot.notes if "own servos" in note)
-    assert isinstance(said(note), Text)
-    assert "too stiff for the integrator Euler at 2 ms; --integrator implicitfast would" in note
+    (note,) = (note for note in robot.notes if note.code == "own-servos-too-stiff")
+    assert note.values["integrator"] == "Euler"
+    assert note.values["timestep"] == Quantity(0.002, "s")
     stand = pa.sunk_stand(robot)
     assert not pa.verify_stand(robot, stand).passed
     assert pa.verify_stand(robot, stand, integrator="implicitfast").passed
@@ -178,10 +176,9 @@ def test_motors_of_tendons_are_not_commanded_and_told(
     )
     pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", rope))
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    (told,) = [note for note in robot.notes if "are commanded 0" in note]
-    assert "winch (at a tendon)" in told
-    assert ("winch, a servo, pulls towards it" in told) == pulls
-    assert isinstance(said(told), Text)
+    (told,) = [note for note in robot.notes if note.code == "motors-commanded-zero"]
+    assert (told.values["motors"], told.values["kinds"]) == (("winch",), ("tendon",))
+    assert told.values["servos"] == (("winch",) if pulls else ())
     plain = quadruped(tmp_path)
     notes = pa.load_robot(urdf=plain.urdf, mjcf=plain.mjcf).notes
-    assert not [note for note in notes if "are commanded 0" in note]
+    assert not [note for note in notes if note.code == "motors-commanded-zero"]

@@ -27,16 +27,16 @@ def loaded(folder: Path, option: str = "", free: str = "<freejoint/>") -> Robot:
         ('<option><flag contact="disable"/></option>', "nothing touches the ground"),
         ('<option><flag constraint="disable"/></option>', "nothing touches the ground"),
         ('<option><flag actuation="disable"/></option>', "no motor holds anything"),
-        ('<option actuatorgroupdisable="0"/>', "switches off 12 actuators: "),
+        ('<option actuatorgroupdisable="0"/>', "actuatorgroupdisable switches off actuators: "),
     ],
 )
 def test_what_an_option_does_is_said(option: str, said: str, tmp_path: Path) -> None:
-    assert [note for note in loaded(tmp_path, option).notes if said in note]
+    assert [note for note in loaded(tmp_path, option).notes if said in str(note)]
 
 
 def test_of_usual_options_nothing_is_said(tmp_path: Path) -> None:
     robot = loaded(tmp_path, '<option gravity="0 0 -9.80665" timestep="0.001"/>')
-    assert not [note for note in robot.notes if "gravity" in note or "flag" in note]
+    assert not [note for note in robot.notes if "gravity" in str(note) or "flag" in str(note)]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_a_base_does_not_hang_by_its_free_joint(tmp_path: Path) -> None:
     """With 500 N of dry friction it would stand on servos that are switched off, too."""
     free = '<joint type="free" frictionloss="500" damping="0" armature="0"/>'
     robot = loaded(tmp_path, '<option actuatorgroupdisable="0"/>', free)
-    assert [note for note in robot.notes if "free joint has dry friction of 500 N" in note]
+    assert [note for note in robot.notes if note.code == "free-joint-friction-taken-off"]
     assert not pa.verify_stand(robot, pa.sunk_stand(robot)).passed
     robot = loaded(tmp_path, free=free)
     assert pa.verify_stand(robot, pa.sunk_stand(robot)).passed

@@ -134,7 +134,7 @@ def test_what_else_differs_in_mini_cheetah() -> None:
     comparison = comparison_of("mini cheetah")
     assert found(comparison)[:3] == [("mass", "base"), ("com", "base"), ("inertia", "base")]
     # 0.2 of each in the MJCF's default class; the URDF states none.
-    notes = " ".join(comparison.notes)
+    notes = " ".join(map(str, comparison.notes))
     assert "damping (0.2 on 12 joints; N m s/rad) is stated by the MJCF alone" in notes
     assert "dry friction (0.2 on 12 joints; N m) is stated by the MJCF alone" in notes
     assert elements(comparison, "effort") == JOINTS  # the URDF's joints have no <limit>
@@ -223,8 +223,8 @@ def test_what_else_differs_in_go2() -> None:
     foot = difference(comparison, "frame", "FL_foot")
     np.testing.assert_allclose(foot.urdf, (0, 0, -0.213), atol=1e-12)
     np.testing.assert_allclose(foot.mjcf, (-0.002, 0, -0.213), atol=1e-12)
-    assert any("damping (0.1 to 0.2989 on 12 joints" in note for note in comparison.notes)
-    note = next(note for note in comparison.notes if note.startswith("dry friction"))
+    assert any("damping (0.1 to 0.2989 on 12 joints" in str(note) for note in comparison.notes)
+    note = next(str(note) for note in comparison.notes if str(note).startswith("dry friction"))
     assert "(0.1388 to 1.3573 on 12 joints; N m)" in note
     kinds = {kind for kind, _ in found(comparison)}
     assert kinds == {"mass", "com", "inertia", "frame"}
@@ -248,7 +248,7 @@ def test_hyqreal1_lacks_its_cameras_and_the_mount_of_its_imu() -> None:
     assert found(comparison)[0] == ("mass", "trunk")
     assert "trunk_imu_mount of 0.69 kg" in comparison.causes[0].message
     assert elements(comparison, "damping") == elements(comparison, "friction") == JOINTS
-    assert any("root link 'base' has no mass" in note for note in comparison.notes)
+    assert any("root link 'base' has no mass" in str(note) for note in comparison.notes)
 
 
 def test_hyqreal2_is_matched_by_structure_and_has_other_hips() -> None:

@@ -121,7 +121,9 @@ def test_a_large_robot_is_compared_without_pinocchios_data(
     assert all((d.urdf, d.mjcf) == (0.1, 0.11) for d in masses)
     assert result.complete
     assert not result.engines
-    assert any("246 degrees of freedom would take 0.5 GB" in note for note in result.check.notes)
+    assert any(
+        "246 degrees of freedom would take 0.5 GB" in str(note) for note in result.check.notes
+    )
     edges = result.check.quantities[0].edges
     assert set(edges) == {"models (MuJoCo)", "models (reader)", "readers (URDF)", "extras (MJCF)"}
 

@@ -41,10 +41,10 @@ def test_a_hinge_whose_limit_states_no_range_has_none(
     limit: str, free: bool, tmp_path: Path
 ) -> None:
     urdf = edited(quadruped(tmp_path).urdf, (KNEE, limit))
-    notes = [note for note in read_urdf(urdf).notes if "states no range" in note]
+    notes = [note for note in read_urdf(urdf).notes if note.code == "range-unstated"]
     assert bool(notes) is free
     if free:
-        assert "FL_knee, FR_knee, RL_knee, and 1 more" in notes[0]
+        assert notes[0].values["names"] == ("FL_knee", "FR_knee", "RL_knee", "RR_knee")
     # What the audit says of the file as it is written stays.
     found = [one for one in pa.audit_model(urdf).findings if one.rule == "range-empty"]
     assert bool(found) is ('lower="-1"' not in limit)
@@ -96,7 +96,7 @@ def test_an_effort_of_zero_is_the_mjcfs_or_none(tmp_path: Path) -> None:
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     np.testing.assert_array_equal(robot.effort_limits, 30.0)  # its motors' ctrlrange
     np.testing.assert_array_equal(robot.velocity_limits, np.inf)
-    assert any(note.startswith("joints whose effort is 0 in the URDF") for note in robot.notes)
+    assert any(note.code == "effort-unstated" for note in robot.notes)
     stand = pa.solve_stand(robot)
     held = pa.stand_statics(robot, stand)
     np.testing.assert_allclose(held.motor_utilisation, np.abs(held.joint_torques) / 30, rtol=1e-12)

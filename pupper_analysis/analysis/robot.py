@@ -14,6 +14,7 @@ from pupper_analysis.analysis.stance import verdict_of
 from pupper_analysis.arguments import checked
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks.engines import CrossCheck, cross_check
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -132,7 +133,7 @@ class Analysis(Result):
     thigh_shape_length: float | None
     calf_length: float | None
     joints: tuple[JointSummary, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Diagnostic, ...]
     stand: Stand
     statics: GravityCompensation
     minimum_peak: GravityCompensation

@@ -44,8 +44,8 @@ class Comparison(Tabular):
             the same but for prefixes and suffixes.
         only_urdf: Joints of the URDF alone, fixed at zero for the comparison.
         only_mjcf: Joints of the MJCF alone, likewise.
-        parts: What one file has and the other lacks, as a whole with its joints, in words; it was
-            taken off to compare the rest.
+        parts: What one file has and the other lacks, as a whole with its joints; it was taken off
+            to compare the rest.
         notes: What was assumed or left out.
         check: The cross-check: both models in both engines.
         differences: Of the files, the one with the greatest effect first.
@@ -71,8 +71,8 @@ class Comparison(Tabular):
     guessed: dict[str, str]
     only_urdf: tuple[str, ...]
     only_mjcf: tuple[str, ...]
-    parts: tuple[str, ...]
-    notes: tuple[Diagnostic | str, ...]
+    parts: tuple[Diagnostic, ...]
+    notes: tuple[Diagnostic, ...]
     check: CrossCheck
     differences: tuple[Difference, ...]
     causes: tuple[Cause, ...]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import tomllib
-from collections.abc import Collection, Mapping, Sequence, Set
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -40,7 +40,7 @@ from pupper_analysis.checks.passive.mimics import Mimics, urdf_mimics
 from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import base_pose, trees
-from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.description import Description
@@ -67,12 +67,12 @@ class Match:
         only_urdf: Joints that the MJCF does not have; fixed at zero for the comparison.
         only_mjcf: Joints that the URDF does not have; likewise.
         opened: Those of these by which closed loops led, which were opened.
-        notes: What was assumed or left out, in plain words.
+        notes: What was assumed or left out.
         reference: The MJCF as it is, with all else in its scene. Where it has joints that the URDF
             lacks, these are fixed at zero.
         mimics: The joints that follow others in the URDF.
         conventions: What the URDF was given of the MJCF's: the base's frame, zeros of joints.
-        parts: What one file has and the other lacks, and was taken off, in words.
+        parts: What one file has and the other lacks, and was taken off.
         unstated: {"damping" or "friction": joints for which the URDF does not state it, and was
             given the MJCF's}.
     """
@@ -85,11 +85,11 @@ class Match:
     only_urdf: tuple[str, ...]
     only_mjcf: tuple[str, ...]
     opened: tuple[str, ...]
-    notes: tuple[Diagnostic | str, ...]
+    notes: tuple[Diagnostic, ...]
     reference: Reference
     mimics: Mimics
     conventions: Conventions
-    parts: tuple[str, ...]
+    parts: tuple[Diagnostic, ...]
     unstated: Mapping[str, tuple[str, ...]]
 
     @cached_property
@@ -107,10 +107,11 @@ def read_mapping(path: Path) -> dict[str, str]:
     try:
         values = tomllib.loads(path.read_text())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ModelError(path, f"not a TOML file of names: {error}") from error
+        raise ModelError(path, diagnose("mapping-not-read", message=str(error))) from error
     for name, value in values.items():
         if not isinstance(value, str):
-            raise ModelError(path, f"{name} = {value!r}: give the name in the MJCF, in quotes")
+            problem = diagnose("mapping-not-a-name", subject=("joint", name), value=repr(value))
+            raise ModelError(path, problem)
     return values
 
 
@@ -142,30 +143,31 @@ def match(
         ModelError: If the two have no joint in common, or one cannot be analysed.
         UnknownNameError: If ``names`` or ``feet`` name what is not there.
     """
-    notes = [*urdf.notes, *mjcf.notes]
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
-    spec, joined = _named(mjcf, {str(joint.get("name")) for joint in root.findall("joint")}, notes)
+    taken, spec = {str(joint.get("name")) for joint in root.findall("joint")}, mjcf.spec.copy()
+    named = name_all(spec, taken)
+    joined = join_free_base(spec, mjcf.path, stated=taken)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
-    drop_other_objects(spec, mjcf.path, root, notes)
+    dropped = drop_other_objects(spec, mjcf.path, root)
     at_bodies = ball_joints(spec)
-    theirs, balls = hinges(spec, mjcf.path, notes)
-    root = strip_roots(root, urdf.path, mjcf_tree(spec, mjcf.path), notes)
-    mine, others = moving_joints(root, notes)
+    theirs, balls, held = hinges(spec, mjcf.path)
+    root, stripped = strip_roots(root, urdf.path, mjcf_tree(spec, mjcf.path))
+    mine, others, fixed = moving_joints(root)
+    notes = [*urdf.notes, *mjcf.notes, *named, *([joined] if joined else [])]
+    notes += [*dropped, *held, *stripped, *fixed]
     wanted = dict(names or {})
-    links = {str(link.get("name")) for link in root.findall("link")}
-    places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
-    _check_names(wanted, (mine, links, urdf.path), (theirs, places, mjcf.path))
+    _check_names(wanted, (mine, root, urdf.path), (theirs, spec, mjcf.path))
     found = pair_up(root, spec, (urdf.path, mjcf.path), (mine, theirs), wanted)
     pairs, guessed = found.pairs, found.guessed
     notes += found.notes
     if is_fused(spec, pairs.values()):
-        take_mass_of_base(root, urdf.path, notes)
+        notes += take_mass_of_base(root, urdf.path)
     only_urdf = (*others, *(name for name in mine if name not in pairs))
     partners = set(pairs.values())
     only_mjcf = (*balls, *(name for name in theirs if name not in partners))
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
-    opened = open_loops(spec, at_bodies, only_mjcf, notes) if complete else ()
+    opened, freed = open_loops(spec, at_bodies, only_mjcf) if complete else ((), [])
     ways = removable(root, spec, only_urdf, only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
@@ -178,7 +180,7 @@ def match(
     description = _described(
         root, spec, (urdf, mjcf), {name: frames[name] for name in (feet or frames)}
     )
-    robot, meant = _in_one_convention(root, description, tolerances or Tolerances(), notes)
+    robot, meant, moved = _in_one_convention(root, description, tolerances or Tolerances())
     return Match(
         robot=robot,
         urdf_joint={new: old for old, new in pairs.items()},
@@ -188,7 +190,7 @@ def match(
         only_urdf=only_urdf,
         only_mjcf=only_mjcf,
         opened=opened,
-        notes=tuple(notes),
+        notes=(*notes, *freed, *moved),
         reference=Reference(
             robot.mj_model if only_mjcf else whole if joined else mjcf.compile(),
             robot.mj_model if only_mjcf else whole,
@@ -200,13 +202,6 @@ def match(
         parts=tuple(parts),
         unstated=unstated,
     )
-
-
-def _named(mjcf: MjcfFile, taken: set[str], notes: list[str]) -> tuple[mujoco.MjSpec, bool]:
-    """Returns the spec with all names and one free base; and whether that was in parts."""
-    spec = mjcf.spec.copy()
-    name_all(spec, taken, notes)
-    return spec, join_free_base(spec, mjcf.path, notes, stated=taken)
 
 
 def _described(
@@ -229,37 +224,31 @@ def _described(
 
 
 def _in_one_convention(
-    root: etree._Element, description: Description, tolerances: Tolerances, notes: list[str]
-) -> tuple[Robot, Conventions]:
-    """Builds the robot, with the URDF in the MJCF's conventions; and says how they differed."""
+    root: etree._Element, description: Description, tolerances: Tolerances
+) -> tuple[Robot, Conventions, list[Diagnostic]]:
+    """Builds the robot, with the URDF in the MJCF's conventions; and tells how they differed."""
     robot = build_robot(description)
-    meant = _conventions(robot, tolerances, notes)
+    meant, notes = _conventions(robot, tolerances)
     if meant.base is not None or meant.zeros:
         rewrite(root, robot.base, meant, trees(robot)[0])
         text = for_engines(root)
         robot = build_robot(replace(description, urdf=text))
-    return robot, meant
+    return robot, meant, notes
 
 
-def _conventions(robot: Robot, tolerances: Tolerances, notes: list[str]) -> Conventions:
-    """Finds how the files' conventions differ, and says where a fixed base stands."""
+def _conventions(robot: Robot, tolerances: Tolerances) -> tuple[Conventions, list[Diagnostic]]:
+    """Finds how the files' conventions differ, and tells where a fixed base stands."""
     urdf, mjcf = trees(robot)
     if robot.floating:
-        return conventions(urdf, mjcf, tolerances, fixed=False)
-    pose = base_pose(robot)
+        return conventions(urdf, mjcf, tolerances, fixed=False), []
+    pose, notes, base = base_pose(robot), [], ("body", robot.mj_base)
     if not pose.isIdentity(1e-9):
-        notes.append(
-            f"the MJCF's fixed base {robot.mj_base!r} stands {pose_told(pose)}, in the world; "
-            "the URDF's was put there"
-        )
+        notes.append(diagnose("fixed-base-stands", subject=base, pose=pose_told(pose)))
     one, two = (with_base(tree, pose.inverse()) for tree in (urdf, mjcf))
     found = conventions(one, two, tolerances, fixed=True)
     if found.base is not None and found.shown:
-        notes.append(
-            f"the frame of the fixed base of the URDF is {pose_told(found.base)}, in that of "
-            f"the MJCF's {robot.mj_base!r}; it was put to the MJCF's"
-        )
-    return found
+        notes.append(diagnose("fixed-base-frame-moved", subject=base, pose=pose_told(found.base)))
+    return found, notes
 
 
 def _with_zeros(mimics: Mimics, found: Conventions) -> Mimics:
@@ -302,17 +291,19 @@ def _take_unstated(
 
 def _check_names(
     wanted: Mapping[str, str],
-    urdf: tuple[Sequence[str], Set[str], Path],
-    mjcf: tuple[Sequence[str], Set[str], Path],
+    urdf: tuple[Sequence[str], etree._Element, Path],
+    mjcf: tuple[Sequence[str], mujoco.MjSpec, Path],
 ) -> None:
     """Refuses a mapping of what is not there, or of two to one.
 
     Args:
         wanted: {name in the URDF: name in the MJCF}.
-        urdf: The joints, the links, and the file.
-        mjcf: The joints, the frames, and the file.
+        urdf: The joints, the XML, and the file.
+        mjcf: The joints, the spec, and the file.
     """
-    (mine, links, source), (theirs, places, target) = urdf, mjcf
+    (mine, root, source), (theirs, spec, target) = urdf, mjcf
+    links = {str(link.get("name")) for link in root.findall("link")}
+    places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
     for old, new in wanted.items():
         if old not in mine and old not in links:
             raise UnknownNameError(source, "joint or link (of a mapping)", old, mine)
@@ -322,7 +313,8 @@ def _check_names(
             raise UnknownNameError(target, "joint or frame (of a mapping)", new, theirs)
         rivals = [name for name, value in wanted.items() if value == new and name != old]
         if rivals:
-            raise ModelError(source, f"{old!r} and {rivals[0]!r} are both mapped to {new!r}")
+            both = (old, rivals[0])
+            raise ModelError(source, diagnose("mapped-twice", names=both, other=new))
 
 
 def _make_alike(

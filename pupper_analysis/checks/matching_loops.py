@@ -6,6 +6,8 @@ from collections.abc import Collection
 
 import mujoco
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+
 _BODIES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
@@ -19,8 +21,8 @@ def ball_joints(spec: mujoco.MjSpec) -> dict[str, list[str]]:
 
 
 def open_loops(
-    spec: mujoco.MjSpec, balls: dict[str, list[str]], gone: Collection[str], notes: list[str]
-) -> tuple[str, ...]:
+    spec: mujoco.MjSpec, balls: dict[str, list[str]], gone: Collection[str]
+) -> tuple[tuple[str, ...], list[Diagnostic]]:
     """Takes out what would bind joints through others that are about to be held, in place.
 
     A rod that is held at zero would hold the ankle that it turns. Opened, the tree of the URDF is
@@ -31,10 +33,9 @@ def open_loops(
         spec: The MJCF, without its ball joints.
         balls: {body: the ball joints that it had}.
         gone: The joints that only the MJCF has.
-        notes: Where it is said.
 
     Returns:
-        Those of the joints that are gone by which the loops led.
+        Those of the joints that are gone by which the loops led, and what was opened.
     """
     driven = {actuator.target for actuator in spec.actuators}
     opened, freed, through = [], dict[str, None](), dict[str, None]()
@@ -46,14 +47,8 @@ def open_loops(
             through |= dict.fromkeys(name for name in gone if name in joints)
             freed |= dict.fromkeys(sorted(joints - set(gone) - driven))
             spec.delete(equality)
-    if opened:
-        held = f"; motors of their own have {', '.join(freed)}" if freed else ""
-        notes.append(
-            "closed loops and couplings through joints that the URDF lacks were opened: "
-            f"{', '.join(opened)}{held}: torques are those at the URDF's joints, not those of "
-            "motors behind rods"
-        )
-    return tuple(through)
+    told = [diagnose("loops-opened", constraints=opened, freed=freed)] if opened else []
+    return tuple(through), told
 
 
 def _joints_between(

@@ -12,6 +12,7 @@ from lxml import etree
 
 from pupper_analysis.checks.alignment import with_base
 from pupper_analysis.checks.matching_names import without_affixes
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
@@ -20,8 +21,12 @@ from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.robot.robot import Robot
 
 
-def name_all(spec: mujoco.MjSpec, taken: set[str], notes: list[str]) -> None:
-    """Names the bodies and joints that have no name, by names that are not taken."""
+def name_all(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
+    """Names the bodies and joints that have no name, by names that are not taken.
+
+    Returns:
+        The names that joints were given.
+    """
 
     def new(name: str, known: set[str]) -> str:
         while name in known:
@@ -33,17 +38,18 @@ def name_all(spec: mujoco.MjSpec, taken: set[str], notes: list[str]) -> None:
     for number, body in enumerate(spec.bodies):
         if not body.name:
             body.name = new(f"body_{number}", bodies)
-    joints = {joint.name for joint in spec.joints} | taken
+    joints, notes = {joint.name for joint in spec.joints} | taken, []
     for joint in spec.joints:
         if not joint.name and joint.type != mujoco.mjtJoint.mjJNT_FREE:
             joint.name = new(f"{joint.parent.name}_joint", joints)
-            notes.append(f"a joint without a name in the MJCF is called {joint.name!r}")
+            notes.append(diagnose("joint-named", subject=("joint", joint.name)))
+    return notes
 
 
-def hinges(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> tuple[list[str], list[str]]:
+def hinges(spec: mujoco.MjSpec, source: Path) -> tuple[list[str], list[str], list[Diagnostic]]:
     """Returns the names of the hinges and slides, and of the ball joints, which are taken out.
 
-    A URDF has no ball joints: what they carry is compared as it is at rest.
+    A URDF has no ball joints: what they carry is compared as it is at rest. The third says so.
     """
     names, balls = [], []
     for joint in list(spec.joints):
@@ -53,26 +59,26 @@ def hinges(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> tuple[list[st
         elif joint.type != mujoco.mjtJoint.mjJNT_FREE:
             names.append(joint.name)
     if balls and not names:
-        raise ModelError(source, "it has ball joints alone; give a robot with hinges or slides")
-    if balls:
-        for key in list(spec.keys):
-            spec.delete(key)  # its size no longer fits
-        notes.append(
-            f"ball joints, which a URDF cannot state, were fixed at rest: {', '.join(balls)}; what "
-            "they carry is compared there, and how it moves is not"
-        )
-    return names, balls
+        raise ModelError(source, diagnose("ball-joints-alone"))
+    if not balls:
+        return names, balls, []
+    for key in list(spec.keys):
+        spec.delete(key)  # its size no longer fits
+    return names, balls, [diagnose("ball-joints-fixed", joints=balls)]
 
 
 def drop_other_objects(
-    spec: mujoco.MjSpec, source: Path, urdf: etree._Element | None, notes: list[str]
-) -> None:
+    spec: mujoco.MjSpec, source: Path, urdf: etree._Element | None
+) -> list[Diagnostic]:
     """Keeps the largest tree of joints: a scene may have loose objects besides the robot.
 
     Beside a robot on a fixed base, a table or a wall would count as part of that base, unless it
     has the name of one of the URDF's links; beside a free one, as part of its com. Limbs that stand
     in the world itself, because the base was fused with it, are the robot's. (Without a URDF, of
     two versions of an MJCF, neither is known.)
+
+    Returns:
+        What was left out.
     """
     kinds = mujoco.mjtObj
     links, limbs = set[str](), set[str]()
@@ -81,9 +87,10 @@ def drop_other_objects(
         limbs = {body.name for body in limbs_on_the_world(spec, urdf)}
     size = {body.name: len(body.find_all(kinds.mjOBJ_JOINT)) for body in spec.worldbody.bodies}
     if not any(size.values()):
-        raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")
+        raise ModelError(source, diagnose("no-joints"))
     robot = max(spec.worldbody.bodies, key=lambda body: size[body.name])
     fixed = not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in robot.joints)
+    notes = []
     for body in list(spec.worldbody.bodies):
         names = {body.name, *(below.name for below in body.find_all(kinds.mjOBJ_BODY))}
         # Beside a free robot nothing that stands in the world is of it, but for its ground.
@@ -93,11 +100,13 @@ def drop_other_objects(
         if body.mocap:
             _weightless(body)
         if body.name != robot.name and (size[body.name] or scenery):
-            notes.append(f"{source.name}: body {body.name!r} is not part of the robot: left out")
+            left = "body", body.name
+            notes.append(diagnose("body-left-out", subject=left, file=source.name, sources=source))
             for eye in (*spec.cameras, *spec.lights):  # MuJoCo refuses those that follow nothing
                 if eye.targetbody in names:
                     spec.delete(eye)
             spec.delete(body)
+    return notes
 
 
 def _weightless(body: mujoco.MjsBody) -> None:

@@ -12,6 +12,7 @@ from lxml import etree
 from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.checks.matching_structure import guess as guess_by_structure
 from pupper_analysis.checks.matching_urdf import MOVING, end_link
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
 
 
@@ -21,7 +22,7 @@ class Pairs:
 
     pairs: dict[str, str]
     guessed: dict[str, str]
-    notes: list[str]
+    notes: list[Diagnostic]
 
 
 def pair_up(
@@ -51,34 +52,40 @@ def pair_up(
     guessed |= guess.pairs
     pairs |= guess.pairs
     choices = {one: others for one, others in guess.choices.items() if one not in pairs}
-    lines = [
-        " or ".join(f"--map {one}={other}" for other in others) for one, others in choices.items()
-    ]
     fewer = min(len(mine), len(theirs))
     if not pairs and not choices:
-        raise ModelError(
-            files[0],
-            f"no joint in common with {files[1]}: {', '.join(mine[:6])} … against "
-            f"{', '.join(theirs[:6])} …; name the pairs with a mapping",
-        )
+        problem = diagnose("no-joint-paired", other=files[1], urdf=mine, mjcf=theirs)
+        raise ModelError(files[0], problem)
     if (2 * len(pairs) < fewer and len(pairs) > told) or not pairs:
         partners = set(pairs.values())
-        free = ", ".join(name for name in theirs if name not in partners)
-        alone = ", ".join(name for name in mine if name not in {*pairs, *choices})
-        rest = (
-            [f"the URDF's {alone} have no likely partner (the MJCF's are {free})"] if alone else []
-        )
         raise ModelError(
             files[0],
-            f"only {len(pairs)} of {fewer} joints have a partner in {files[1]}, too few to call it "
-            "the same robot; say which are the same with --map NAME=NAME or --map-file: "
-            f"{'; '.join([*lines, *rest])}",
+            diagnose(
+                "too-few-joints-in-common",
+                count=len(pairs),
+                joints=fewer,
+                other=files[1],
+                choices=[_options(one, others) for one, others in choices.items()],
+                alone=[name for name in mine if name not in {*pairs, *choices}],
+                free=[name for name in theirs if name not in partners],
+            ),
         )
     notes = [
-        f"joint {one} of the URDF may be {' or '.join(choices[one])} of the MJCF; say which: {line}"
-        for one, line in zip(choices, lines, strict=True)
+        diagnose(
+            "joint-matches-several",
+            subject=("joint", one),
+            candidates=others,
+            options=_options(one, others),
+        )
+        for one, others in choices.items()
     ]
     return Pairs(pairs, guessed, notes)
+
+
+def _options(one: str, others: Sequence[str]) -> Diagnostic:
+    """Returns the options by which a user says which joint another is."""
+    options = [f"--map {one}={other}" for other in others]
+    return diagnose("ways-to-map", subject=("joint", one), options=options)
 
 
 def _by_link(root: etree._Element, spec: mujoco.MjSpec, pairs: Mapping[str, str]) -> dict[str, str]:

@@ -12,6 +12,7 @@ from lxml import etree
 
 from pupper_analysis.checks.matching_mjcf import mjcf_tree
 from pupper_analysis.checks.matching_urdf import end_link, urdf_tree
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.free_base import delete_joint
 
 _KINDS = (
@@ -40,20 +41,22 @@ class Part:
     mass: float
 
 
-def in_words(part: Part, has: str, lacks: str) -> str:
-    """Says what one file has and the other lacks."""
+def lacking(part: Part, has: str, lacks: str) -> Diagnostic:
+    """Tells what one file has and the other lacks."""
     names = [part.root, *part.joints]
     kind = next(
         (word for word, pattern in _KINDS if any(pattern.search(name) for name in names)), "part"
     )
-    below = f"below {part.carrier}" if part.carrier else "on the base"
-    joints = ", ".join(part.joints[:6]) + (" …" if len(part.joints) > 6 else "")
-    plural = "s" if len(part.joints) > 1 else ""
-    what = "link" if has == "URDF" else "body"
-    article = "an" if kind == "arm" else "a"
-    return (
-        f"the {has} has {article} {kind} that the {lacks} lacks: {what} {part.root} {below} "
-        f"({part.mass:.4g} kg), with joint{plural} {joints}"
+    return diagnose(
+        "part-of-one-file",
+        subject=("link" if has == "URDF" else "body", part.root),
+        has=has,
+        lacks=lacks,
+        kind=Term(kind),
+        arm=kind == "arm",
+        carrier=part.carrier,
+        mass=Quantity(part.mass, "kg"),
+        joints=part.joints,
     )
 
 
@@ -231,7 +234,7 @@ def take_off(
     files: tuple[Path, Path],
     ways: tuple[Ways, Ways],
     pairs: Mapping[str, str],
-) -> list[str]:
+) -> list[Diagnostic]:
     """Takes off what one file has and the other lacks, where masses say so; returns what it is."""
     if not any(ways):
         return []
@@ -247,7 +250,7 @@ def take_off(
                 continue
             short = here.bodies[name].mass - there.bodies[name].mass
             for part in best_parts(way, short):
-                said.append(in_words(part, *words))
+                said.append(lacking(part, *words))
                 if words[0] == "URDF":
                     take_off_urdf(root, part.root)
                 else:

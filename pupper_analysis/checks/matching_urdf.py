@@ -12,9 +12,11 @@ import pinocchio as pin
 from lxml import etree
 
 from pupper_analysis.checks.matching_places import at_zero
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.capsules import for_engines
+from pupper_analysis.models.places import one_line
 from pupper_analysis.robot.robot import Robot
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -37,14 +39,14 @@ def root_link(root: etree._Element) -> etree._Element:
 
 
 def strip_roots(
-    root: etree._Element, source: Path, other: parameters.Parameters, notes: list[str]
-) -> etree._Element:
+    root: etree._Element, source: Path, other: parameters.Parameters
+) -> tuple[etree._Element, list[Diagnostic]]:
     """Takes out root links without mass, as long as they carry one fixed or floating joint.
 
     Where such a link's frame, not that of the base on it, is the one that the MJCF has, the link
     stays: whichever brings the joints nearer to the MJCF's.
     """
-    candidates = [(root, list(notes))]
+    candidates: list[tuple[etree._Element, list[Diagnostic]]] = [(root, [])]
     while True:
         tree, said = copy.deepcopy(candidates[-1][0]), list(candidates[-1][1])
         link = root_link(tree)
@@ -54,7 +56,8 @@ def strip_roots(
         joints = [joint for joint in tree.findall("joint") if end_link(joint, "parent") == name]
         if heavy or len(joints) != 1 or joints[0].get("type") not in ("fixed", "floating"):
             break
-        said.append(f"{source.name}: root link {name!r} has no mass and was left out")
+        left = "link", str(name)
+        said.append(diagnose("root-link-left-out", subject=left, file=source.name, sources=source))
         tree.remove(link)
         tree.remove(joints[0])
         if joints[0].get("type") == "floating":
@@ -69,15 +72,14 @@ def strip_roots(
         return round(apart, 6)
 
     if len(candidates) == 1 or not other.floating:
-        best, said = candidates[-1]  # a fixed base is put where the MJCF has it
-    else:  # the last of the equally good: no needless root
-        best, said = min(reversed(candidates), key=lambda candidate: distance(candidate[0]))
-    notes[:] = said
-    return best
+        return candidates[-1]  # a fixed base is put where the MJCF has it
+    # The last of the equally good: no needless root.
+    best = min(reversed(candidates), key=lambda candidate: distance(candidate[0]))
+    return best[0], best[1]
 
 
-def take_mass_of_base(root: etree._Element, source: Path, notes: list[str]) -> None:
-    """Takes the inertials off the base and what is fixed to it, in place.
+def take_mass_of_base(root: etree._Element, source: Path) -> list[Diagnostic]:
+    """Takes the inertials off the base and what is fixed to it, in place; tells what they weighed.
 
     For an MJCF whose base is the world, which has no mass: a fixed base's has no effect either.
     """
@@ -94,13 +96,11 @@ def take_mass_of_base(root: etree._Element, source: Path, notes: list[str]) -> N
             for joint in root.findall("joint")
             if joint.get("type") == "fixed" and end_link(joint, "parent") == name
         ]
-    if any(masses.values()):
-        heaviest = max(masses, key=masses.__getitem__)
-        notes.append(
-            f"the MJCF's base is fused with the world, which has no mass; that of the URDF "
-            f"({sum(masses.values()):.4g} kg, {heaviest!r}) was left out, as of a fixed base it "
-            f"has no effect ({source.name})"
-        )
+    if not any(masses.values()):
+        return []
+    heaviest, mass = max(masses, key=masses.__getitem__), Quantity(sum(masses.values()), "kg")
+    base = "link", heaviest
+    return [diagnose("mass-of-base-left-out", subject=base, mass=mass, file=source.name)]
 
 
 def end_link(joint: etree._Element, tag: str) -> str:
@@ -108,12 +108,13 @@ def end_link(joint: etree._Element, tag: str) -> str:
     return str(joint.find(tag).get("link"))
 
 
-def moving_joints(root: etree._Element, notes: list[str]) -> tuple[list[str], list[str]]:
+def moving_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diagnostic]]:
     """Returns the names of the hinges and slides, and of other joints, which are fixed, in place.
 
-    These are floating and planar ones inside the tree: what they carry is compared as at rest.
+    These are floating and planar ones inside the tree: what they carry is compared as at rest. The
+    third says so.
     """
-    moving, others = [], []
+    moving, others, notes = [], [], []
     for joint in root.findall("joint"):
         kind, name = joint.get("type"), str(joint.get("name"))
         if kind in MOVING:
@@ -121,11 +122,8 @@ def moving_joints(root: etree._Element, notes: list[str]) -> tuple[list[str], li
         elif kind != "fixed":
             others.append(name)
             joint.set("type", "fixed")
-            notes.append(
-                f"joint {name!r} of the URDF is {kind} and was fixed at rest; what it carries is "
-                "compared there, and how it moves is not"
-            )
-    return moving, others
+            notes.append(diagnose("joint-fixed", subject=("joint", name), kind=Term(kind)))
+    return moving, others, notes
 
 
 def fix_joints(root: etree._Element, names: Iterable[str]) -> None:
@@ -163,7 +161,7 @@ def urdf_tree(
     try:
         model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
     except (ValueError, RuntimeError) as error:
-        raise ModelError(source, f"not a valid URDF: {' '.join(str(error).split())}") from error
+        raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
     names = list(model.names)[2:]
     return parameters.from_pinocchio(model, base, names, {name: name for name in frames})
 

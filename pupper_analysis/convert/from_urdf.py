@@ -12,6 +12,7 @@ from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_ten
 from pupper_analysis.checks.matching_urdf import end_link, root_link
 from pupper_analysis.convert.meshes import Meshes
 from pupper_analysis.convert.xml_text import element, free_name, halved, is_zero, words
+from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.unlimited import states_no_limits
@@ -105,12 +106,8 @@ class UrdfBodies:
             # One that carries the base's floating joint is the world, and no body.
             above = link != self.root and self.floats and not self._carried(link)
             if link == WORLD and not above and (link != self.root or free):
-                raise refusal_at(
-                    self.urdf.path,
-                    self._links[link],
-                    f"link {WORLD!r} would be a body that moves, and in MuJoCo that is the name of "
-                    "the fixed world; rename it",
-                )
+                problem = diagnose("link-named-world", subject=("link", WORLD))
+                raise refusal_at(self.urdf.path, self._links[link], problem)
         guarded = len(self.urdf.root.findall("joint/safety_controller"))
         if guarded:
             self.notes.append(f"safety controllers of {guarded} joints: an MJCF has none")
@@ -147,12 +144,8 @@ class UrdfBodies:
         if kind == "fixed":
             return
         if kind in ("floating", "planar"):
-            raise refusal_at(
-                self.urdf.path,
-                joint,
-                f"joint {name!r} is {kind}; only the base may be free: convert with a root link "
-                "that moves, and without this joint",
-            )
+            problem = diagnose("joint-free-inside", subject=("joint", name), kind=Term(kind))
+            raise refusal_at(self.urdf.path, joint, problem)
         self._check_axis(joint)
         axis, limit, dynamics = (joint.find(tag) for tag in ("axis", "limit", "dynamics"))
         bounds = None
@@ -211,12 +204,8 @@ class UrdfBodies:
     def _check_axis(self, joint: etree._Element) -> None:
         axis = joint.find("axis")
         if axis is not None and is_zero(axis.get("xyz") or _ZERO):
-            raise refusal_at(
-                self.urdf.path,
-                axis,
-                f"joint {joint.get('name')!r}: its axis has no direction; write a unit vector, "
-                '<axis xyz="0 0 1"/> say',
-            )
+            problem = diagnose("axis-without-direction", subject=("joint", str(joint.get("name"))))
+            raise refusal_at(self.urdf.path, axis, problem)
 
     def _add_shape(self, body: etree._Element, link: str, kind: str, shape: etree._Element) -> None:
         geometry = next(iter(shape.find("geometry")), None)

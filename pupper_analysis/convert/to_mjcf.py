@@ -108,7 +108,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     bodies.add(worldbody, free=free)
     moved, repairs = mend_inertials(urdf, worldbody, repair=options.repair_inertia)
     mended = repaired_urdf(urdf, worldbody, repairs)
-    notes = [*urdf.notes, *moved, *map(str, repairs)]
+    notes = [*map(str, urdf.notes), *moved, *map(str, repairs)]
     left = [*bodies.notes, *meshes.notes, *_unsaid(urdf)]
     if options.merge_fixed:
         merged = merge_fixed(worldbody)
@@ -236,16 +236,16 @@ def _put_stand(
         return [], f"{problem}{_MOUNTED}"
     if len(robot.feet) < _LIMBS and not sure:
         raise _LeglessError(f"its limbs' ends that are lowest: {', '.join(robot.feet) or 'none'}")
-    notes = [note for note in robot.notes if not note.startswith("armature is the MJCF's")]
-    failure = None
+    told = [note for note in robot.notes if note.code != "armature-from-mjcf"]
+    failure, more = None, list[str]()
     try:
         equip.add_contacts(root, robot)
         stand = sunk_stand(robot)
         kp, kd = stand_gains(robot, stand, options.sag, options.damping_ratio)
         equip.add_home(root, bodies, robot, stand, kp)
         if options.sag is not None or options.damping_ratio is not None:
-            notes = [note for note in notes if "no position servos" not in note]
-            notes.append(_said(kp, kd))
+            told = [note for note in told if note.code != "servos-added"]
+            more.append(_said(kp, kd))
     except PupperAnalysisError as error:
         if not (sure or meshes.missing) and _reaches_no_ground(robot, error):
             raise _LeglessError(f"{', '.join(robot.feet)} reach no level ground") from error
@@ -255,7 +255,7 @@ def _put_stand(
     _put_option(root, timestep=words(robot.mj_model.opt.timestep))
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
     equip.add_servos(root, bodies, dict(zip(robot.joint_names, gains, strict=True)))
-    return notes, failure
+    return [*map(str, told), *more], failure
 
 
 def _reaches_no_ground(robot: Robot, error: PupperAnalysisError) -> bool:

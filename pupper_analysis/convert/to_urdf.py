@@ -229,9 +229,9 @@ def urdf_draft(file: MjcfFile, output: Path) -> Draft:
     Raises:
         ModelError: If a URDF cannot have the robot.
     """
-    notes = [*file.notes]
     spec = file.spec.copy()
-    joined = join_free_base(spec, file.path, notes)
+    joined = join_free_base(spec, file.path)
+    notes = list(map(str, [*file.notes, *([joined] if joined else [])]))
     model = compile_spec(spec, file.path) if joined else file.compile()
     base = _base(file, model)
     root = etree.Element("robot", {"name": _robot_name(file)})

@@ -8,7 +8,7 @@ In a template may stand
 - ``{names}``: several, with commas between them, at most eight; ``{names:3}`` at most three. What
   is left out is counted: "a, b, c and 2 more". ``{parts:;}`` has semicolons, ``{ways:or}`` " or ";
   ``{masses:3|.2f}`` gives the format of each;
-- ``{subject}``: "joint FL_knee"; ``{name}``: the subject's name alone;
+- ``{subject}``: "joint FL_knee", ``{subject!r}``: "joint 'FL_knee'"; ``{name}``: its name alone;
 - ``{count|foot|feet}``: a word that depends on a number: the first for 1;
 - ``[limit? beyond {limit}]``: words that stand only where a value is (not None, empty or false);
   ``[!limit? ...]`` where it is not. They are not nested.
@@ -74,6 +74,8 @@ class _Filler(Formatter):
     def convert_field(self, value: Any, conversion: str | None) -> Any:
         if conversion == "r" and isinstance(value, tuple):
             return tuple(repr(one) for one in value)
+        if conversion == "r" and hasattr(value, "kind"):
+            return f"{term(value.kind, self.language)} {value.name!r}"
         return super().convert_field(value, conversion)
 
     def format_field(self, value: Any, format_spec: str) -> str:

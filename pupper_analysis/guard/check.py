@@ -9,6 +9,7 @@ from pathlib import Path
 from pupper_analysis.arguments import checked
 from pupper_analysis.checks.audit import audit_model
 from pupper_analysis.checks.compare import compare_models
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.files import check_writable
 from pupper_analysis.guard.baseline import (
@@ -52,7 +53,7 @@ class PairCheck(Result):
     failures: int
     known: int
     disabled: Mapping[str, str]
-    notes: tuple[str, ...]
+    notes: tuple[Diagnostic, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +152,7 @@ def _check_pair(pair: Pair, folder: Path) -> tuple[PairCheck, list[Remark]]:
     """Compares a pair's files, and audits each."""
     files = [file for file in (pair.urdf, pair.mjcf) if file is not None]
     remarks: list[Remark] = []
-    notes: tuple[str, ...] = ()
+    notes: tuple[Diagnostic, ...] = ()
     agree = None
     for file in files:
         try:
@@ -176,7 +177,7 @@ def _check_pair(pair: Pair, folder: Path) -> tuple[PairCheck, list[Remark]]:
         except PupperAnalysisError as error:
             remarks.append(of_error(error, "crosscheck", pair, pair.urdf, folder))
         else:
-            agree, notes = comparison.agree, tuple(map(str, comparison.notes))
+            agree, notes = comparison.agree, comparison.notes
             remarks = [*of_comparison(comparison, pair, folder), *remarks]
     names = tuple(relative(file, folder) for file in files)
     return PairCheck(pair.name, names, agree, 0, 0, pair.disabled, notes), remarks

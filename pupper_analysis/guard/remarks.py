@@ -106,7 +106,7 @@ def of_comparison(comparison: Comparison, pair: Pair, folder: Path) -> Iterator[
             difference.urdf_place,
             difference.mjcf_place,
         )
-    said = [("part", "", part, comparison.urdf) for part in comparison.parts]
+    said = [("part", "", str(part), comparison.urdf) for part in comparison.parts]
     for joints, path, other in (
         (comparison.only_urdf, comparison.urdf, comparison.mjcf),
         (comparison.only_mjcf, comparison.mjcf, comparison.urdf),

@@ -18,6 +18,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.efforts import effort_limit
@@ -132,7 +133,7 @@ def _add_joint(
         motion = pin.JointModelPrismaticUnaligned(axis)
         at_zero = pin.SE3(np.eye(3), -rest * axis)
     else:
-        raise ModelError(name, "a ball joint cannot be analysed")
+        raise ModelError(name, diagnose("ball-joint-not-analysed"))
     limited = bool(model.jnt_limited[index])
     lower, upper = model.jnt_range[index] if limited else (-np.inf, np.inf)
     joint = result.addJoint(
@@ -199,7 +200,7 @@ def mujoco_from_urdf(
         spec = mujoco.MjSpec.from_string(to_text(root))
     except (ValueError, RuntimeError) as error:
         message = " ".join(str(error).split())
-        raise ModelError(source, f"MuJoCo cannot import it: {message}") from error
+        raise ModelError(source, diagnose("urdf-not-imported", message=message)) from error
     spec.option.gravity = gravity(like)
     if floating:
         spec.body(root_link).add_freejoint(name=_ROOT)

@@ -8,12 +8,11 @@ from typing import Final
 
 import mujoco
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.missing import gives_mass
 from pupper_analysis.models.mjcf import quiet
 
 _FLAT: Final = re.compile(r"mesh volume is too small: (.*?) \. Try setting inertia to shell")
-
-_TOLD: Final = 3
 
 
 def flat_mesh(error: BaseException) -> str | None:
@@ -57,13 +56,9 @@ def put_shells(spec: mujoco.MjSpec, names: Collection[str]) -> None:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 
 
-def note(names: list[str]) -> str:
-    """Says which meshes are taken as shells."""
-    more = f", and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
-    return (
-        f"flat meshes, which MuJoCo {mujoco.__version__} refuses, are taken as shells: "
-        f"{', '.join(names[:_TOLD])}{more}"
-    )
+def taken_as_shells(names: list[str]) -> Diagnostic:
+    """Tells which meshes are taken as shells."""
+    return diagnose("flat-meshes-as-shells", names=names, version=mujoco.__version__)
 
 
 def _weighs(spec: mujoco.MjSpec, name: str) -> bool:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.mjcf import compile_spec
 
 Array = NDArray[np.float64]
@@ -26,8 +27,8 @@ _LOSSES: Final = ("damping", "armature", "frictionloss")
 
 
 def join_free_base(
-    spec: mujoco.MjSpec, source: Path, notes: list[str], *, stated: Collection[str] = ()
-) -> bool:
+    spec: mujoco.MjSpec, source: Path, *, stated: Collection[str] = ()
+) -> Diagnostic | None:
     """Gives a base that is free in parts a free joint instead, in place.
 
     Models after OpenSim, and some exporters, free a base by three slides and three hinges (or a
@@ -37,17 +38,16 @@ def join_free_base(
     Args:
         spec: The MJCF.
         source: Where it came from, for messages.
-        notes: What was done is added.
         stated: Joints that the URDF has, too: if these are among them, they stay.
 
     Returns:
-        Whether there was such a base.
+        What was done; None if there is no such base.
     """
     base = _free_in_parts(spec, stated)
     if base is None:
-        return False
+        return None
     joints = list(base.joints)
-    kinds = "a ball joint" if joints[-1].type == _BALL else "three hinges"
+    ball = joints[-1].type == _BALL
     lossy = [word for word in _LOSSES if any(np.any(getattr(j, word)) for j in joints)]
     poses = _poses(compile_spec(spec.copy(), source), base.name, len(joints))
     for joint in joints:
@@ -55,12 +55,7 @@ def join_free_base(
     base.add_freejoint()
     for key, qpos in zip(spec.keys, poses, strict=True):
         key.qpos, key.qvel = qpos, []
-    without = f", without their {', '.join(lossy)}" if lossy else ""
-    notes.append(
-        f"the MJCF's {base.name!r} is free by three slides and {kinds}: a free joint was put in "
-        f"their place{without}"
-    )
-    return True
+    return diagnose("base-joints-joined", subject=("body", base.name), ball=ball, losses=lossy)
 
 
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:

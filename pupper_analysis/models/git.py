@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError, OutputError
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import LFS_POINTER
@@ -68,9 +69,7 @@ def refuse_uncommitted(path: Path) -> None:
         or [entry.object for entry in staged] != [entry.object for entry in committed]
         or not _is_same(path, _asked(here, "cat-file", "blob", committed[0].object))
     ):
-        raise OutputError(
-            path, "it has changes that are not committed; commit them, or add --force"
-        )
+        raise OutputError(path, diagnose("uncommitted-changes"))
 
 
 def _literal(name: str) -> str:
@@ -233,16 +232,15 @@ def _answer(given: str, *arguments: str) -> str:
 def _answer_bytes(given: str, *arguments: str) -> bytes:
     result = _run(_command(given, *arguments))
     if result.returncode:
-        text = one_line(result.stderr.decode(errors="replace")).removeprefix("fatal: ")
-        reason = text or "it gives no reason"
-        raise ModelError(given, f"there is no such file, and git does not have it: {reason}")
+        reason = one_line(result.stderr.decode(errors="replace")).removeprefix("fatal: ")
+        raise ModelError(given, diagnose("not-in-git", reason=reason))
     return result.stdout
 
 
 def _command(given: str, *arguments: str) -> list[str]:
     git = shutil.which("git")
     if git is None:
-        raise ModelError(given, "there is no such file, and no git to ask for a revision of it")
+        raise ModelError(given, diagnose("no-file-and-no-git"))
     return [git, *_SAFE, *arguments]
 
 

@@ -7,6 +7,8 @@ from typing import Final
 
 import mujoco
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+
 _RETIRED: Final = (
     ("flag", "sensornoise"),  # noise on sensors' readings
     ("option", "apirate"),  # of remote calls
@@ -27,32 +29,35 @@ def is_retired(message: str) -> bool:
     )
 
 
-def without_retired(text: bytes, notes: list[str]) -> bytes:
-    """Blanks the attributes that MuJoCo once had; lines stay where they are.
+def without_retired(text: bytes) -> tuple[bytes, list[Diagnostic]]:
+    """Blanks the attributes that MuJoCo once had, in an MJCF's text or a part's.
 
-    Args:
-        text: An MJCF's, or a part's.
-        notes: To say so in.
+    Lines stay where they are.
+
+    Returns:
+        The text, and what was passed over.
     """
+    found = []
     for tag, attribute in _RETIRED:
         pattern = re.compile(
             rb"(<%s\b[^<>]*?\s)(%s\s*=\s*(?:\"[^\"]*\"|'[^']*'))"
             % (tag.encode(), attribute.encode())
         )
-        changed = pattern.sub(lambda found: found[1] + re.sub(rb"[^\n]", b" ", found[2]), text)
-        has_not = f"which MuJoCo {mujoco.__version__} no longer has"
-        said = f"{attribute} of <{tag}>, {has_not}, is passed over"
-        if changed != text and said not in notes:
-            notes.append(said)
+        changed = pattern.sub(lambda part: part[1] + re.sub(rb"[^\n]", b" ", part[2]), text)
+        if changed != text:
+            version = mujoco.__version__
+            found.append(
+                diagnose("attribute-retired", tag=tag, attribute=attribute, version=version)
+            )
         text = changed
-    return text
+    return text, found
 
 
-def put_ground(spec: mujoco.MjSpec) -> list[str]:
+def put_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Adds the ground that pairs of contacts name and the file lacks, as its scene has it.
 
     Returns:
-        A note, if there was one to add.
+        That it was added, if there was one to add.
     """
     known = {geom.name for geom in spec.geoms}
     named = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
@@ -64,7 +69,4 @@ def put_ground(spec: mujoco.MjSpec) -> list[str]:
     for word in ("contype", "conaffinity", "condim", "friction", "solref", "solimp", "margin"):
         setattr(floor, word, getattr(plain, word))
     floor.type, floor.size = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05)
-    return [
-        f"geom {gone[0]!r}, which pairs of contacts name, is not in the file, but in a scene's, it "
-        "seems: a plane at z = 0 was added"
-    ]
+    return [diagnose("ground-of-pairs-added", subject=("geom", gone[0]))]

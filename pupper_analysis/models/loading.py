@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pupper_analysis.arguments import check_type
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
 from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
@@ -30,6 +31,5 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
     if root.tag in ("mujoco", "mujocoinclude"):
         return mjcf_from(path, root)
     if root.tag != "robot":
-        problem = f"the root element is <{root.tag}>; a URDF's is <robot>, an MJCF's <mujoco>"
-        raise refusal_at(path, root, problem)
+        raise refusal_at(path, root, diagnose("no-model", tag=str(root.tag)))
     return urdf_from(path, text, root, packages)

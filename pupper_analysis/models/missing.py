@@ -8,15 +8,15 @@ from pathlib import Path
 
 import mujoco
 
-from pupper_analysis.errors import ModelError
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_tree import Node, Tree
 from pupper_analysis.models.packages import existing, is_pointer
-from pupper_analysis.models.places import Place, source_name
+from pupper_analysis.models.places import Place, refusal
 
 
 def leave_out_missing(
     spec: mujoco.MjSpec, tree: Tree, index: Mapping[tuple[str, str], Node]
-) -> list[str]:
+) -> list[Diagnostic]:
     """Takes out of a spec what needs files that are missing; returns what it took out."""
     folders = tuple(tree.folders)
 
@@ -39,19 +39,27 @@ def leave_out_missing(
         if geom.meshname in meshes and gives_mass(spec, geom):
             body = geom.parent.name
             place = index[("body", body)].place if ("body", body) in index else Place(tree.path)
-            raise ModelError(
-                source_name(place.file, place.line),
-                f"body {body!r} takes its mass from geom {geom.name!r}, whose mesh file "
-                f"{meshes[geom.meshname]!r} is missing; give the body an <inertial>, or put the "
-                "mesh there",
+            raise refusal(
+                place,
+                diagnose(
+                    "mass-of-missing-mesh",
+                    subject=("body", body),
+                    geom=geom.name,
+                    file=meshes[geom.meshname],
+                ),
             )
     names = {geom.name for geom in geoms if geom.name}
     _refuse_wrapped(tree.root, names)
     users = _users(spec, tree.root, names)
-    notes = _notes(meshes, hfields, textures, skins)
+    files = {"mesh": meshes, "height field": hfields, "texture": textures, "skin": skins}
+    notes = [
+        diagnose("files-missing", kind=Term(kind), files=dict.fromkeys(named.values()))
+        for kind, named in files.items()
+        if named
+    ]
     notes += _pointers(spec, folders, {*meshes.values(), *hfields.values(), *skins.values()})
     if users:
-        notes.append(f"left out, for they refer to such a geom: {', '.join(users)}")
+        notes.append(diagnose("users-left-out", users=users))
     for element in geoms:
         spec.delete(element)
     for name in textures:
@@ -70,42 +78,15 @@ def leave_out_missing(
     return notes
 
 
-def _notes(
-    meshes: dict[str, str],
-    hfields: dict[str, str],
-    textures: dict[str, str],
-    skins: dict[str, str],
-) -> list[str]:
-    """Says how many files of each kind are missing, and which; by element, each kind's files."""
-    notes = []
-    for what, files in (
-        ("mesh file", meshes),
-        ("height field file", hfields),
-        ("texture file", textures),
-        ("skin file", skins),
-    ):
-        if files:
-            some = ", ".join(list(dict.fromkeys(files.values()))[:2])
-            more = ", ..." if len(set(files.values())) > 2 else ""
-            notes.append(
-                f"{len(set(files.values()))} {what}(s) missing ({some}{more}): what uses them was "
-                "left out"
-            )
-    return notes
-
-
-def _pointers(spec: mujoco.MjSpec, folders: tuple[Path, ...], files: set[str]) -> list[str]:
-    """Says so if files are there, but are pointers of Git LFS."""
+def _pointers(spec: mujoco.MjSpec, folders: tuple[Path, ...], files: set[str]) -> list[Diagnostic]:
+    """Tells which files are there, but are pointers of Git LFS."""
     names = {Path(file).name if spec.strippath else file for file in files}
     found = [
         name
         for name in sorted(names)
         if any(is_pointer(top / folder / name) for top in folders for folder in _folders(spec))
     ]
-    if not found:
-        return []
-    some = ", ".join(found[:2]) + (", ..." if len(found) > 2 else "")
-    return [f"{len(found)} of them are pointers of Git LFS ({some}): git lfs pull brings the files"]
+    return [diagnose("files-are-lfs-pointers", files=found)] if found else []
 
 
 def _folders(spec: mujoco.MjSpec) -> set[str]:
@@ -132,14 +113,11 @@ def _refuse_wrapped(root: Node, names: set[str]) -> None:
         for tendon in section.children if section.tag == "tendon" else ():
             for part in tendon.children:
                 if part.attributes.get("geom") in names:
-                    raise ModelError(
-                        source_name(part.place.file, part.place.line),
-                        f"the tendon wraps geom {part.attributes['geom']!r}, whose mesh file is "
-                        "missing; put the mesh there",
-                    )
+                    geom = ("geom", part.attributes["geom"])
+                    raise refusal(part.place, diagnose("tendon-wraps-missing-mesh", subject=geom))
 
 
-def _users(spec: mujoco.MjSpec, root: Node, names: set[str]) -> list[str]:
+def _users(spec: mujoco.MjSpec, root: Node, names: set[str]) -> list[Diagnostic]:
     """Deletes the sensors, contact pairs and tuples that refer to geoms; returns what they are."""
     kind = mujoco.mjtObj.mjOBJ_GEOM
     tuples = {
@@ -159,7 +137,7 @@ def _users(spec: mujoco.MjSpec, root: Node, names: set[str]) -> list[str]:
         *(("contact pair", p) for p in spec.pairs if {p.geomname1, p.geomname2} & names),
         *(("tuple", element) for element in spec.tuples if element.name in tuples),
     ]
-    words = [f"{what} {user.name!r}" for what, user in users]
+    told = [diagnose("named-element", subject=(what, user.name)) for what, user in users]
     for _, user in users:
         spec.delete(user)
-    return words
+    return told

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import standard_input
 from pupper_analysis.models.lenient import is_retired, without_retired
@@ -32,43 +33,46 @@ def load(path: Path) -> mujoco.MjSpec:
             MuJoCo's.
     """
     if not path.is_file():
-        raise ModelError(path, "there is no such file; give the path of an MJCF (.xml) file")
+        raise ModelError(path, diagnose("no-such-mjcf"))
     try:
         with quiet():
-            spec, same = (spec_of(path) for _ in range(2))
+            spec, same = (spec_of(path)[0] for _ in range(2))
     except (ValueError, RuntimeError) as error:
-        raise ModelError(path, f"not a valid MJCF: {one_line(error)}") from error
+        raise ModelError(path, diagnose("mjcf-not-valid", message=one_line(error))) from error
     # Here and not later: a copy of a spec lacks what is dangling, and would compile.
     compile_spec(same, path)
     return spec
 
 
-def spec_of(path: Path, notes: list[str] | None = None) -> mujoco.MjSpec:
+def spec_of(path: Path, *, lenient: bool = False) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]:
     """Parses an MJCF, whatever its name ends with: MuJoCo reads files ``*.xml`` alone.
 
     Args:
         path: The file.
-        notes: To say in what was passed over, of what MuJoCo once knew.
+        lenient: Pass over what MuJoCo once knew.
+
+    Returns:
+        What MuJoCo read, and what was passed over.
     """
     if path.suffix.lower() == ".xml":
         try:
-            return mujoco.MjSpec.from_file(str(path))
+            return mujoco.MjSpec.from_file(str(path)), ()
         except ValueError as error:
-            if notes is None or not is_retired(str(error)):
+            if not (lenient and is_retired(str(error))):
                 raise
-    passed_over: list[str] = [] if notes is None else notes
     included: dict[str, bytes] = {}
-    text = without_retired(standard_input.content(path), passed_over)
+    text, passed_over = without_retired(standard_input.content(path))
     waiting = [text]
     while waiting:
         for name in re.findall(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)', waiting.pop()):
             file = path.parent / name.decode()
             if name.decode() not in included and file.is_file():
-                included[name.decode()] = without_retired(file.read_bytes(), passed_over)
+                included[name.decode()], more = without_retired(file.read_bytes())
                 waiting.append(included[name.decode()])
+                passed_over += more
     spec = mujoco.MjSpec.from_string(text.decode("utf-8-sig"), include=included)
     spec.modelfiledir = str(path.parent)
-    return spec
+    return spec, tuple(dict.fromkeys(passed_over))
 
 
 def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
@@ -81,9 +85,9 @@ def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
         with quiet():
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
-        raise ModelError(source, f"MuJoCo cannot compile it: {one_line(error)}") from error
+        raise ModelError(source, diagnose("mjcf-not-compiled", message=one_line(error))) from error
     problem = no_number(model)
-    if problem:
+    if problem is not None:
         raise ModelError(source, problem)
     return model
 
@@ -106,8 +110,8 @@ _NUMBERS = (
 _NAMED = {"jnt": "joint", "dof": "joint"}
 
 
-def no_number(model: mujoco.MjModel) -> str | None:
-    """Says which number of a model is none, or too large to reckon with; MuJoCo takes them."""
+def no_number(model: mujoco.MjModel) -> Diagnostic | None:
+    """Tells which number of a model is none, or too large to reckon with; MuJoCo takes them."""
     for kind, fields in _RECKONED.items():
         for field in fields:
             values = np.asarray(getattr(model, f"{kind}_{field}"))
@@ -118,18 +122,21 @@ def no_number(model: mujoco.MjModel) -> str | None:
                 at = int(model.dof_jntid[row]) if kind == "dof" else int(row)
                 what = _NAMED.get(kind, kind)
                 name = getattr(model, what)(at).name or f"#{at}"
-                return (
-                    f"{what} {name!r}: its {field} has {values[row, column]:g}; it takes a number "
-                    f"up to {MAX_NUMBER:g}"
+                return diagnose(
+                    "number-not-usable",
+                    subject=(what, name),
+                    field=field,
+                    value=values[row, column],
+                    most=MAX_NUMBER,
                 )
     for field in _NUMBERS:
         if np.isnan(getattr(model, field)).any():
-            return f"a number of its {field} is nan; write a number"
+            return diagnose("number-is-nan", field=field)
     lengths = np.linalg.norm(model.jnt_axis, axis=1)
     for joint in np.flatnonzero(~(lengths > 0.5)):  # MuJoCo's are unit vectors, of 1e308 none
-        return f"joint {model.joint(joint).name!r}: its axis has no direction; write a unit vector"
+        return diagnose("axis-without-direction", subject=("joint", model.joint(joint).name))
     if not (np.abs(model.opt.gravity) <= MAX_NUMBER).all():
-        return f"<option gravity> is {model.opt.gravity}; it takes numbers up to {MAX_NUMBER:g}"
+        return diagnose("gravity-not-usable", gravity=model.opt.gravity, most=MAX_NUMBER)
     return None
 
 

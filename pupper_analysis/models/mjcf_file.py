@@ -13,13 +13,13 @@ import mujoco
 from lxml import etree
 
 from pupper_analysis.arguments import check_type
-from pupper_analysis.errors import ModelError
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models import flat
 from pupper_analysis.models.lenient import put_ground
 from pupper_analysis.models.missing import leave_out_missing
 from pupper_analysis.models.mjcf import no_number, quiet, spec_of
 from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating, walk
-from pupper_analysis.models.places import Place, innermost, one_line, refusal_at, source_name
+from pupper_analysis.models.places import Place, innermost, one_line, refusal, refusal_at
 from pupper_analysis.models.xml import parse
 
 
@@ -31,7 +31,7 @@ class MjcfFile:
         path: The file.
         spec: What MuJoCo read, not compiled, without what needs files that are missing.
         files: The file and all it includes.
-        notes: What was left out on reading, in plain words.
+        notes: What was left out on reading, or made up for.
         refusal: Why MuJoCo does not compile the file as it is, and where; None if it does.
             ``MjSpec.copy()`` drops elements that refer to nothing, so that a copy of the spec may
             compile where the file does not.
@@ -41,9 +41,9 @@ class MjcfFile:
     path: Path
     spec: mujoco.MjSpec = field(repr=False)
     files: tuple[Path, ...] = ()
-    notes: tuple[str, ...] = ()
-    refusal: tuple[str, Place] | None = None
-    as_it_is: tuple[str, Place] | None = None
+    notes: tuple[Diagnostic, ...] = ()
+    refusal: tuple[Diagnostic, Place] | None = None
+    as_it_is: tuple[Diagnostic, Place] | None = None
     _model: mujoco.MjModel | None = field(default=None, repr=False)
     _index: Mapping[tuple[str, str], Node] = field(default_factory=dict, repr=False)
     _roots: tuple[Node, ...] = field(default=(), repr=False)
@@ -124,8 +124,8 @@ class MjcfFile:
             ModelError: If MuJoCo refuses it; the message is MuJoCo's.
         """
         if self.refusal is not None:
-            message, place = self.refusal
-            raise ModelError(source_name(place.file, place.line), message)
+            problem, place = self.refusal
+            raise refusal(place, problem)
         assert self._model is not None
         return copy.copy(self._model)
 
@@ -156,33 +156,31 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
         ModelError: If MuJoCo cannot read it.
     """
     if root.tag != "mujoco":
-        hint = {
-            "robot": "; it is a URDF",
-            "mujocoinclude": "; it is a part, give the file that includes it",
-        }.get(str(root.tag), "")
-        raise refusal_at(path, root, f"an MJCF's root element is <mujoco>, not <{root.tag}>{hint}")
+        urdf, part = root.tag == "robot", root.tag == "mujocoinclude"
+        tag = str(root.tag)
+        raise refusal_at(path, root, diagnose("no-mjcf", tag=tag, urdf=urdf, part=part))
     tree = Tree(path, root)
     index = index_of(tree.root)
     spec, notes = _spec(tree, index)
-    model, refusal, as_it_is = None, None, None
+    model, refused, as_it_is = None, None, None
     try:
         # Another spec, for compiling changes it; and no copy, which lacks what is dangling.
         model, shells, said = flat.compiled(lambda: _spec(tree, index)[0])
         if shells:
             flat.put_shells(spec, shells)
-            notes.append(flat.note(shells))
-            as_it_is = _mujoco_refusal(tree, index, "MuJoCo cannot compile it", ValueError(said))
+            notes.append(flat.taken_as_shells(shells))
+            as_it_is = _not_compiled(tree, index, ValueError(said))
     except _MUJOCO_ERRORS as error:
-        refusal = _mujoco_refusal(tree, index, "MuJoCo cannot compile it", error)
-    problem = model and no_number(model)
-    if problem:
-        model, refusal = None, (problem, Place(path))
+        refused = _not_compiled(tree, index, error)
+    problem = None if model is None else no_number(model)
+    if problem is not None:
+        model, refused = None, (problem, Place(path))
     return MjcfFile(
         path,
         spec,
         tuple(tree.files),
         tuple(notes),
-        refusal,
+        refused,
         as_it_is,
         model,
         index,
@@ -190,21 +188,28 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
     )
 
 
-def _spec(tree: Tree, index: Mapping[tuple[str, str], Node]) -> tuple[mujoco.MjSpec, list[str]]:
+def _spec(
+    tree: Tree, index: Mapping[tuple[str, str], Node]
+) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Returns what MuJoCo reads, without what needs files that are missing, and what that is."""
-    notes: list[str] = []
     try:
         with quiet():
-            spec = spec_of(tree.path, notes)
+            spec, passed_over = spec_of(tree.path, lenient=True)
     except _MUJOCO_ERRORS as error:
-        message, place = _mujoco_refusal(tree, index, "not a valid MJCF", error)
-        raise ModelError(source_name(place.file, place.line), message) from error
-    notes += leave_out_missing(spec, tree, index)
-    return spec, notes + put_ground(spec)
+        message, place = _mujoco_message(tree, index, error)
+        raise refusal(place, diagnose("mjcf-not-valid", message=message)) from error
+    return spec, [*passed_over, *leave_out_missing(spec, tree, index), *put_ground(spec)]
 
 
-def _mujoco_refusal(
-    tree: Tree, index: Mapping[tuple[str, str], Node], what: str, error: BaseException
+def _not_compiled(
+    tree: Tree, index: Mapping[tuple[str, str], Node], error: BaseException
+) -> tuple[Diagnostic, Place]:
+    message, place = _mujoco_message(tree, index, error)
+    return diagnose("mjcf-not-compiled", message=message), place
+
+
+def _mujoco_message(
+    tree: Tree, index: Mapping[tuple[str, str], Node], error: BaseException
 ) -> tuple[str, Place]:
     """Returns MuJoCo's message, and the place of the element that it is about.
 
@@ -233,7 +238,7 @@ def _mujoco_refusal(
         place = (named or meant)[0]
     elif line is not None and len({n.place.file for n in nodes if n.place.line == line}) == 1:
         place = next(node.place for node in nodes if node.place.line == line)
-    return f"{what}: {message}", place
+    return message, place
 
 
 def _child(node: Node, tag: str) -> Node | None:

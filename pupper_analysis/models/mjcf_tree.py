@@ -12,9 +12,9 @@ from typing import Final
 
 from lxml import etree
 
-from pupper_analysis.errors import ModelError
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.packages import existing
-from pupper_analysis.models.places import Place, line_of, refusal_at, short, source_name
+from pupper_analysis.models.places import Place, line_of, refusal, refusal_at, short
 from pupper_analysis.models.xml import MAX_DEPTH, MAX_ELEMENTS, NUMBER, parse
 
 MAX_INCLUDES: Final = 1000
@@ -88,16 +88,11 @@ class Tree:
         self._count = 0
         self._includes = includes or itertools.count(1)
         if len(self._within) > MAX_INCLUDE_DEPTH:
-            raise ModelError(
-                source_name(path), f"models are attached more than {MAX_INCLUDE_DEPTH} deep"
-            )
+            raise refusal(Place(path), diagnose("attached-too-deep", most=MAX_INCLUDE_DEPTH))
         self.root = self._node(root, path, self._within, 0)
         self.copies = self._copies(self.root)
         if self.copies > self._count + MAX_COPIES:
-            raise ModelError(
-                source_name(path),
-                f"replicates and attached models make more than {MAX_COPIES} elements",
-            )
+            raise refusal(Place(path), diagnose("too-many-copies", most=MAX_COPIES))
 
     def _node(
         self, element: etree._Element, path: Path, within: tuple[Path, ...], depth: int
@@ -106,9 +101,11 @@ class Tree:
         node = Node(str(element.tag), attributes, Place(path, line_of(element)), [])
         self._count += 1
         if self._count > MAX_ELEMENTS:
-            raise ModelError(source_name(self.path), f"it has more than {MAX_ELEMENTS} elements")
+            raise refusal(
+                Place(self.path), diagnose("too-many-elements", count=None, most=MAX_ELEMENTS)
+            )
         if depth > MAX_DEPTH:
-            raise refusal_at(path, element, f"elements are nested deeper than {MAX_DEPTH}")
+            raise refusal_at(path, element, diagnose("nested-too-deep", most=MAX_DEPTH))
         _refuse_large(path, element)
         _refuse_formats(path, element)
         if element.tag == "model" and element.get("file", "").endswith(".xml"):
@@ -130,9 +127,9 @@ class Tree:
         included = self._file(element, path)
         resolved = included.resolve()
         if resolved in within:
-            raise refusal_at(path, element, f"{included.name!r} includes itself; take this out")
+            raise refusal_at(path, element, diagnose("includes-itself", file=included.name))
         if len(within) > MAX_INCLUDE_DEPTH:
-            raise refusal_at(path, element, f"includes are nested deeper than {MAX_INCLUDE_DEPTH}")
+            raise refusal_at(path, element, diagnose("includes-too-deep", most=MAX_INCLUDE_DEPTH))
         if resolved not in self._parsed:
             self.files[included] = None
             _, self._parsed[resolved] = parse(included)
@@ -141,7 +138,7 @@ class Tree:
     def _attach(self, element: etree._Element, path: Path) -> None:
         attached = self._file(element, path)
         if attached.resolve() in self._within:
-            raise refusal_at(path, element, f"{attached.name!r} attaches itself; take this out")
+            raise refusal_at(path, element, diagnose("attaches-itself", file=attached.name))
         _, root = parse(attached)
         tree = Tree(attached, root, self._within, self._includes)
         self.files |= tree.files
@@ -153,17 +150,16 @@ class Tree:
     def _file(self, element: etree._Element, path: Path) -> Path:
         """Counts and finds an include: by the main file first, then by its own file."""
         if next(self._includes) > MAX_INCLUDES:
-            raise refusal_at(path, element, f"there are more than {MAX_INCLUDES} includes")
+            raise refusal_at(path, element, diagnose("too-many-includes", most=MAX_INCLUDES))
         name = element.get("file")
         if not name:
-            raise refusal_at(path, element, f"<{element.tag}> has no file; add file=...")
+            raise refusal_at(path, element, diagnose("element-without-file", tag=element.tag))
         for folder in (self.path.parent, path.parent):
             found = existing(folder / name)
             if found is not None:
                 return found
-        raise refusal_at(
-            path, element, f"<{element.tag} file={short(name)}>: no such file; put it there"
-        )
+        missing = diagnose("included-file-missing", tag=element.tag, file=short(name))
+        raise refusal_at(path, element, missing)
 
     def _copies(self, node: Node) -> int:
         number = 1 + sum(self._copies(child) for child in node.children)
@@ -183,9 +179,8 @@ def _refuse_large(path: Path, element: etree._Element) -> None:
             text = " ".join(element.get(attribute, "") for attribute in attributes)
             if _product(text) > limit:
                 names = " x ".join(attributes)
-                raise refusal_at(
-                    path, element, f"<{element.tag}>: {names} is too large; at most {limit}"
-                )
+                problem = diagnose("size-too-large", tag=element.tag, names=names, most=limit)
+                raise refusal_at(path, element, problem)
 
 
 _FORMAT: Final = re.compile(r"%[-+ #0-9.*'$hlLqjzt]*[nsS]")
@@ -198,12 +193,8 @@ def _refuse_formats(path: Path, element: etree._Element) -> None:
     """Refuses words that MuJoCo's reader takes for a format of its own messages, and dies of."""
     for attribute, value in element.attrib.items():
         if attribute not in _FREE_TEXT and _FORMAT.search(str(value)):
-            raise refusal_at(
-                path,
-                element,
-                f"<{element.tag} {attribute}={short(str(value))}>: MuJoCo takes the % for a format "
-                "of its messages; take it out",
-            )
+            where = {"tag": element.tag, "attribute": attribute, "value": short(str(value))}
+            raise refusal_at(path, element, diagnose("format-in-attribute", **where))
 
 
 def _product(text: str) -> int:

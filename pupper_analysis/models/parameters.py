@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 
 Array = NDArray[np.float64]
@@ -155,9 +156,7 @@ def from_pinocchio(
     """
     names = set(joint_names)
     if base in names:
-        raise ModelError(
-            model.name, f"a joint that moves is called like its base, {base!r}; rename it"
-        )
+        raise ModelError(model.name, diagnose("joint-named-like-base", subject=("link", base)))
     floating = model.nv > len(names)
     root = 1 if floating else 0
     owner = {0: base, root: base}

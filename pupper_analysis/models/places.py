@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 from lxml import etree
 
+from pupper_analysis.diagnostics import Diagnostic, Source
 from pupper_analysis.errors import ModelError
 
 T = TypeVar("T")
@@ -57,9 +58,15 @@ def line_of(element: etree._Element) -> int | None:
     return line if line is not None and line < 65535 else None
 
 
-def refusal_at(path: Path, element: etree._Element, problem: str) -> ModelError:
+def refusal_at(path: Path, element: etree._Element, problem: Diagnostic) -> ModelError:
     """Returns the error that tells an element's file and line, and what is wrong with it."""
-    return ModelError(source_name(path, line_of(element)), one_line(problem))
+    return refusal(Place(path, line_of(element)), problem)
+
+
+def refusal(place: Place, problem: Diagnostic) -> ModelError:
+    """Returns the error that tells what is wrong with a file, or in a line of it."""
+    sources = problem.sources or (Source(str(place.file), place.line),)
+    return ModelError(source_name(place.file, place.line), replace(problem, sources=sources))
 
 
 def source_name(path: Path, line: int | None = None) -> str:

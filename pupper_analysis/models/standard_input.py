@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 NAME: Final = Path("standard input")
@@ -28,14 +29,15 @@ def hold(most: int) -> Path:
         ConfigurationError: If it was read already, or cannot be.
     """
     if _held:
-        raise ConfigurationError("-", "one model alone can come from standard input")
+        raise ConfigurationError("-", diagnose("standard-input-twice"))
     stream = getattr(sys.stdin, "buffer", None)
     try:
         if stream is None:
             raise OSError("there is none")
         _held.append(stream.read(most))
     except (OSError, ValueError) as error:
-        raise ConfigurationError("-", f"standard input cannot be read: {error}") from error
+        unread = diagnose("standard-input-unread", message=str(error))
+        raise ConfigurationError("-", unread) from error
     return NAME
 
 

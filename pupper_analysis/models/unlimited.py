@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from lxml import etree
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+
 ENDLESS_SLIDE = 1e3
 """Limit of a slide that has none (m): a URDF's must have two, which are 0 where left out. No robot
 slides so far, and a number with 12 digits is a nanometre still."""
-
-_TOLD = 3  # joints that a note tells
 
 _DEMANDED = ("effort", "velocity")
 """What the format demands of a <limit>, and some exporters leave out."""
 
 
-def complete_limits(root: etree._Element) -> str | None:
+def complete_limits(root: etree._Element) -> Diagnostic | None:
     """Gives each <limit> the effort and the velocity that it lacks, in place: 0, which is none.
 
     Pinocchio's reader refuses a joint without them, though nobody's effort is known.
 
     Returns:
-        Which joints they were, in words; None if there was none.
+        Which joints they were; None if there was none.
     """
     names = []
     for joint in root.findall("joint"):
@@ -28,12 +28,7 @@ def complete_limits(root: etree._Element) -> str | None:
             missing = [word for word in _DEMANDED if limit.get(word) is None]
             names += [str(joint.get("name"))] if missing else []
             limit.attrib.update(dict.fromkeys(missing, "0"))
-    if not names:
-        return None
-    return (
-        f"joints whose <limit> states no effort, or no velocity, are taken to have none: "
-        f"{_some(names)}"
-    )
+    return diagnose("effort-or-velocity-unstated", names=names) if names else None
 
 
 def states_no_limits(joint: etree._Element) -> bool:
@@ -60,17 +55,7 @@ def unlimited(root: etree._Element) -> list[etree._Element]:
     return [joint for joint in root.findall("joint") if states_no_limits(joint)]
 
 
-def note_on_limits(root: etree._Element) -> str | None:
-    """Says which joints state no limits, and what they are taken for."""
+def taken_as_unlimited(root: etree._Element) -> Diagnostic | None:
+    """Tells which joints state no limits."""
     names = [str(joint.get("name")) for joint in unlimited(root)]
-    if not names:
-        return None
-    return (
-        f"joints whose <limit> states no range, or 0 to 0 with an effort of 0, are taken to have "
-        f"none: {_some(names)}"
-    )
-
-
-def _some(names: list[str]) -> str:
-    more = f", and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
-    return f"{', '.join(names[:_TOLD])}{more}"
+    return diagnose("range-unstated", names=names) if names else None

@@ -10,6 +10,7 @@ from typing import Final
 
 from lxml import etree
 
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.places import line_of, refusal_at, short
 from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER
 
@@ -82,11 +83,11 @@ _MUST: Final[Mapping[str, tuple[str, ...]]] = {
 _KNOWN: Final = frozenset((*_NUMBERS, *_REQUIRED, *_ONCE, *_MUST, "geometry", "material"))
 
 
-def leave_out_undeclared(root: etree._Element, notes: list[str]) -> bool:
+def leave_out_undeclared(root: etree._Element) -> Diagnostic | None:
     """Takes out what has a prefix that is not declared: Pinocchio skips it, other parsers refuse.
 
     Returns:
-        Whether there was any.
+        What was taken out; None if there was nothing.
     """
     gone: dict[str, None] = {}
     for element in list(root.iter()):
@@ -97,9 +98,7 @@ def leave_out_undeclared(root: etree._Element, notes: list[str]) -> bool:
         if ":" in element.tag.rpartition("}")[2] and parent is not None:
             gone[element.tag] = None
             parent.remove(element)
-    if gone:
-        notes.append(f"left out, for their prefixes are not declared: {', '.join(gone)}")
-    return bool(gone)
+    return diagnose("undeclared-prefixes", names=gone) if gone else None
 
 
 def leave_out_odd_materials(root: etree._Element) -> bool:
@@ -126,12 +125,11 @@ def distinct(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Ele
     for element in root.findall(tag):
         name = element.get("name")
         if not name:
-            raise refusal_at(path, element, f'the {tag} has no name; write <{tag} name="...">')
+            raise refusal_at(path, element, diagnose("element-without-name", tag=tag))
         if name in found:
             first = line_of(found[name])
-            raise refusal_at(
-                path, element, f"{tag} {name!r} is there already (line {first}); rename one"
-            )
+            problem = diagnose("name-taken", subject=(tag, name), line=first)
+            raise refusal_at(path, element, problem)
         found[name] = element
     return found
 
@@ -139,7 +137,7 @@ def distinct(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Ele
 def check_element(path: Path, element: etree._Element) -> bool:
     """Checks the children and numbers of a link or joint; returns whether it had to rewrite any."""
     rewritten = False
-    what = f"{element.tag} {element.get('name')!r}"
+    what = str(element.tag), str(element.get("name"))
     pending = [element]
     while pending:
         part = pending.pop()
@@ -148,13 +146,16 @@ def check_element(path: Path, element: etree._Element) -> bool:
         for tag in _ONCE.get(part.tag, ()):
             if tags.count(tag) > 1:
                 again = [child for child in children if child.tag == tag][1]
-                raise refusal_at(path, again, f"{what} has <{tag}> more than once; keep one")
+                problem = diagnose("child-more-than-once", subject=what, tag=tag)
+                raise refusal_at(path, again, problem)
         for tag in _MUST.get(part.tag, ()):
             if tag not in tags:
-                raise refusal_at(path, part, f"{what}: <{part.tag}> has no <{tag}>; add it")
+                problem = diagnose("child-missing", subject=what, tag=part.tag, child=tag)
+                raise refusal_at(path, part, problem)
         for attribute in _REQUIRED.get(part.tag, ()):
             if part.get(attribute) is None:
-                raise refusal_at(path, part, f"{what}: <{part.tag}> has no {attribute}; add it")
+                missing = {"tag": part.tag, "attribute": attribute}
+                raise refusal_at(path, part, diagnose("attribute-missing", subject=what, **missing))
         for attribute, count in _NUMBERS.get(part.tag, {}).items():
             value = part.get(attribute)
             if value is None:
@@ -165,31 +166,32 @@ def check_element(path: Path, element: etree._Element) -> bool:
                 part.set(attribute, tidy)
                 rewritten |= count == 1
         if part.tag == "dynamics" and not (part.get("damping") or part.get("friction")):
-            raise refusal_at(path, part, f"{what}: <dynamics> has neither damping nor friction")
+            raise refusal_at(path, part, diagnose("dynamics-states-nothing", subject=what))
         pending.extend(children)
     return rewritten
 
 
 def _check_numbers(
-    path: Path, part: etree._Element, attribute: str, value: str, count: int, what: str
+    path: Path, part: etree._Element, attribute: str, value: str, count: int, what: tuple[str, str]
 ) -> None:
-    where = f"{what}: <{part.tag} {attribute}={short(value)}>"
+    where = {"tag": part.tag, "attribute": attribute, "value": short(value)}
     numbers = value.split()
     if len(numbers) != count:
-        wanted = "a number" if count == 1 else f"{count} numbers"
-        raise refusal_at(path, part, f"{where} has {len(numbers)} values; it takes {wanted}")
+        problem = diagnose(
+            "wrong-count-of-numbers", subject=what, **where, count=len(numbers), wanted=count
+        )
+        raise refusal_at(path, part, problem)
     for number in numbers:
         if "${" in number or "$(" in number:
-            raise refusal_at(path, part, f"{where} is xacro; expand the file with xacro first")
+            raise refusal_at(path, part, diagnose("value-is-xacro", subject=what, **where))
         if not NUMBER.fullmatch(number) or not math.isfinite(float(number)):
-            raise refusal_at(path, part, f"{where}: {short(number)} is not a finite number")
+            where |= {"number": short(number)}
+            raise refusal_at(path, part, diagnose("number-not-finite", subject=what, **where))
         # A limit may be as large as can be: exporters write that for none.
         if part.tag != "limit" and abs(float(number)) > MAX_NUMBER:
-            raise refusal_at(
-                path,
-                part,
-                f"{where}: {short(number)} is beyond {MAX_NUMBER:g}, too large to reckon",
-            )
+            where |= {"number": short(number)}
+            problem = diagnose("number-too-large", subject=what, **where, most=MAX_NUMBER)
+            raise refusal_at(path, part, problem)
 
 
 def check_joint(
@@ -199,26 +201,25 @@ def check_joint(
     links: Mapping[str, etree._Element],
 ) -> None:
     """Refuses an unknown type, a missing limit, and ends that are no links."""
-    what = f"joint {name!r}"
+    what = "joint", name
     kind = joint.get("type")
     if kind not in _JOINT_TYPES:
-        problem = f"{what} has " + ("no type" if kind is None else f"the unknown type {kind!r}")
-        raise refusal_at(path, joint, f"{problem}; valid: {', '.join(_JOINT_TYPES)}")
+        problem = diagnose("joint-type-unknown", subject=what, kind=kind, valid=_JOINT_TYPES)
+        raise refusal_at(path, joint, problem)
     if kind in ("revolute", "prismatic") and joint.find("limit") is None:
-        raise refusal_at(
-            path,
-            joint,
-            f'{what} is {kind} without a <limit>; add <limit lower="" upper="" effort="" '
-            'velocity=""/>' + (', or make it "continuous"' if kind == "revolute" else ""),
-        )
+        turns = kind == "revolute"
+        problem = diagnose("limit-missing", subject=what, kind=Term(kind), turns=turns)
+        raise refusal_at(path, joint, problem)
     moves = kind in ("revolute", "continuous", "prismatic")
     # Pinocchio's world, and its joint of a free base: it takes this one for them, or drops masses.
     if name == "universe" or (name == "root_joint" and moves):
-        raise refusal_at(path, joint, f"{what}: Pinocchio's own joint is called so; rename it")
+        raise refusal_at(path, joint, diagnose("joint-name-reserved", subject=what))
     for tag in ("parent", "child"):
         end = joint.find(tag)
         if end.get("link") not in links:
-            raise refusal_at(path, end, f"{what}: its {tag} {end.get('link')!r} is not a link here")
+            link = str(end.get("link"))
+            problem = diagnose("joint-end-no-link", subject=what, end=Term(tag), link=link)
+            raise refusal_at(path, end, problem)
 
 
 def check_tree(
@@ -230,12 +231,9 @@ def check_tree(
     for name, joint in joints.items():
         child = joint.find("child").get("link")
         if child in above:
-            raise refusal_at(
-                path,
-                joint,
-                f"link {child!r} is the child of two joints, {through[child]!r} and {name!r}; "
-                "the links are to form a tree",
-            )
+            joints_of = (through[child], name)
+            problem = diagnose("link-of-two-joints", subject=("link", child), joints=joints_of)
+            raise refusal_at(path, joint, problem)
         above[child] = joint.find("parent").get("link")
         through[child] = name
     depth: dict[str, int] = {}
@@ -247,24 +245,16 @@ def check_tree(
             chain.append(at)
             at = above[at]
         if depth.get(at) == -1:
-            raise refusal_at(
-                path,
-                joints[through[at]],
-                f"joint {through[at]!r} closes a loop of links at {at!r}; the links are to form a "
-                "tree",
-            )
+            closing = through[at]
+            problem = diagnose("links-in-a-loop", subject=("joint", closing), link=at)
+            raise refusal_at(path, joints[closing], problem)
         base = depth.setdefault(at, 0)
         for steps, passed in enumerate(reversed(chain), start=1):
             depth[passed] = base + steps
         if depth[link] > MAX_DEPTH:
-            raise refusal_at(
-                path, links[link], f"link {link!r} is at the end of more than {MAX_DEPTH} joints"
-            )
+            problem = diagnose("chain-too-long", subject=("link", link), most=MAX_DEPTH)
+            raise refusal_at(path, links[link], problem)
     roots = [link for link in links if link not in above]
     if len(roots) > 1:
-        raise refusal_at(
-            path,
-            links[roots[1]],
-            f"{len(roots)} links have no parent ({', '.join(map(repr, roots[:3]))}"
-            f"{', ...' if len(roots) > 3 else ''}); join them, so that one root is left",
-        )
+        problem = diagnose("several-roots", links=roots, count=len(roots))
+        raise refusal_at(path, links[roots[1]], problem)

@@ -12,11 +12,11 @@ from types import MappingProxyType
 from lxml import etree
 
 from pupper_analysis.arguments import check_type
-from pupper_analysis.errors import ModelError
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.packages import existing, folders_of_package
-from pupper_analysis.models.places import Place, innermost, line_of, refusal_at, source_name
-from pupper_analysis.models.unlimited import complete_limits, note_on_limits
+from pupper_analysis.models.places import Place, innermost, line_of, refusal, refusal_at
+from pupper_analysis.models.unlimited import complete_limits, taken_as_unlimited
 from pupper_analysis.models.urdf_checks import (
     MAX_LINKS,
     UNTIDY_NUMBER,
@@ -39,14 +39,14 @@ class UrdfFile:
         text: Its XML.
         root: The parsed XML, without comments; ``sourceline`` is an element's line.
         packages: Folders of packages, for ``package://``.
-        notes: What was assumed on reading, in plain words.
+        notes: What was assumed on reading.
     """
 
     path: Path
     text: str = field(repr=False)
     root: etree._Element = field(repr=False)
     packages: Mapping[str, Path] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[Diagnostic, ...] = ()
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
         """Finds an element.
@@ -132,27 +132,22 @@ def urdf_from(
         ModelError: If it cannot be loaded; one line that tells where and why.
     """
     if root.tag != "robot":
-        hint = "; it is an MJCF" if root.tag == "mujoco" else ""
-        raise refusal_at(path, root, f"a URDF's root element is <robot>, not <{root.tag}>{hint}")
+        mjcf = root.tag == "mujoco"
+        raise refusal_at(path, root, diagnose("no-urdf", tag=str(root.tag), mjcf=mjcf))
     if not root.get("name"):
-        raise refusal_at(path, root, 'the robot has no name; write <robot name="...">')
+        raise refusal_at(path, root, diagnose("robot-without-name"))
     if root.get("version") not in (None, "1", "1.0"):
-        raise refusal_at(path, root, f"version {root.get('version')!r} is unknown; valid: 1.0")
-    notes: list[str] = []
-    rewritten = leave_out_undeclared(root, notes)
-    rewritten |= leave_out_odd_materials(root)
-    completed = complete_limits(root)
-    notes += [] if completed is None else [completed]
-    rewritten |= completed is not None
+        raise refusal_at(path, root, diagnose("version-unknown", version=root.get("version")))
+    undeclared, completed = leave_out_undeclared(root), complete_limits(root)
+    notes = [note for note in (undeclared, completed) if note is not None]
+    rewritten = leave_out_odd_materials(root) or bool(notes)
     materials = distinct(path, root, "material")
     links = distinct(path, root, "link")
     joints = distinct(path, root, "joint")
     if not links:
-        raise ModelError(source_name(path), "it has no <link>; a robot has at least one")
+        raise refusal(Place(path), diagnose("no-links"))
     if len(links) > MAX_LINKS:
-        raise ModelError(
-            source_name(path), f"it has {len(links)} links; at most {MAX_LINKS} are read"
-        )
+        raise refusal(Place(path), diagnose("too-many-links", count=len(links), most=MAX_LINKS))
     spaces = False
     for element in (*links.values(), *joints.values(), *materials.values()):
         spaces |= check_element(path, element)
@@ -160,13 +155,14 @@ def urdf_from(
         check_joint(path, name, joint, links)
         mimic = joint.find("mimic")
         if mimic is not None and mimic.get("joint") not in joints.keys() - {name}:
-            notes.append(f"joint {name!r} mimics {mimic.get('joint')!r}, not another joint here")
+            leader = str(mimic.get("joint"))
+            notes.append(diagnose("mimic-of-no-joint", subject=("joint", name), leader=leader))
     check_tree(path, links, joints)
     if spaces or UNTIDY_NUMBER.search(text):
         rewritten = True
-        notes.append("white space in numbers was normalised: Pinocchio takes single spaces only")
-    limits = note_on_limits(root)
-    notes += [] if limits is None else [limits]
-    if rewritten or limits or next(root.iter("capsule"), None) is not None:
+        notes.append(diagnose("white-space-normalised"))
+    unlimited = taken_as_unlimited(root)
+    notes += [] if unlimited is None else [unlimited]
+    if rewritten or unlimited or next(root.iter("capsule"), None) is not None:
         text = for_engines(root)
     return UrdfFile(path, text, root, MappingProxyType(dict(packages or {})), tuple(notes))

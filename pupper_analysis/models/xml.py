@@ -8,9 +8,9 @@ from typing import Final
 
 from lxml import etree
 
-from pupper_analysis.errors import ModelError
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models import standard_input
-from pupper_analysis.models.places import one_line, refusal_at, source_name
+from pupper_analysis.models.places import Place, one_line, refusal, refusal_at
 
 MAX_BYTES: Final = 20_000_000
 """Largest file that is read."""
@@ -42,11 +42,10 @@ def parse(path: Path) -> tuple[str, etree._Element]:
         errors = [entry for entry in parser.error_log if entry.domain_name != "NAMESPACE"]
         if errors or not len(parser.error_log):
             line, message = (errors[0].line, errors[0].message) if errors else (1, str(error))
-            if "Excessive depth" in message:
-                message = f"elements are nested deeper than {MAX_DEPTH}"
-            raise ModelError(
-                source_name(path, line or None), f"not well-formed XML: {one_line(message)}"
-            ) from error
+            problem = diagnose("xml-not-well-formed", message=one_line(message))
+            if "Excessive depth" in message:  # libxml2's words
+                problem = diagnose("nested-too-deep", most=MAX_DEPTH)
+            raise refusal(Place(path, line or None), problem) from error
         # A prefix is used that is not declared, which neither Pinocchio nor MuJoCo minds.
         root = etree.fromstring(text.encode(), _parser(recover=True))
     count = 0
@@ -56,20 +55,14 @@ def parse(path: Path) -> tuple[str, etree._Element]:
         depth += 1 if event == "start" else -1
         count += event == "start"
         if depth > MAX_DEPTH:
-            raise refusal_at(path, element, f"elements are nested deeper than {MAX_DEPTH}")
+            raise refusal_at(path, element, diagnose("nested-too-deep", most=MAX_DEPTH))
         name = etree.QName(element) if ":" not in element.tag.rpartition("}")[2] else None
         if element.prefix == "xacro" or element.tag.startswith("xacro:"):
-            raise refusal_at(
-                path,
-                element,
-                "it is a xacro file; expand it first: xacro robot.urdf.xacro > robot.urdf",
-            )
+            raise refusal_at(path, element, diagnose("file-is-xacro"))
         if name is not None and name.namespace and element.prefix is None:
             element.tag = name.localname
     if count > MAX_ELEMENTS:
-        raise ModelError(
-            source_name(path), f"it has {count} elements; at most {MAX_ELEMENTS} are read"
-        )
+        raise refusal(Place(path), diagnose("too-many-elements", count=count, most=MAX_ELEMENTS))
     return text, root
 
 
@@ -86,51 +79,38 @@ def to_text(root: etree._Element) -> str:
 def _text(path: Path) -> str:
     data = standard_input.content(path) if standard_input.is_held(path) else _bytes(path)
     if len(data) > MAX_BYTES:
-        raise ModelError(
-            source_name(path), f"it has more than {MAX_BYTES // 10**6} MB, the most that is read"
-        )
+        raise refusal(Place(path), diagnose("file-too-large", most=MAX_BYTES // 10**6))
     if data.startswith(LFS_POINTER):
-        raise ModelError(
-            source_name(path), "it is a pointer of Git LFS, not the model: git lfs pull brings it"
-        )
+        raise refusal(Place(path), diagnose("model-is-lfs-pointer"))
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise ModelError(source_name(path), "it is encoded in UTF-16; save it as UTF-8")
+        raise refusal(Place(path), diagnose("encoded-in-utf-16"))
     if b"\0" in data:
         line = data.count(b"\n", 0, data.index(b"\0")) + 1
-        raise ModelError(
-            source_name(path, line), "it has a zero byte, so it is no text; give an XML file"
-        )
+        raise refusal(Place(path, line), diagnose("file-is-binary"))
     if not data.strip():
-        raise ModelError(source_name(path), "it is empty; give a URDF or an MJCF")
+        raise refusal(Place(path), diagnose("file-is-empty"))
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise ModelError(
-            source_name(path, line),
-            f"byte 0x{data[error.start]:02x} is not UTF-8; save the file as UTF-8",
-        ) from error
+        problem = diagnose("not-utf-8", byte=data[error.start])
+        raise refusal(Place(path, line), problem) from error
 
 
 def _bytes(path: Path) -> bytes:
     """Returns what a file has, up to one byte more than is read."""
     try:
         if path.is_dir():
-            raise ModelError(
-                source_name(path), "it is a folder; give the path of a URDF or MJCF file"
-            )
+            raise refusal(Place(path), diagnose("file-is-folder"))
         if not path.exists():
-            raise ModelError(
-                source_name(path), "there is no such file; give the path of a URDF or MJCF file"
-            )
+            raise refusal(Place(path), diagnose("no-such-file"))
         if not path.is_file():
-            raise ModelError(
-                source_name(path), "it is no regular file; give the path of a URDF or MJCF file"
-            )
+            raise refusal(Place(path), diagnose("file-not-regular"))
         with path.open("rb") as file:
             return file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
-        raise ModelError(source_name(path), f"cannot be read: {one_line(error)}") from error
+        problem = diagnose("file-not-read", message=one_line(error))
+        raise refusal(Place(path), problem) from error
 
 
 def _refuse_doctype(path: Path, text: str) -> None:
@@ -147,7 +127,7 @@ def _refuse_doctype(path: Path, text: str) -> None:
         at = end + len(closing)
     if text.startswith("<!", at):
         line = text.count("\n", 0, at) + 1
-        raise ModelError(source_name(path, line), "it has a DOCTYPE, which is refused; take it out")
+        raise refusal(Place(path, line), diagnose("doctype-refused"))
 
 
 _SPACE: Final = re.compile(r"\s*")

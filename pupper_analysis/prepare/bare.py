@@ -74,7 +74,7 @@ def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
     model = mjcf.compile()
     if not _has(model, robot) or (_ground(model) is None and not len(_fixed_geoms(model))):
         spec = mjcf.spec.copy()
-        name_all(spec, set(), [])
+        name_all(spec, set())
         if _ground(model) is None and not len(_fixed_geoms(model)):
             add_floor(spec)
         model = compile_spec(spec, mjcf.path)

@@ -11,6 +11,7 @@ from pupper_analysis.checks.matching_mjcf import limbs_on_the_world, mjcf_tree
 from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.checks.matching_places import at_zero
 from pupper_analysis.checks.matching_urdf import root_link, urdf_tree
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.parameters import Body, Parameters
@@ -21,36 +22,36 @@ Array = NDArray[np.float64]
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 
 
-def free_base(urdf: UrdfFile, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.MjSpec:
-    """Returns a spec in which the base of a robot with two limbs or more is free.
+def free_base(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
+    """Returns a spec in which the base of a robot with two limbs or more is free; what was done.
 
     Args:
         urdf: The URDF, which has the mass of a base that was fused with the world.
         spec: The MJCF's; it is changed.
-        notes: What was done is added.
     """
     stated = {str(joint.get("name")) for joint in urdf.root.findall("joint")}
     if any(joint.type == _FREE for joint in spec.joints):
-        return spec
-    if join_free_base(spec, urdf.path, notes, stated=stated):
-        return spec
+        return spec, []
+    joined = join_free_base(spec, urdf.path, stated=stated)
+    if joined is not None:
+        return spec, [joined]
     if len(limbs_on_the_world(spec, urdf.root)) >= 2:
-        return _unfused(urdf, spec, notes)
+        return _unfused(urdf, spec)
     bodies = list(spec.worldbody.bodies)
     size = {body.name: len(body.find_all(mujoco.mjtObj.mjOBJ_JOINT)) for body in bodies}
     base = max(bodies, key=lambda body: size[body.name], default=None)
     if base is None or list(base.joints):
-        return spec
+        return spec, []
     limbs = [
         body for body in base.bodies if body.find_all(mujoco.mjtObj.mjOBJ_JOINT) or body.joints
     ]
-    if len(limbs) >= 2:
-        base.add_freejoint()
-        notes.append(f"the MJCF holds {base.name!r} in the world: a free joint was added")
-    return spec
+    if len(limbs) < 2:
+        return spec, []
+    base.add_freejoint()
+    return spec, [diagnose("free-joint-added", subject=("body", base.name))]
 
 
-def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.MjSpec:
+def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Gives limbs that stand in the world a base: a body with the URDF's mass, and a free joint.
 
     MuJoCo fuses the root link of a URDF with the world, where its mass is lost.
@@ -58,7 +59,7 @@ def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.Mj
     tree = urdf_tree(urdf.root, urdf.path)
     inertial = tree.bodies[tree.base]
     if not inertial.mass > 0:
-        return spec
+        return spec, []
     for geom in list(spec.worldbody.geoms):
         if geom.type in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
             spec.delete(geom)  # ground, which does not move with the base
@@ -77,11 +78,8 @@ def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.Mj
     _weigh(base, inertial, _apart(tree, spec, urdf))
     with quiet():
         freed.attach(spec, frame=base.add_frame(), prefix="")
-    notes.append(
-        f"the MJCF has the limbs in the world, without a base: one was added, free, with the mass "
-        f"of the URDF's {name!r} ({inertial.mass:.4g} kg)"
-    )
-    return freed
+    mass = Quantity(inertial.mass, "kg")
+    return freed, [diagnose("base-added", subject=("link", name), mass=mass)]
 
 
 def _apart(tree: Parameters, spec: mujoco.MjSpec, urdf: UrdfFile) -> Array:
@@ -105,12 +103,11 @@ def _weigh(body: mujoco.MjsBody, inertial: Body, apart: Array) -> None:
     body.fullinertia = [tensor[place] for place in INERTIA_ENTRIES.values()]
 
 
-def free_of_friction(spec: mujoco.MjSpec, notes: list[str]) -> None:
+def free_of_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Takes dry friction off an MJCF's free joints, in place: it would hold what falls."""
+    notes = []
     for joint in spec.joints:
         if joint.type == mujoco.mjtJoint.mjJNT_FREE and joint.frictionloss:
-            notes.append(
-                f"the MJCF's free joint has dry friction of {joint.frictionloss:g} N and N m, by "
-                "which the base would hang in the air: it was taken off"
-            )
+            notes.append(diagnose("free-joint-friction-taken-off", friction=joint.frictionloss))
             joint.frictionloss = 0.0
+    return notes

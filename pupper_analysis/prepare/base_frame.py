@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.prepare.contact_points import lowest
 from pupper_analysis.robot.feet import limb_ends
@@ -12,7 +13,7 @@ from pupper_analysis.robot.feet import limb_ends
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 
 
-def lift_base_frame(spec: mujoco.MjSpec, notes: list[str]) -> None:
+def lift_base_frame(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Puts the frame of a free base to its com, in height, if no limb ends below the frame.
 
     The base's height is then one above the ground, as everywhere else. The URDF's frame follows, as
@@ -20,11 +21,13 @@ def lift_base_frame(spec: mujoco.MjSpec, notes: list[str]) -> None:
 
     Args:
         spec: The MJCF's, in which all bodies have names; it is changed.
-        notes: What was done is added.
+
+    Returns:
+        What was done.
     """
     base = next((joint.parent for joint in spec.joints if joint.type == _FREE), None)
     if base is None or list(base.frames):
-        return  # what is in a frame has its place in that
+        return []  # what is in a frame has its place in that
     with quiet():
         model = spec.copy().compile()
     data = mujoco.MjData(model)
@@ -38,7 +41,7 @@ def lift_base_frame(spec: mujoco.MjSpec, notes: list[str]) -> None:
     bottom = lowest(model, data, geoms)
     below = data.xpos[body][2] <= bottom < data.xipos[body][2] - up / 2  # of legs that hang
     if not below or turn[2, 2] < 1 - 1e-9:
-        return
+        return []
     shift = np.array([0.0, 0.0, up])
     if base.explicitinertial:
         base.ipos = base.ipos - shift
@@ -54,7 +57,4 @@ def lift_base_frame(spec: mujoco.MjSpec, notes: list[str]) -> None:
         if len(qpos) > place:
             qpos[place] += up
             key.qpos = qpos
-    notes.append(
-        f"the frame of {base.name!r} is below all limbs, on the ground: it was put {up:.3f} m "
-        "higher, to the base's com, and heights are those of it"
-    )
+    return [diagnose("base-frame-lifted", subject=("body", base.name), height=Quantity(up, "m"))]

@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import NoEquilibriumError, PupperAnalysisError
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import Configuration
@@ -129,8 +130,8 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, int]:
     return built(kp, kd, parts), kp, kd, 2 if resting else int(fed is not None)
 
 
-def advice(robot: Robot, stand: Stand) -> str | None:
-    """Says so, with gains that would hold it, if a robot falls over on servos of its own.
+def advice(robot: Robot, stand: Stand) -> Diagnostic | None:
+    """Tells so, with gains that would hold it, if a robot falls over on servos of its own.
 
     They are the robot's, and so they stay as they are.
     """
@@ -138,25 +139,25 @@ def advice(robot: Robot, stand: Stand) -> str | None:
         return None
     own = np.array(list(own_servos(robot).values()))  # of those that have a motor
     torques = stand_statics(robot, stand).joint_torques
-    said = (
-        f"the MJCF's own servos (kp {span(own[:, 0])} N m/rad) let it fall over in the start pose"
-    )
+    stiffness = span(own[:, 0], "N m/rad")
     drive = servos(robot)
     if too_stiff(robot, stand, drive):
         seen = verify_stand(robot, stand, integrator="implicitfast")
         if not _falls(seen):
-            step = 1e3 * robot.mj_model.opt.timestep
-            return (
-                f"{said}: they are too stiff for the integrator {drive.integrator} at {step:g} ms; "
-                "--integrator implicitfast would hold it, with feed-forward"
+            step = Quantity(robot.mj_model.opt.timestep, "s")
+            return diagnose(
+                "own-servos-too-stiff",
+                stiffness=stiffness,
+                integrator=drive.integrator,
+                timestep=step,
             )
     for sag in _SAGS:
         kp, kd = (
             np.full(robot.nu, gains.min()) for gains in _gains(robot, stand.qpos, torques, sag, 1)
         )
         if _rests(robot, stand, kp, kd, ways=(True,)):
-            return f"{said}; --kp {kp[0]:g} --kd {kd[0]:g} would hold it, with feed-forward"
-    return f"{said}, and none that were tried hold it"
+            return diagnose("own-servos-let-it-fall", stiffness=stiffness, kp=kp[0], kd=kd[0])
+    return diagnose("own-servos-let-it-fall", stiffness=stiffness, kp=None, kd=None)
 
 
 def _kept(
@@ -254,10 +255,10 @@ def _inertia(robot: Robot, qpos: Array) -> Array:
     return felt
 
 
-def span(values: Array) -> str:
-    """Says the least and the greatest of some numbers, or the one that all are."""
-    low, high = float(values.min()), float(values.max())
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+def span(values: ArrayLike, unit: str) -> Diagnostic:
+    """Tells the least and the greatest of some numbers, or the one that all are."""
+    low, high = float(np.min(values)), float(np.max(values))
+    return diagnose("span", least=low, most=Quantity(high, unit), wide=low != high)
 
 
 def _two_digits(value: float) -> float:

@@ -11,6 +11,7 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.xml import parse_text, to_text
@@ -108,12 +109,8 @@ def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
     heights = {body: lowest(model, data, geoms) for body, geoms in ends.items() if geoms}
     base = float(data.xpos[model.body(robot.mj_base).id][2])
     if not heights or min(heights.values()) >= base:
-        bare = ", ".join(model.body(body).name for body in ends)
-        raise ModelError(
-            robot.description.mjcf_source,
-            "no feet were found: no limb has a collision geom below the base in the start pose "
-            f"(the limbs end at {bare}); give the feet's collision geoms, or name the feet",
-        )
+        limbs = [model.body(body).name for body in ends]
+        raise ModelError(robot.description.mjcf_source, diagnose("no-feet-found", limbs=limbs))
     bottom = min(heights.values())
     away = data.xpos[list(heights)] - data.xpos[model.body(robot.mj_base).id]
     reach = float(np.linalg.norm(away, axis=1).max())
@@ -183,11 +180,9 @@ def named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) 
         )
     points = contact_points(model, data, body, geoms, joints_to(robot, body)) if geoms else ()
     if not points:
-        raise ModelError(
-            robot.description.mjcf_source,
-            f"foot {name!r}: nothing of body {model.body(body).name!r} can touch the ground; give "
-            "it a collision geom",
-        )
+        carrier = model.body(body).name
+        problem = diagnose("foot-touches-nothing", subject=("foot", name), body=carrier)
+        raise ModelError(robot.description.mjcf_source, problem)
     return Foot(name, body, points)
 
 

@@ -7,15 +7,13 @@ from dataclasses import replace
 
 from lxml import etree
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.robot import Robot
 
 _NARROWER = 1e-3
 """A limit that is further in by more is another one (rad, m): keyframes and files are rounded."""
-
-_TOLD = 3  # joints that a note tells
-
 
 _NO_LIMIT = {"effort": "0", "velocity": "0"}
 """What a <limit> must state, and means none: the readers of both engines take no ``inf``."""
@@ -24,7 +22,7 @@ _TURNS = 2 * math.pi
 """What a joint without limits may turn, either way, where loops bind it (rad): round."""
 
 
-def bounded(robot: Robot, _notes: list[str]) -> Description | None:
+def bounded(robot: Robot) -> Description | None:
     """Returns the description with limits for joints that turn round and round; None without loops.
 
     Where loops bind joints, PlaCo's constraints on joints know no others. No note tells, as the
@@ -49,7 +47,7 @@ def bounded(robot: Robot, _notes: list[str]) -> Description | None:
     return replace(robot.description, urdf=to_text(root))
 
 
-def within_both(robot: Robot, notes: list[str]) -> Description | None:
+def within_both(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
     """Returns the description with the URDF's limits narrowed to the MJCF's; None if they are.
 
     A stand at an angle that MuJoCo's limit excludes is thrown out of it by the first step.
@@ -66,7 +64,7 @@ def within_both(robot: Robot, notes: list[str]) -> Description | None:
         if inside[0] < inside[1] and (first > low + _NARROWER or last < high - _NARROWER):
             narrower[name] = inside
     if not narrower:
-        return None
+        return None, []
     root = parse_text(robot.description.urdf)
     for element in root.findall("joint"):
         name = str(element.get("name"))
@@ -79,9 +77,9 @@ def within_both(robot: Robot, notes: list[str]) -> Description | None:
             limit = etree.SubElement(element, "limit", _NO_LIMIT)
         for word, value in zip(("lower", "upper"), narrower[name], strict=True):
             limit.set(word, repr(value))
-    told = [f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in narrower.items()]
-    more = f", and {len(told) - _TOLD} more" if len(told) > _TOLD else ""
-    notes.append(
-        f"limits that are narrower in the MJCF are kept, too: {', '.join(told[:_TOLD])}{more}"
-    )
-    return replace(robot.description, urdf=to_text(root))
+    told = [
+        diagnose("joint-range", subject=("joint", name), lower=low, upper=high)
+        for name, (low, high) in narrower.items()
+    ]
+    noted = [diagnose("narrower-limits-kept", joints=told)]
+    return replace(robot.description, urdf=to_text(root)), noted

@@ -16,13 +16,14 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.checks.matching import match
 from pupper_analysis.checks.matching_mjcf import name_all
 from pupper_analysis.checks.passive.mimics import urdf_mimics
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_drives import Drive, MadeServo, drive_of
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
-from pupper_analysis.prepare import drives, start, touching, words
+from pupper_analysis.prepare import drives, notes, start, touching
 from pupper_analysis.prepare.base import free_base, free_of_friction
 from pupper_analysis.prepare.base_frame import lift_base_frame
 from pupper_analysis.prepare.feet import (
@@ -42,7 +43,7 @@ from pupper_analysis.prepare.solver import inexact, solvable
 from pupper_analysis.prepare.start_pose import started
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.feet import limb_ends
-from pupper_analysis.robot.floor import NO_GROUND, level_ground
+from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 
@@ -155,12 +156,12 @@ def _frames(feet: Feet) -> dict[str, tuple[str, str]]:
     """
     named = dict(feet) if isinstance(feet, Mapping) else {foot: foot for foot in feet}
     if len(named) < len(feet):
-        raise ConfigurationError("feet", f"one is named twice in {', '.join(map(str, feet))}")
+        raise ConfigurationError("feet", diagnose("feet-named-twice", feet=map(str, feet)))
     frames = {}
     for foot, frame in named.items():
         pair = (frame, frame) if isinstance(frame, str) else tuple(np.atleast_1d(frame).tolist())
         if len(pair) != 2 or not all(isinstance(name, str) for name in pair):
-            problem = f"{foot}: {frame!r} is neither a frame's name nor a pair of names"
+            problem = diagnose("foot-frame-not-valid", subject=("foot", foot), frame=repr(frame))
             raise ConfigurationError("feet", problem)
         frames[foot] = (str(pair[0]), str(pair[1]))
     return frames
@@ -212,7 +213,7 @@ def _as_it_is(
         return None  # joints that turn round and round, which are given limits
     if robot.floating and (several(robot.mj_model) or inexact(robot) is not None):
         return None
-    said = (*words.bound(robot), *words.uncommanded(robot))
+    said = (*notes.bound(robot), *notes.uncommanded(robot))
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *said, *robot.notes))
 
 
@@ -235,18 +236,17 @@ def _free_if_it_stands(mjcf: MjcfFile, prepared: Callable[..., Robot]) -> Robot:
         if not held:
             raise
         with contextlib.suppress(ModelError):
-            return _kept_in_the_world(prepared, error.problem)
+            return _kept_in_the_world(prepared, error.cause)
         raise
     if held and robot.floating and start.first_stand(robot) is None:
-        return _kept_in_the_world(prepared, "it stands on no feet")
+        return _kept_in_the_world(prepared, diagnose("stands-on-no-feet"))
     return robot
 
 
-def _kept_in_the_world(prepared: Callable[..., Robot], why: str) -> Robot:
-    """Returns a robot with its base where the MJCF has it, and says why."""
+def _kept_in_the_world(prepared: Callable[..., Robot], why: Diagnostic) -> Robot:
+    """Returns a robot with its base where the MJCF has it, and tells why."""
     robot = prepared(fixed_base=True)
-    said = f"its base is kept in the world, as the MJCF has it (--fixed-base, fixed_base): {why}"
-    return replace(robot, notes=(*robot.notes, said))
+    return replace(robot, notes=(*robot.notes, diagnose("base-kept-in-the-world", why=why)))
 
 
 def _ground_to_mend(spec: mujoco.MjSpec) -> bool:
@@ -254,11 +254,9 @@ def _ground_to_mend(spec: mujoco.MjSpec) -> bool:
 
     Or a base that hangs by its free joint's friction.
     """
-    changed: list[str] = []
     mine = spec.copy()
-    level_ground(mine, changed)
-    free_of_friction(mine, changed)
-    return bool(set(changed) - {NO_GROUND})
+    changed = [*level_ground(mine), *free_of_friction(mine)]
+    return any(change.code != "ground-added" for change in changed)
 
 
 def _prepared(
@@ -273,88 +271,89 @@ def _prepared(
     as_is: bool,
 ) -> Robot:
     """Builds the robot from files that may not be ready."""
-    notes: list[str] = []
     spec = mjcf.spec.copy()
-    name_all(spec, set(), [])
+    name_all(spec, set())
     known = start.chosen(mjcf, start.keyframes(spec), keyframe)
+    told: list[Diagnostic] = []
     if not fixed_base:
-        spec = free_base(urdf, spec, notes)
-        lift_base_frame(spec, notes)
+        spec, told = free_base(urdf, spec)
+        told += lift_base_frame(spec)
     matched = match(urdf, replace(mjcf, spec=spec), names=joints, complete=True)
-    notes += [*map(str, matched.notes), *words.said(matched)]
-    whole = with_parts(matched, spec, notes) or matched.robot.description
-    description = coupled(matched, replace(whole, name=name or spec.modelname), notes)
+    whole, weighed = with_parts(matched, spec)
+    named = replace(whole or matched.robot.description, name=name or spec.modelname)
+    description, bound = coupled(matched, named)
+    told += [*matched.notes, *notes.joints(matched), *weighed, *bound]
     if fixed_base or not matched.robot.floating:
         if frames:
-            raise ModelError(
-                mjcf.path,
-                "with a fixed base, feet are frames that both files name, and the joints the same",
-            )
+            raise ModelError(mjcf.path, diagnose("feet-of-fixed-base"))
         robot = build_robot(description, fixed_base=fixed_base)
-        return replace(robot, notes=(*notes, *robot.notes))
+        return replace(robot, notes=(*told, *robot.notes))
     ready = description.mjcf.copy()
-    level_ground(ready, notes)
-    free_of_friction(ready, notes)
-    one_at_each_joint(ready, mjcf.path, notes)
+    told += [*level_ground(ready), *free_of_friction(ready)]
+    told += one_at_each_joint(ready, mjcf.path)
     bare = build_robot(replace(description, mjcf=ready))
-    for limited in (bounded, within_both):
-        other = limited(bare, notes)
-        bare = bare if other is None else build_robot(other)
+    ended = bounded(bare)
+    bare = bare if ended is None else build_robot(ended)
+    limited, narrowed = within_both(bare)
+    bare = bare if limited is None else build_robot(limited)
+    told += narrowed
     check_masses(bare, urdf)
     poses = [start.inside(bare, pose) for pose in (*known.values(), None)]
     try:
         feet = _feet(bare, frames, poses)
     except ModelError as error:
-        gone = [note for note in mjcf.notes if "mesh file(s) missing" in note]
+        gone = [note for note in mjcf.notes if note.code == "files-missing"]
+        gone = [note for note in gone if note.values["kind"] == "mesh"]
         if not gone:
             raise
-        gone += [note for note in mjcf.notes if "of Git LFS" in note] or ["put them there"]
-        raise ModelError(mjcf.path, "; ".join([*gone, error.problem])) from error
+        pointers = [note for note in mjcf.notes if note.code == "files-are-lfs-pointers"]
+        problem = diagnose(
+            "no-feet-as-files-are-missing", problem=error.cause, missing=gone, pointers=pointers
+        )
+        raise ModelError(mjcf.path, problem) from error
     if not feet:
-        return replace(bare, notes=(*notes, *bare.notes))
-    notes.append(words.named(bare, feet, given=frames is not None))
+        return replace(bare, notes=(*told, *bare.notes))
+    told.append(notes.named(bare, feet, given=frames is not None))
     apart = {foot.name: apart_at(bare, foot) for foot in feet}
     worst = max(apart, key=apart.__getitem__)
     if apart[worst] > _APART:
-        notes.append(
-            f"at zero angles the last joint of foot {worst} is {1e3 * apart[worst]:.0f} mm off in "
-            "the URDF: the two files are not of one robot (pupper-analysis crosscheck says more)"
-        )
-    notes += words.balls(bare, feet)
+        off = Quantity(apart[worst], "m")
+        told.append(diagnose("last-joint-elsewhere", subject=("foot", worst), off=off))
+    told += notes.balls(bare, feet)
     robot = build_robot(with_feet(bare, feet))
-    robot = _completed(robot, mjcf, known, notes, as_is=as_is)
-    return replace(robot, notes=(*notes, *(n for n in robot.notes if n not in notes)))
+    robot, completed = _completed(robot, mjcf, known, as_is=as_is)
+    return replace(robot, notes=tuple(dict.fromkeys((*told, *completed, *robot.notes))))
 
 
 def _completed(
     robot: Robot,
     mjcf: MjcfFile,
     known: Mapping[str, Mapping[str, float]],
-    notes: list[str],
     *,
     as_is: bool,
-) -> Robot:
+) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot with feet what else it needs to stand: a start pose, and servos.
 
     As it is, it is given a start pose alone.
     """
     if not as_is:
         robot = drives.with_motors(robot)
-    notes += words.planar(robot)
-    robot = started(robot, known, notes)
-    if not as_is:
-        robot = touching.apart(touching.on_feet_alone(robot, notes), notes)
-        robot = solvable(robot, notes)
-    notes += (*words.bound(robot), *words.uncommanded(robot))
+    told = list(notes.planar(robot))
+    robot, pose = started(robot, known)
+    told += pose
+    for step in () if as_is else (touching.on_feet_alone, touching.apart, solvable):
+        robot, done = step(robot)
+        told += done
+    told += (*notes.bound(robot), *notes.uncommanded(robot))
     if as_is:
-        return robot
+        return robot, told
     idle = {robot.joint_names[joint] for joint in drives.following(robot)}
     if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
-        robot = _driven(robot, mjcf, notes)
-    else:
-        stand = start.first_stand(robot)
-        notes += filter(None, [drives.advice(robot, stand) if stand is not None else None])
-    return robot
+        robot, made = _driven(robot, mjcf)
+        return robot, told + made
+    stand = start.first_stand(robot)
+    advice = None if stand is None else drives.advice(robot, stand)
+    return robot, told if advice is None else [*told, advice]
 
 
 def _feet(
@@ -365,11 +364,11 @@ def _feet(
     return tuple(named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
 
 
-def _driven(robot: Robot, mjcf: MjcfFile, notes: list[str]) -> Robot:
+def _driven(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot position servos with suggested gains, if it stands."""
     stand = start.first_stand(robot)
     if stand is None:
-        return robot
+        return robot, []
     own = own_servos(robot)
     built, kp, kd, rests = drives.driven(robot, stand)
     idle = drives.following(robot)
@@ -380,15 +379,10 @@ def _driven(robot: Robot, mjcf: MjcfFile, notes: list[str]) -> Robot:
             joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
             what = Drive.NONE if joint < 0 else drive_of(model, joint)
             made.append(MadeServo(name, float(kp[index]), float(kd[index]), what))
-    notes += words.made(made, len(own), built.mj_model.opt.timestep)
+    told = [*notes.made(made, len(own), built.mj_model.opt.timestep)]
     if not rests:
-        notes.append(
-            "with none of the servos that were tried does it come to rest in the start pose, with "
-            "feed-forward and without: give --kp and --kd, or another --keyframe"
-        )
+        told.append(diagnose("no-servos-bring-it-to-rest"))
     elif rests == 1:
-        notes.append(
-            "on these servos it comes to rest in the start pose with feed-forward alone: without, "
-            "it slides or sinks"
-        )
-    return replace(built, description=replace(built.description, made_servos=tuple(made)))
+        told.append(diagnose("rests-with-feed-forward-alone"))
+    described = replace(built.description, made_servos=tuple(made))
+    return replace(built, description=described), told

@@ -7,13 +7,14 @@ from dataclasses import replace
 import mujoco
 
 from pupper_analysis.checks.matching import Match
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.description import Description
 
 _TIME = 5e-3
 """Time constant of the couplings (s): MuJoCo's own, 20 ms, lets fingers of grammes open far."""
 
 
-def coupled(matched: Match, description: Description, notes: list[str]) -> Description:
+def coupled(matched: Match, description: Description) -> tuple[Description, list[Diagnostic]]:
     """Returns the description with the URDF's ``<mimic>`` in its MJCF, where that says nothing.
 
     A joint that has a motor of its own in the MJCF, or is bound there, stays as it is; so does one
@@ -22,7 +23,9 @@ def coupled(matched: Match, description: Description, notes: list[str]) -> Descr
     Args:
         matched: The two files.
         description: What is to be built of them.
-        notes: Where it is said.
+
+    Returns:
+        The description, and what was done.
     """
     spec = description.mjcf.copy()
     driven = {actuator.target for actuator in spec.actuators}
@@ -50,15 +53,6 @@ def coupled(matched: Match, description: Description, notes: list[str]) -> Descr
         step = float(spec.option.timestep)
         equality.solref = (max(_TIME, 2 * step), 1.0)
         added.append(name)
-    if added:
-        notes.append(
-            f"joints that follow others in the URDF (<mimic>), and now in the MJCF: "
-            f"{', '.join(added)}"
-        )
-    if free:
-        notes.append(
-            "joints that follow others in the URDF (<mimic>), and have a motor of their own in "
-            "the MJCF, or a coupling that is switched off, or follow what it lacks: "
-            f"{', '.join(free)}; they are taken as free"
-        )
-    return replace(description, mjcf=spec) if added else description
+    notes = [diagnose("mimics-coupled", joints=added)] if added else []
+    notes += [diagnose("mimics-taken-as-free", joints=free)] if free else []
+    return (replace(description, mjcf=spec) if added else description), notes

@@ -7,11 +7,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 
 
-def one_at_each_joint(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> None:
+def one_at_each_joint(spec: mujoco.MjSpec, source: Path) -> list[Diagnostic]:
     """Takes the motors at a joint together, in place.
 
     A stand has one command per joint, from which all of them would have to be told: MuJoCo adds up
@@ -21,12 +22,14 @@ def one_at_each_joint(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> No
     Args:
         spec: The MJCF's; it has no keyframes.
         source: Its file.
-        notes: What was done is added.
+
+    Returns:
+        What was done.
     """
     model = compile_spec(spec.copy(), source)
     joints = several(model)
     if not joints:
-        return
+        return []
     actuators = list(spec.actuators)
     gone = set[int]()
     for drives in joints.values():
@@ -36,11 +39,7 @@ def one_at_each_joint(spec: mujoco.MjSpec, source: Path, notes: list[str]) -> No
     for index in sorted(gone, reverse=True):
         _delete(spec, actuators[index])
     names = [str(model.joint(joint).name) for joint in joints]
-    listed = ", ".join(names[:4]) + (" …" if names[4:] else "")
-    notes.append(
-        f"several motors at {len(names)} joints ({listed}) were taken together as one each: gains "
-        "of position and velocity servos were added, and other motors beside one left out"
-    )
+    return [diagnose("motors-taken-together", joints=names)]
 
 
 def several(model: mujoco.MjModel) -> dict[int, list[int]]:

@@ -9,6 +9,7 @@ import mujoco
 from lxml import etree
 
 from pupper_analysis.checks.matching import Match
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.configuration import Configuration
@@ -16,10 +17,8 @@ from pupper_analysis.robot.configuration import Configuration
 _ALIKE = 1e-3
 """Share of the weight within which the parts are what the URDF lacks; rounded files have 1e-4."""
 
-_TOLD = 4  # parts that a note names
 
-
-def with_parts(matched: Match, spec: mujoco.MjSpec, notes: list[str]) -> Description | None:
+def with_parts(matched: Match, spec: mujoco.MjSpec) -> tuple[Description | None, list[Diagnostic]]:
     """Returns the description with the weight of loops' parts, the MJCF's alone, in the URDF too.
 
     Rods and cranks behind motors, which a tree cannot close, are held at zero: they weigh there.
@@ -29,10 +28,10 @@ def with_parts(matched: Match, spec: mujoco.MjSpec, notes: list[str]) -> Descrip
     Args:
         matched: The two files.
         spec: The MJCF with all its joints.
-        notes: Where it is said.
 
     Returns:
-        None if there are none, or the files differ otherwise.
+        The description; None if there are no such parts, or the files differ otherwise. And what
+        was done.
     """
     robot, model = matched.robot, matched.robot.mj_model
     names = [name for name in _part_bodies(spec, matched.opened) if _known(model, name)]
@@ -40,13 +39,13 @@ def with_parts(matched: Match, spec: mujoco.MjSpec, notes: list[str]) -> Descrip
     mass = float(sum(model.body_mass[body] for body in bodies))
     whole = float(model.body_subtreemass[model.body(robot.mj_base).id])
     if mass <= _ALIKE * whole or abs(robot.total_mass + mass - whole) > _ALIKE * whole:
-        return None
+        return None, []
     carriers = {
         int(model.body_weldid[model.body(body).id]): matched.urdf_link[moved]
         for moved, body in matched.mjcf_body.items()
     }
     if any(int(model.body_weldid[body]) not in carriers for body in bodies):
-        return None
+        return None, []
     data, config = mujoco.MjData(model), Configuration(robot, robot.neutral())
     robot.mj_convention.set_state(data, robot.neutral())
     mujoco.mj_kinematics(model, data)
@@ -68,12 +67,8 @@ def with_parts(matched: Match, spec: mujoco.MjSpec, notes: list[str]) -> Descrip
         joint = etree.SubElement(root, "joint", name=f"{part.get('name')} (held)", type="fixed")
         etree.SubElement(joint, "parent", link=link)
         etree.SubElement(joint, "child", link=str(part.get("name")))
-    more = f" and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
-    notes.append(
-        f"parts of loops that only the MJCF has, of {mass:.4g} kg, which is what the URDF lacks, "
-        f"weigh in both: {', '.join(names[:_TOLD])}{more}"
-    )
-    return replace(robot.description, urdf=to_text(root))
+    noted = [diagnose("parts-weigh-in-both", bodies=names, mass=Quantity(mass, "kg"))]
+    return replace(robot.description, urdf=to_text(root)), noted
 
 
 def _part_bodies(spec: mujoco.MjSpec, joints: Sequence[str]) -> list[str]:

@@ -7,9 +7,9 @@ import math
 import mujoco
 import numpy as np
 
-from pupper_analysis.errors import ModelError
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.places import Place, source_name
+from pupper_analysis.models.places import Place, refusal
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.robot.configuration import Configuration
@@ -39,39 +39,26 @@ def check_simulable(mjcf: MjcfFile) -> None:
         ModelError: If one is beyond what has a meaning; it names the file, the line and the value.
     """
     model = mjcf.compile()
-    for word, value, valid, good in (
+    low, high = _TIMESTEPS
+    step, ratio = float(model.opt.timestep), float(model.opt.impratio)
+    rounds, tolerance = int(model.opt.iterations), float(model.opt.tolerance)
+    for word, good, problem in (
         (
             "timestep",
-            float(model.opt.timestep),
-            "{:g} to {:g} s are simulated; 0.002 is MuJoCo's own".format(*_TIMESTEPS),
-            _TIMESTEPS[0] <= model.opt.timestep <= _TIMESTEPS[1],
+            low <= step <= high,
+            diagnose("timestep-not-simulated", value=step, low=low, high=high),
         ),
-        (
-            "impratio",
-            float(model.opt.impratio),
-            "it is a positive number; 1 is MuJoCo's own",
-            0 < model.opt.impratio < math.inf,
-        ),
-        (
-            "iterations",
-            float(model.opt.iterations),
-            "the solver of contacts needs one at least; 100 is MuJoCo's own",
-            model.opt.iterations >= 1,
-        ),
+        ("impratio", 0 < ratio < math.inf, diagnose("impratio-not-valid", value=ratio)),
+        ("iterations", rounds >= 1, diagnose("iterations-not-valid", value=rounds)),
         (
             "tolerance",
-            float(model.opt.tolerance),
-            f"the solver ends before contact forces mean anything; it is {_TOLERANCE:g} at most, "
-            "1e-8 is MuJoCo's own",
-            0 <= model.opt.tolerance <= _TOLERANCE,
+            0 <= tolerance <= _TOLERANCE,
+            diagnose("tolerance-not-valid", value=tolerance, most=_TOLERANCE),
         ),
     ):
         if not good:
             stated = (place for words, place in mjcf.elements("option") if word in words)
-            place = next(stated, Place(mjcf.path))
-            raise ModelError(
-                source_name(place.file, place.line), f'<option {word}="{value:g}">: {valid}'
-            )
+            raise refusal(next(stated, Place(mjcf.path)), problem)
     _check_rotors(mjcf, model)
     _check_lengths(mjcf, model)
     _check_motors(mjcf, model)
@@ -84,11 +71,8 @@ def _check_rotors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
             model.joint(int(model.dof_jntid[dof])).name,
         )
         if armature < 0:
-            place = mjcf.place("joint", joint)
-            raise ModelError(
-                source_name(place.file, place.line),
-                f'joint {joint!r} has armature="{armature:g}": no rotor has a negative inertia',
-            )
+            problem = diagnose("armature-negative", subject=("joint", joint), armature=armature)
+            raise refusal(mjcf.place("joint", joint), problem)
 
 
 def _check_lengths(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
@@ -104,11 +88,15 @@ def _check_lengths(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
         for found in np.flatnonzero(far)[:1]:
             name = str(getattr(model, kind)(int(found)).name)
             place = mjcf.place("contact" if kind == "pair" else kind, name)
-            value = " ".join(f"{number:g}" for number in numbers[found])
-            raise ModelError(
-                source_name(place.file, place.line),
-                f'{kind} {name!r} has {field}="{value}": no robot needs more than {_FARTHEST:g} m',
+            most = Quantity(_FARTHEST, "m")
+            problem = diagnose(
+                "length-of-no-robot",
+                subject=(kind, name),
+                field=field,
+                value=" ".join(f"{number:g}" for number in numbers[found]),
+                most=most,
             )
+            raise refusal(place, problem)
 
 
 def _check_motors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
@@ -116,22 +104,21 @@ def _check_motors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
         if model.actuator_armature[motor] < 0:
             name = model.actuator(motor).name
             place = mjcf.place("actuator", name) if name else mjcf.numbered("actuator", motor)
-            raise ModelError(
-                source_name(place.file, place.line),
-                f'actuator {name!r} has armature="{model.actuator_armature[motor]:g}": no rotor '
-                "has a negative inertia",
-            )
+            armature = float(model.actuator_armature[motor])
+            problem = diagnose("armature-negative", subject=("actuator", name), armature=armature)
+            raise refusal(place, problem)
         if not is_at_one_joint(model, motor):
             continue
         gear = float(actuator_gear(model, motor)[0])
         if gear and not _GEARS[0] <= abs(gear) <= _GEARS[1]:
             joint = str(model.joint(int(model.actuator_trnid[motor, 0])).name)
             place = mjcf.place("actuator", model.actuator(motor).name or joint)
-            raise ModelError(
-                source_name(place.file, place.line),
-                f'the actuator of joint {joint!r} has gear="{gear:g}": no motor has less than '
-                f"{_GEARS[0]:g} or more than {_GEARS[1]:g}",
+            least, most = _GEARS
+            driven = "joint", joint
+            problem = diagnose(
+                "gear-of-no-motor", subject=driven, gear=gear, least=least, most=most
             )
+            raise refusal(place, problem)
 
 
 def check_masses(robot: Robot, urdf: UrdfFile) -> None:
@@ -143,9 +130,5 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
     felt = np.diag(Configuration(robot, robot.home).mass_matrix())[robot.nv - robot.nu :]
     for name, inertia in zip(robot.joint_names, felt.tolist(), strict=True):
         if inertia <= 0:
-            place = urdf.place("joint", name)
-            raise ModelError(
-                source_name(place.file, place.line),
-                f"joint {name!r} moves nothing that has a mass, and has no armature: give the link "
-                "that it moves an <inertial>, or the joint an armature in the MJCF",
-            )
+            problem = diagnose("joint-moves-no-mass", subject=("joint", name))
+            raise refusal(urdf.place("joint", name), problem)

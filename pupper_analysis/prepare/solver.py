@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.exactness import INEXACT, left_out
 from pupper_analysis.robot.robot import Robot
@@ -22,29 +23,23 @@ def inexact(robot: Robot) -> float | None:
     return share if share > INEXACT else None
 
 
-def solvable(robot: Robot, notes: list[str]) -> Robot:
+def solvable(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot dense matrices if MuJoCo's solver is exact with these alone.
 
     Args:
         robot: The robot, with a free base.
-        notes: To say so in, or that nothing helps.
+
+    Returns:
+        The robot, and that it was done, or that nothing helps.
     """
-    share = inexact(robot)
-    if share is None:
-        return robot
-    said = (
-        f"MuJoCo's solver, as the MJCF sets it, leaves forces of {100 * share:.2g} % of the weight "
-        "out of the equation of motion"
-    )
+    part = inexact(robot)
+    if part is None:
+        return robot, []
+    share = Quantity(part, "1")
     if mujoco.mj_isSparse(robot.mj_model):
         spec = robot.description.mjcf.copy()
         spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         dense = rebuilt(robot, mjcf=spec)
         if inexact(dense) is None:
-            notes.append(f'{said}: jacobian="dense", with which it does not, was taken')
-            return dense
-    notes.append(
-        f"{said}: how the robot moves is not to be trusted; give <option> more iterations and "
-        "ls_iterations, or another solver"
-    )
-    return robot
+            return dense, [diagnose("solver-made-dense", share=share)]
+    return robot, [diagnose("solver-inexact", share=share)]

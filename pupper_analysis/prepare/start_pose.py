@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.prepare import start, touching
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import Configuration
@@ -17,7 +18,9 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 
-def started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list[str]) -> Robot:
+def started(
+    robot: Robot, known: Mapping[str, Mapping[str, float]]
+) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot a start pose: a keyframe's in which it stands, or one that is found.
 
     What is on its feet's bodies beside the feet is not in the way: see ``touching``.
@@ -25,7 +28,9 @@ def started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list[
     Args:
         robot: The robot with feet.
         known: {keyframe: {joint: position}}, those to be tried first.
-        notes: Which it is is added.
+
+    Returns:
+        The robot, and which pose it is.
     """
     whole, robot = robot, touching.with_bare_feet(robot)
     standing = {name: pose for name, pose in known.items() if start.stands_at(robot, pose)}
@@ -35,24 +40,19 @@ def started(robot: Robot, known: Mapping[str, Mapping[str, float]], notes: list[
         for nominal in (np.zeros(robot.nu), home):
             tried = replace(at_home, nominal=nominal)
             if start.first_stand(tried) is not None:
-                notes.append(f"start pose: keyframe {name!r} of the MJCF")
+                notes = [diagnose("start-pose-is-keyframe", subject=("keyframe", name))]
                 if nominal is home:
-                    notes.append("the feet's places are those of the start pose")
-                return _kept(tried)
+                    notes.append(diagnose("feet-placed-by-start-pose"))
+                return _kept(tried), notes
     poses = [*(start.inside(robot, pose) for pose in known.values()), start.inside(robot)]
     bounded = np.isfinite(robot.lower_limits) & np.isfinite(robot.upper_limits)
     low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
     middle = (low + high) / 2
     found = start.found_start(robot, [*poses, middle])
     if found is None:
-        notes.append("no start pose was found in which the robot stands")
-        return whole
-    why = "no keyframe in which it stands" if known else "no keyframe"
-    notes.append(
-        f"the MJCF has {why}: a stand was found, {found.stand_height:.3f} m high, in the middle of "
-        "what the legs reach"
-    )
-    return _kept(found)
+        return whole, [diagnose("no-start-pose")]
+    height = Quantity(found.stand_height, "m")
+    return _kept(found), [diagnose("start-pose-found", height=height, keyframes=bool(known))]
 
 
 def _at(robot: Robot, joints: Array) -> Robot:

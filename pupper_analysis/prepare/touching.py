@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import mujoco
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.prepare import start
 from pupper_analysis.robot.build import rebuilt
@@ -30,12 +31,12 @@ def with_bare_feet(robot: Robot) -> Robot:
     return replace(robot, mj_model=model)
 
 
-def on_feet_alone(robot: Robot, notes: list[str]) -> Robot:
+def on_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Keeps shapes beside a foot, of its own body, off the ground into which the foot sinks."""
     try:
         stand = sunk_stand(with_bare_feet(robot), explain=False)
     except PupperAnalysisError:
-        return robot
+        return robot, []
     model, own = robot.mj_model, start.feet_bodies(robot)
     beside = {
         geom
@@ -43,25 +44,23 @@ def on_feet_alone(robot: Robot, notes: list[str]) -> Robot:
         if int(model.body_weldid[model.geom_bodyid[geom]]) in own
     }
     if not beside:
-        return robot
+        return robot, []
     spec = robot.description.mjcf.copy()
     spec.compile()
     for geom in spec.geoms:
         if geom.id in beside:
             geom.contype = geom.conaffinity = 0
     bodies = sorted({model.body(int(model.geom_bodyid[geom])).name for geom in beside})
-    notes.append(
-        f"shapes of {', '.join(bodies)} reach down beside the feet, which sink into the ground by "
-        f"{1e3 * max(stand.depths.values()):.1f} mm: they were kept from touching"
-    )
-    return rebuilt(robot, mjcf=spec)
+    depth = Quantity(max(stand.depths.values()), "m")
+    noted = [diagnose("shapes-beside-feet-do-not-touch", bodies=bodies, depth=depth)]
+    return rebuilt(robot, mjcf=spec), noted
 
 
-def apart(robot: Robot, notes: list[str]) -> Robot:
+def apart(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Keeps bodies that overlap in the start pose from pushing each other apart."""
     stand = start.first_stand(robot)
     if stand is None:
-        return robot
+        return robot, []
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
     mujoco.mj_forward(model, data)
@@ -72,12 +71,12 @@ def apart(robot: Robot, notes: list[str]) -> Robot:
             one, two = sorted(str(model.body(int(body)).name) for body in bodies)
             deep[one, two] = max(deep.get((one, two), 0.0), -float(touch.dist))
     if not deep:
-        return robot
+        return robot, []
     spec = robot.description.mjcf.copy()
     for one, two in deep:
         spec.add_exclude(bodyname1=one, bodyname2=two)
-    pairs = ", ".join(f"{one} and {two} by {1e3 * by:.1f} mm" for (one, two), by in deep.items())
-    notes.append(
-        f"bodies overlap in the start pose: {pairs}; they were kept from pushing each other apart"
-    )
-    return rebuilt(robot, mjcf=spec)
+    pairs = [
+        diagnose("bodies-overlap", one=one, two=two, depth=Quantity(by, "m"))
+        for (one, two), by in deep.items()
+    ]
+    return rebuilt(robot, mjcf=spec), [diagnose("overlapping-bodies-do-not-touch", pairs=pairs)]

@@ -36,4 +36,4 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
     robot = build_robot(
         describe(spec), fixed_base=fixed_base, foot_depth=base.foot_depth(spec.leg_scale)
     )
-    return replace(robot, notes=(*filter(None, [base.remark]), *robot.notes))
+    return replace(robot, notes=(*base.remarks(), *robot.notes))

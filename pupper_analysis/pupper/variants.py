@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from pupper_analysis.arguments import finite
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError, VariantError
 
 _LONGEST_NAME = 200
@@ -38,7 +39,7 @@ class Base:
         feet: For each foot, the name that both its URDF link and its MJCF site have.
         foot_depth: How far below the hips the nominal stand has its feet (m), by leg_scale.
         ballast: Drawn on the back when the torso is heavier than the original's.
-        remark: What its users should know.
+        remarks: Returns what its users should know.
     """
 
     urdf: str
@@ -46,7 +47,7 @@ class Base:
     feet: Mapping[str, str]
     foot_depth: Callable[[float], float]
     ballast: Box
-    remark: str = ""
+    remarks: Callable[[], tuple[Diagnostic, ...]] = tuple
 
 
 BASES: Mapping[str, Base] = MappingProxyType(
@@ -69,10 +70,7 @@ BASES: Mapping[str, Base] = MappingProxyType(
             },
             foot_depth=lambda leg_scale: 0.11156 * leg_scale,
             ballast=Box((0.065, 0.042, 0.018), (0.01, 0.0, 0.0965)),
-            remark=(
-                "joint axes: leg_*_1 turns about y (it pitches the leg) and leg_*_2 about x (it "
-                "rolls the leg), though tutorials list them as HAA (roll) and HFE (pitch)"
-            ),
+            remarks=lambda: (diagnose("first-joints-pitch"),),
         ),
     }
 )

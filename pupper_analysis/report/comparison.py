@@ -90,7 +90,7 @@ def effects_told(difference: Difference) -> Diagnostic:
 def remarks(comparison: Comparison) -> list[Annotation]:
     """Returns a remark per difference, at its place in the URDF, and one per joint left over."""
     urdf = comparison.urdf
-    found = [_remark("part", "part", part, urdf) for part in comparison.parts]
+    found = [_remark("part", "part", str(part), urdf) for part in comparison.parts]
     for cause in comparison.causes:
         place = comparison.differences[cause.differences[0]]
         text = f"{cause.message} [{place.mjcf_place}]"

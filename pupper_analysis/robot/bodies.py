@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.robot.robot import Robot
 
@@ -26,9 +27,11 @@ def check_bodies(robot: Robot) -> None:
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         moments = np.linalg.eigvalsh(inertia.inertia)
         if inertia.mass < 0 or moments[0] < -_ROUNDING * np.abs(moments).max():
-            body = "the base" if name == "root_joint" else f"what joint {name!r} moves"
-            raise ModelError(
-                robot.description.urdf_source,
-                f"{body} has a mass of {inertia.mass:.6g} kg and moments of inertia from "
-                f"{moments[0]:.6g} kg m^2, which no body has; `audit` tells which link",
+            problem = diagnose(
+                "inertial-of-no-body",
+                subject=None if name == "root_joint" else ("joint", name),
+                joint=None if name == "root_joint" else name,
+                mass=Quantity(inertia.mass, "kg"),
+                moment=Quantity(moments[0], "kg m^2"),
             )
+            raise ModelError(robot.description.urdf_source, problem)

@@ -15,19 +15,21 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
 from pupper_analysis.models.conversion import gravity, joint_armature
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.parameters import joint_placements
+from pupper_analysis.models.places import one_line
 from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
-from pupper_analysis.robot.efforts import efforts_in_words, efforts_of
+from pupper_analysis.robot.efforts import effort_notes, efforts_of
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
-from pupper_analysis.robot.floor import NO_GROUND, add_floor, floor_of
-from pupper_analysis.robot.options import options_in_words
+from pupper_analysis.robot.floor import add_floor, floor_of
+from pupper_analysis.robot.options import option_notes
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -48,8 +50,7 @@ def build_robot(
         ModelError: If a model cannot be built, or the two do not have the same joints.
         UnknownNameError: If a foot is not in a model.
     """
-    notes: list[str] = []
-    mj_model, keyframe = _mujoco_model(description, fixed_base, notes)
+    mj_model, keyframe, added = _mujoco_model(description, fixed_base)
     floating = bool((mj_model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any())
     joint_names = _actuator_order(mj_model, description.mjcf_source)
     mj_base = _base_body(mj_model, floating, joint_names)
@@ -58,7 +59,7 @@ def build_robot(
     mj_convention = MujocoConvention.of(mj_model, joint_names)
     pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
-    notes += [*options_in_words(mj_model), *_at_rest(mj_model)]
+    notes = [*added, *option_notes(mj_model), *_at_rest(mj_model)]
     notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention, joint_names)
     foot_frames = {foot: frames[0] for foot, frames in description.feet.items()}
     for frame in foot_frames.values():
@@ -132,26 +133,20 @@ def rebuilt(robot: Robot, **changes: Any) -> Robot:
     )
 
 
-def _at_rest(mj_model: mujoco.MjModel) -> list[str]:
-    """Says what of the MJCF acts at rest; gravity compensation by motors becomes passive, in place.
+def _at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
+    """Tells what acts at rest; gravity compensation by motors becomes passive, in place.
 
     MuJoCo counts it as the motors' torque; here it is what they are relieved of.
     """
     notes = []
     if acts_at_rest(mj_model):
-        notes.append(
-            "springs and gravity compensation are the MJCF's, and what motors hold is without "
-            "them: URDF cannot carry them"
-        )
+        notes.append(diagnose("springs-are-the-mjcfs"))
     if mj_model.body_gravcomp.any() and mj_model.jnt_actgravcomp.any():
         names = [
             mj_model.joint(int(joint)).name for joint in np.flatnonzero(mj_model.jnt_actgravcomp)
         ]
         mj_model.jnt_actgravcomp[:] = 0
-        notes.append(
-            f"gravity compensation through motors ({', '.join(names)}) is taken as passive: what "
-            "they hold is without it"
-        )
+        notes.append(diagnose("gravity-compensation-passive", joints=names))
     return notes
 
 
@@ -161,13 +156,13 @@ def _take_armature(
     pin_model: pin.Model,
     pin_convention: PinocchioConvention,
     joint_names: Sequence[str],
-) -> list[str]:
+) -> list[Diagnostic]:
     """Gives Pinocchio's model the armature of MuJoCo's, in place; returns notes about it.
 
     And about efforts, in which the files may differ.
     """
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {})
-    notes = efforts_in_words(limits)
+    notes = effort_notes(limits)
     armature = np.zeros(pin_model.nv)
     dofs = mj_convention.qvel_index[pin_convention.base_nv :]
     armature[pin_convention.v_index] = joint_armature(mj_model)[dofs]
@@ -175,12 +170,9 @@ def _take_armature(
     armature[: pin_convention.base_nv] = mj_model.dof_armature[base]
     pin_model.armature = armature
     if armature.any():
-        notes.append("armature is the MJCF's: URDF cannot carry it")
+        notes.append(diagnose("armature-from-mjcf"))
     if armature[: pin_convention.base_nv].any():
-        notes.append(
-            f"the MJCF's free joint has an armature of {armature[0]:g}, as if the base were "
-            "heavier: a default class meant for the joints reaches it; use <freejoint/>"
-        )
+        notes.append(diagnose("free-joint-has-armature", armature=Quantity(armature[0], "kg")))
     return notes
 
 
@@ -208,9 +200,10 @@ def _hash(
 
 
 def _mujoco_model(
-    description: Description, fixed_base: bool, notes: list[str]
-) -> tuple[mujoco.MjModel, Array]:
-    """Compiles the MJCF, and returns it with the qpos of its keyframe ``home``."""
+    description: Description, fixed_base: bool
+) -> tuple[mujoco.MjModel, Array, list[Diagnostic]]:
+    """Compiles the MJCF; returns it with the qpos of its keyframe ``home``, and what was added."""
+    added = []
     spec = description.mjcf.copy()
     keys = sorted(spec.keys, key=lambda key: key.name != "home")
     keyframe = np.array(keys[0].qpos) if keys else np.zeros(0)
@@ -220,9 +213,9 @@ def _mujoco_model(
             spec.delete(element)
     elif free and not floor_of(spec):
         add_floor(spec)
-        notes.append(NO_GROUND)
+        added.append(diagnose("ground-added"))
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
-    return model, keyframe if len(keyframe) else np.array(model.qpos0)
+    return model, keyframe if len(keyframe) else np.array(model.qpos0), added
 
 
 def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
@@ -231,11 +224,8 @@ def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
     for joint in range(model.njnt):
         kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
         if kind == mujoco.mjtJoint.mjJNT_BALL:
-            raise ModelError(
-                source,
-                f"joint {model.joint(joint).name!r} is a ball joint; hinge and "
-                "slide joints, and one free joint at the base, can be analysed",
-            )
+            name = model.joint(joint).name
+            raise ModelError(source, diagnose("joint-is-ball", subject=("joint", name)))
         if kind != mujoco.mjtJoint.mjJNT_FREE:
             known.append(model.joint(joint).name)
     driven = [
@@ -244,7 +234,7 @@ def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
         if is_at_one_joint(model, actuator)
     ]
     if not known:
-        raise ModelError(source, "it has no joints; give a robot with hinge or slide joints")
+        raise ModelError(source, diagnose("no-joints"))
     return tuple(dict.fromkeys([*driven, *known]))
 
 
@@ -305,27 +295,22 @@ def _pinocchio_model(
         else:
             model = pin.buildModelFromXML(description.urdf)
     except (ValueError, RuntimeError) as error:
-        raise ModelError(source, f"not a valid URDF: {' '.join(str(error).split())}") from error
+        raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
     for joint in list(model.joints)[2 if floating else 1 :]:
         if joint.nv != 1:
-            raise ModelError(
-                source,
-                f"joint {model.names[joint.id]!r} is planar or floating; revolute, continuous and "
-                "prismatic joints, and a free base, can be analysed",
-            )
+            subject = "joint", model.names[joint.id]
+            raise ModelError(source, diagnose("joint-is-planar-or-floating", subject=subject))
         if not 0.5 < np.linalg.norm(joint.createData().S) < 2:
-            raise ModelError(
-                source,
-                f"joint {model.names[joint.id]!r}: its axis has no direction; write a unit vector, "
-                '<axis xyz="0 0 1"/> say',
-            )
+            subject = "joint", model.names[joint.id]
+            raise ModelError(source, diagnose("axis-without-direction", subject=subject))
     joints = set(list(model.names)[2 if floating else 1 :])
     for missing, where, there in (
         (joints - set(joint_names), description.mjcf_source, source),
         (set(joint_names) - joints, source, description.mjcf_source),
     ):
         if missing:
-            raise ModelError(where, f"no joint {', '.join(sorted(missing))}, which {there} has")
+            problem = diagnose("joints-of-other-file-missing", joints=sorted(missing), other=there)
+            raise ModelError(where, problem)
     if not floating:
         data = mujoco.MjData(mj_model)
         mujoco.mj_kinematics(mj_model, data)

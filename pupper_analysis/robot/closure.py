@@ -24,6 +24,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.impedance import Softness
@@ -43,7 +44,6 @@ loop's equations across its plane, which rounded files leave with 1e-9."""
 
 _MAX_ITERATIONS = 50
 _LONGEST = 0.3  # rad, m: a longer Newton step is shortened
-_TOLD = 4  # constraints that a message names
 
 _STEPS = 12
 """From the start to a configuration in which loops would be assembled otherwise."""
@@ -79,7 +79,7 @@ class Closure:
     Attributes:
         following: (k,) numbers of the joints that others move: they have no motor.
         leading: (n,) numbers of those that move them, or are bound to each other.
-        bonds: What binds them, in words.
+        bonds: The equality constraints that bind them: their kinds and names.
         tethered: Whether something of it holds the robot in the world, which is not computed.
     """
 
@@ -244,10 +244,7 @@ class Closure:
         off = np.abs(self.residual(qpos))
         if (off > allowed).any():
             raise ConfigurationError(
-                "qpos",
-                f"the MJCF binds joints ({self.bonds}), and is off by "
-                f"{off.max():.3g} rad or m there: give a configuration that keeps to it, such as "
-                "a solved stand's",
+                "qpos", diagnose("loops-open", bonds=self.bonds, off=off.max())
             )
 
     def readiness(self, placing: IntArray) -> Array:
@@ -256,16 +253,13 @@ class Closure:
         moving[placing] = _UNMOVED
         return moving
 
-    def in_words(self) -> str:
-        """Says which joints follow which."""
-        following = ", ".join(self._joint_names[joint] for joint in self.following)
-        leading = ", ".join(self._joint_names[joint] for joint in self.leading)
-        if not len(self.following):
-            return f"joints that the MJCF binds to each other: {leading}"
-        return (
-            f"joints that follow others by the MJCF's equality constraints: {following}; they have "
-            f"no motor, and what they would hold is held by {leading or 'the constraints'}"
-        )
+    def told(self) -> Diagnostic:
+        """Tells which joints follow which."""
+        following = [self._joint_names[joint] for joint in self.following]
+        leading = [self._joint_names[joint] for joint in self.leading]
+        if not following:
+            return diagnose("joints-bound", joints=leading)
+        return diagnose("joints-follow", following=following, leading=leading)
 
     def _look(self, qpos: Array) -> mujoco.MjData:
         """Returns MuJoCo's data, a thread's own, at a configuration, with the constraints' rows."""
@@ -305,9 +299,7 @@ class Closure:
         scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         scaled = scale[:, None] * matrix * scale
         if len(matrix) and np.linalg.eigvalsh(scaled)[0] < _INDEPENDENT**2:
-            raise ConfigurationError(
-                "qpos", f"it is a dead point of the MJCF's loops ({self.bonds})"
-            )
+            raise ConfigurationError("qpos", diagnose("loops-at-dead-point", bonds=self.bonds))
         solved = scale[:, None] * np.linalg.solve(scaled, scale[:, None] * held.T)
         shares: Array = stiff[:, None] * solved.T
         return shares
@@ -373,14 +365,13 @@ class Closure:
         return np.array(sorted(chosen), dtype=np.int64)
 
 
-def _bonds(model: mujoco.MjModel) -> str:
+def _bonds(model: mujoco.MjModel) -> tuple[str, ...]:
     """Names the equality constraints that act."""
     told = []
     for index in np.flatnonzero(model.eq_active0):
         kind = mujoco.mjtEq(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
         told.append(f"{kind} {model.equality(int(index)).name or f'#{index}'}")
-    more = f" and {len(told) - _TOLD} more" if len(told) > _TOLD else ""
-    return ", ".join(told[:_TOLD]) + more
+    return tuple(told)
 
 
 def closure_of(

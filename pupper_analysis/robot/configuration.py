@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import check_type, vector
 from pupper_analysis.arrays import crosses, rotation_from_quaternion
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.robot.at_rest import AtRest
 from pupper_analysis.robot.robot import Robot
@@ -364,7 +365,7 @@ class Configuration:
         """
         frame = name or self.robot.imu
         if frame is None:
-            raise ConfigurationError("name", f"{self.robot.name} has no IMU; name a frame")
+            raise ConfigurationError("name", diagnose("no-imu", robot=self.robot.name))
         index = self._frame(frame)
         held = self._accelerated(qacc)
         data = held.data

@@ -8,10 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 import mujoco
 import pinocchio as pin
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.efforts import EffortLimit, EffortStatement, effort_of
 from pupper_analysis.robot.coordinates import PinocchioConvention
-
-_TOLD = 3  # joints that a note tells
 
 _SAME = 1e-6
 """Relative: limits that differ by less are one, rounded otherwise."""
@@ -43,17 +42,20 @@ def efforts_of(
     return tuple(limits)
 
 
-def efforts_in_words(limits: Sequence[EffortLimit]) -> list[str]:
-    """Returns notes on efforts: which file's count where they differ, and what was made of them."""
-    notes, unstated, geared, uneven = [], [], [], []
-    differing: dict[tuple[str, str, str], list[str]] = {}
+def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
+    """Tells of efforts: which file's count where they differ, and what was made of them."""
+    notes: list[Diagnostic] = []
+    unstated, geared, uneven = [], [], []
+    differing: dict[tuple[str, str, str], list[Diagnostic]] = {}
     for limit in limits:
         urdf = [one for one in limit.stated if one.file == "URDF"]
         others = [one for one in limit.stated if one.file != "URDF"]
         if not urdf:
             unstated.append(limit.joint)
         if limit.gear != 1.0:
-            geared.append(f"{limit.joint} {urdf[0].stated[1]:g} x {limit.gear:g} N m")
+            effort = Quantity(urdf[0].stated[1], "N m")
+            joint = "joint", limit.joint
+            geared.append(diagnose("effort-geared", subject=joint, effort=effort, gear=limit.gear))
         if not _alike(-limit.lower, limit.upper):
             uneven.append(limit.joint)
         if urdf and others and limit.origin is not None:
@@ -61,28 +63,26 @@ def efforts_in_words(limits: Sequence[EffortLimit]) -> list[str]:
             if not _alike(urdf[0].least, other.least):
                 pair = sorted((urdf[0], other), key=lambda one: one.least)
                 key = pair[0].file, pair[0].attribute, pair[1].attribute
-                differing.setdefault(key, []).append(
-                    f"{limit.joint} {pair[0].least:g} N m of {pair[1].least:g}"
-                )
+                least, unused = (Quantity(one.least, "N m") for one in pair)
+                joint = "joint", limit.joint
+                told = diagnose("lesser-effort", subject=joint, least=least, unused=unused)
+                differing.setdefault(key, []).append(told)
     if unstated:
-        notes.append(
-            "joints whose effort is 0 in the URDF have the MJCF's, or no limit: " + _few(unstated)
-        )
+        notes.append(diagnose("effort-unstated", joints=unstated))
     if geared:
+        notes.append(diagnose("efforts-multiplied-by-gear", joints=geared))
+    for (file, attribute, other_attribute), joints in differing.items():
         notes.append(
-            "efforts in the URDF that are the motors' before the gear, by the MJCF, were "
-            f"multiplied by it: {_few(geared)}"
-        )
-    for (file, attribute, unused), joints in differing.items():
-        notes.append(
-            f"the two files limit torques differently; the least counts, {attribute} in the {file} "
-            f"instead of {unused}: {_few(joints)}"
+            diagnose(
+                "effort-limits-differ",
+                file=file,
+                attribute=attribute,
+                instead_of=other_attribute,
+                joints=joints,
+            )
         )
     if uneven:
-        notes.append(
-            "motors that give more one way than the other count with the lesser in statics, and "
-            f"as they are in servos: {_few(uneven)}"
-        )
+        notes.append(diagnose("motors-uneven", joints=uneven))
     return notes
 
 
@@ -100,8 +100,3 @@ def origins_in_words(origins: Iterable[EffortStatement | None]) -> str:
 
 def _alike(one: float, other: float) -> bool:
     return one == other or math.isclose(one, other, rel_tol=_SAME)
-
-
-def _few(names: Sequence[str]) -> str:
-    more = f", and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
-    return ", ".join(names[:_TOLD]) + more

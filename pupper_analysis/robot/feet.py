@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.robot import contact
@@ -55,11 +56,9 @@ def foot_geoms(
         sphere = contact.foot_geom(model, body, position)
         if sphere is None:
             frame = description.feet[foot][1]
-            raise ModelError(
-                description.mjcf_source,
-                f"foot {foot!r}: body {model.body(body).name!r} has no sphere for contact centred "
-                f"at {frame!r}; name a frame at the centre of the foot's sphere",
-            )
+            where = {"body": model.body(body).name, "frame": frame}
+            problem = diagnose("foot-without-sphere", subject=("foot", foot), **where)
+            raise ModelError(description.mjcf_source, problem)
         found[foot] = sphere, float(model.geom_size[sphere, 0])
     return found
 

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.mjcf import quiet
 
 Array = NDArray[np.float64]
@@ -13,15 +14,11 @@ Array = NDArray[np.float64]
 _LEVEL = 1e-9
 """A floor that is no further from z = 0 (m), nor tilted by more (1 - cosine), is there already."""
 
-_TOLD = 5  # names of what stands in the world that a note tells
-
 CONTACT_OF_GEOM = (
     *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
     *("margin", "gap", "group"),
 )
 """What a geom of an MJCF has that makes its contacts, and in which group it is shown."""
-
-NO_GROUND = "the MJCF has no ground: a plane with MuJoCo's default contact was added"
 
 
 def floor_of(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
@@ -55,13 +52,16 @@ def turn_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
     floor.quat = quat
 
 
-def level_ground(spec: mujoco.MjSpec, notes: list[str]) -> None:
-    """Makes the ground of an MJCF a level plane at z = 0 in the world, in place, and says so.
+def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
+    """Makes the ground of an MJCF a level plane at z = 0 in the world, in place.
 
     A floor that belongs to a body is put into the world; one that is tilted, or higher, is laid
     down. What else stands in the world, stairs, tables and walls, is kept from touching: a robot
     stands on its ground alone, and slopes and steps are asked for. What a ``<pair>`` says of a
     contact with the floor becomes that of the geom.
+
+    Returns:
+        What was done.
     """
     paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2) if name}
     solid = [
@@ -71,15 +71,16 @@ def level_ground(spec: mujoco.MjSpec, notes: list[str]) -> None:
     ]
     floors = [geom for geom in solid if geom.type == mujoco.mjtGeom.mjGEOM_PLANE]
     others = [geom for geom in solid if geom not in floors]
+    done: list[Diagnostic] = []
     if floors:
-        floor = _laid(spec, floors, notes)
+        floor, done = _laid(spec, floors)
     else:
-        floor = floor_of(spec)
-        if floor is None:
-            floor = add_floor(spec)
-            notes.append(NO_GROUND)
-    _take_pairs(spec, floor, notes)
-    _leave_out([*others, *(geom for geom in floors[1:] if not _is_at_home(geom))], notes)
+        known = floor_of(spec)
+        floor = known or add_floor(spec)
+        done = [] if known else [diagnose("ground-added")]
+    done += _take_pairs(spec, floor)
+    scenery = [*others, *(geom for geom in floors[1:] if not _is_at_home(geom))]
+    return done + _leave_out(scenery)
 
 
 def _is_fixed(body: mujoco.MjsBody | None) -> bool:
@@ -102,13 +103,15 @@ def _is_at_home(floor: mujoco.MjsGeom) -> bool:
     )
 
 
-def _laid(spec: mujoco.MjSpec, floors: list[mujoco.MjsGeom], notes: list[str]) -> mujoco.MjsGeom:
+def _laid(
+    spec: mujoco.MjSpec, floors: list[mujoco.MjsGeom]
+) -> tuple[mujoco.MjsGeom, list[Diagnostic]]:
     """Returns the floor, which it lays down if need be, in the place of the one that there was.
 
     Of several planes it is one that is level; ``floors`` begins with it afterwards.
     """
     if _is_at_home(floors[0]):
-        return floors[0]
+        return floors[0], []
     numbers = [next(i for i, g in enumerate(spec.geoms) if g == floor) for floor in floors]
     mine = spec.copy()
     with quiet():
@@ -120,15 +123,17 @@ def _laid(spec: mujoco.MjSpec, floors: list[mujoco.MjsGeom], notes: list[str]) -
     best = next((i for i, up in enumerate(upward) if 1 - up < _LEVEL), 0)
     floors.insert(0, floors.pop(best))
     old, height, up = floors[0], float(data.geom_xpos[ids[best]][2]), upward[best]
-    where = []
-    if 1 - up >= _LEVEL:
-        where.append(f"tilted by {np.degrees(np.arccos(np.clip(up, -1, 1))):.3g} deg")
-    if abs(height) >= _LEVEL:
-        where.append(f"at z = {height:.4g} m")
-    if where:
-        notes.append(
-            f"the MJCF's floor is {' and '.join(where)}: it was laid level at z = 0, and heights "
-            "are above it"
+    tilt, off = np.arccos(np.clip(up, -1, 1)), abs(height) >= _LEVEL
+    tilted = 1 - up >= _LEVEL
+    done = []
+    if tilted or off:
+        done.append(
+            diagnose(
+                "floor-laid-level",
+                tilt=Quantity(tilt, "rad") if tilted else None,
+                height=Quantity(height, "m") if off else None,
+                both=tilted and off,
+            )
         )
     new = spec.worldbody.add_geom()
     for word in (*CONTACT_OF_GEOM, "type", "size", "material", "rgba"):
@@ -137,31 +142,28 @@ def _laid(spec: mujoco.MjSpec, floors: list[mujoco.MjsGeom], notes: list[str]) -
     spec.delete(old)
     new.name = name
     floors[0] = new
-    return new
+    return new, done
 
 
-def _leave_out(geoms: list[mujoco.MjsGeom], notes: list[str]) -> None:
+def _leave_out(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
     """Keeps geoms from touching, and names the bodies or geoms that they are."""
-    names = []
+    names: list[str | Diagnostic] = []
     for geom in geoms:
         geom.contype = geom.conaffinity = 0
         own = geom.name or (geom.parent.name if geom.parent.name != "world" else "")
-        names.append(own or f"a {geom.type.name.removeprefix('mjGEOM_').lower()} without a name")
-    if names:
-        told = ", ".join(dict.fromkeys(names[:_TOLD])) + (", ..." if len(names) > _TOLD else "")
-        notes.append(
-            f"what else stands in the world ({told}) was left out: the robot stands on its ground"
-        )
+        kind = Term(geom.type.name.removeprefix("mjGEOM_").lower())
+        names.append(own or diagnose("geom-without-name", kind=kind))
+    return [diagnose("scenery-left-out", names=dict.fromkeys(names))] if names else []
 
 
-def _take_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom, notes: list[str]) -> None:
+def _take_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> list[Diagnostic]:
     """Gives geoms that touch the floor by a ``<pair>`` the contact parameters of the pair."""
     geoms = {geom.name: geom for geom in spec.geoms if geom.name}
     taken = floor.contype | floor.conaffinity
     for geom in spec.geoms:
         taken |= geom.contype | geom.conaffinity
     bit = next((1 << n for n in range(31) if not taken & 1 << n), 1)
-    named = []
+    named, done = [], []
     for pair in list(spec.pairs):
         both = (pair.geomname1, pair.geomname2)
         other = next((name for name in both if name != floor.name), "")
@@ -175,13 +177,7 @@ def _take_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom, notes: list[str]) ->
         geom.friction = pair.friction[[0, 2, 3]]
         geom.margin, geom.gap = pair.margin - floor.margin, pair.gap - floor.gap
         if pair.friction[0] != pair.friction[1] or pair.friction[3] != pair.friction[4]:
-            notes.append(
-                f"the contact of {other!r} with the floor has another friction sideways: the first "
-                "number of each was taken"
-            )
+            done.append(diagnose("friction-sideways-dropped", subject=("geom", other)))
         spec.delete(pair)
         named.append(other)
-    if named:
-        notes.append(
-            f"contacts with the floor by <pair> became those of the geoms: {', '.join(named)}"
-        )
+    return [*done, diagnose("pairs-became-geoms", geoms=named)] if named else done

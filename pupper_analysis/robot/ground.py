@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_fields, checked, finite, length
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.frozen import FrozenDict
 
@@ -43,7 +44,8 @@ class Ground:
         object.__setattr__(self, "slope", finite("slope", self.slope))
         object.__setattr__(self, "uphill", finite("uphill", self.uphill))
         if not 0 <= self.slope < math.pi / 2:
-            raise ConfigurationError("slope", f"{self.slope} rad is not from 0 to below pi/2")
+            slope = Quantity(self.slope, "rad")
+            raise ConfigurationError("slope", diagnose("slope-not-valid", slope=slope))
         heights = {foot: length(f"heights[{foot}]", h) for foot, h in self.heights.items()}
         object.__setattr__(self, "heights", FrozenDict(heights))
 

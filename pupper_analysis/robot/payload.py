@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked, length, real_array
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
@@ -47,7 +48,7 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
     except (TypeError, ValueError):
         weighed = math.nan
     if isinstance(mass, bool) or not 0 <= weighed < math.inf:
-        raise ConfigurationError("mass", f"{mass!r} kg is not a finite number >= 0")
+        raise ConfigurationError("mass", diagnose("payload-not-valid", mass=repr(mass)))
     mass = weighed
     if mass == 0.0:
         return robot
@@ -62,7 +63,7 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
     body.mass, body.ipos, body.inertia = mass, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     head, end, tail = urdf.rpartition("</robot>")
     if not end:
-        raise ModelError(before.urdf_source, "it has no </robot> to put a payload before")
+        raise ModelError(before.urdf_source, diagnose("no-end-of-robot"))
     x, y, z = (repr(float(value)) for value in place)
     link = (
         f'<link name="{name}"><inertial><mass value="{mass!r}"/>'
@@ -88,5 +89,5 @@ def point_on_base(point: Sequence[float]) -> Array:
     """
     place = real_array("point", point)
     if place.shape != (3,) or not np.isfinite(place).all():
-        raise ConfigurationError("point", f"{reprlib.repr(point)} is not a point (3,)")
+        raise ConfigurationError("point", diagnose("no-point", given=reprlib.repr(point)))
     return np.array([length("point", value) for value in place])

@@ -14,6 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import plain_state
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.conversion import gravity
 from pupper_analysis.models.description import Description
@@ -62,7 +63,7 @@ class Robot:
         imu: The frame that carries gyro and accelerometer, if there is one.
         fingerprint: The name, and a hash of all that a stand depends on: joints, limits, masses and
             feet. Robots with the same hash have the same stands.
-        notes: What was assumed or added on loading, in plain words.
+        notes: What was assumed or added on loading, or is wrong in the files.
         own_run: What the MJCF does from its own keyframe; None where it was not looked at.
         published: How the MJCF as it was published differs in the nominal stand; likewise.
         published_model: MuJoCo's model of the MJCF as it was published; None of robots that were
@@ -91,7 +92,7 @@ class Robot:
     pin_convention: PinocchioConvention
     mj_convention: MujocoConvention
     fingerprint: str
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[Diagnostic, ...] = field(default=())
     own_run: OwnRun | None = None
     published: Published | None = None
     published_model: mujoco.MjModel | None = None
@@ -224,12 +225,9 @@ class Robot:
             ConfigurationError: If there are.
         """
         if self.closure is not None:
-            raise ConfigurationError(
-                "robot",
-                f"the MJCF of {self.name} binds joints to each other ({self.closure.bonds}), and "
-                f"{what} is not computed for such a robot; stands, their torques and forces, sag, "
-                "pushes and gain sweeps are",
-            )
+            bonds = self.closure.bonds
+            problem = diagnose("robot-has-loops", robot=self.name, bonds=bonds, what=Term(what))
+            raise ConfigurationError("robot", problem)
 
     def check_floating(self) -> None:
         """Checks that the base is free, so that the robot can stand.
@@ -238,12 +236,7 @@ class Robot:
             ConfigurationError: If it is fixed.
         """
         if not self.floating:
-            raise ConfigurationError(
-                "robot",
-                f"{self.name} has a fixed base and cannot stand; what its motors hold at a "
-                "configuration says gravity_compensation, and crosscheck and convert take its "
-                "files",
-            )
+            raise ConfigurationError("robot", diagnose("base-is-fixed", robot=self.name))
 
     def check_foot(self, foot: str) -> str:
         """Returns the name of a foot, if it is one.

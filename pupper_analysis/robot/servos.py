@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import real_array
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.robot import Robot
@@ -113,9 +114,7 @@ def servos(
     _limit(model, actuators, wanted.gear[driven], robot.effort_ranges[driven])
     if integrator is not None:
         if integrator not in INTEGRATORS:
-            raise ConfigurationError(
-                "integrator", f"{integrator!r} is unknown; there are: {', '.join(INTEGRATORS)}"
-            )
+            raise _unknown_integrator(integrator)
         model.opt.integrator = INTEGRATORS[integrator].value
     used = next(
         (name for name, kind in INTEGRATORS.items() if kind.value == model.opt.integrator),
@@ -210,7 +209,8 @@ def gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
         following[robot.closure.following] = True
     for name, motor in zip(robot.joint_names, (actuators >= 0) | following, strict=True):
         if not motor:
-            raise ModelError(robot.description.mjcf_source, f"joint {name!r} has no actuator")
+            problem = diagnose("joint-without-actuator", subject=("joint", name))
+            raise ModelError(robot.description.mjcf_source, problem)
     if robot.closure is None:
         gain, damped, gear, servo = _of_model(robot.mj_model, actuators)
     else:
@@ -221,19 +221,15 @@ def gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
         )
     if (kp is None or kd is None) and not servo.all():
         index = int(np.flatnonzero(~servo)[0])
-        raise ModelError(
-            robot.description.mjcf_source,
-            f"the actuator of joint {robot.joint_names[index]!r} is no position servo; "
-            "give kp and kd to drive it as one",
-        )
+        problem = diagnose("actuator-is-no-servo", subject=("joint", robot.joint_names[index]))
+        raise ModelError(robot.description.mjcf_source, problem)
     stiffness = gain if kp is None else _gain("kp", kp, robot.nu)
     damping = damped if kd is None else _gain("kd", kd, robot.nu)
     if kp is not None and (stiffness[~following] <= 0).any():
-        raise ConfigurationError("kp", f"{stiffness.min()} N m/rad is not positive")
+        raise ConfigurationError("kp", diagnose("stiffness-not-positive", kp=stiffness.min()))
     if kp is not None and (stiffness[~following] < SOFTEST).any():
-        raise ConfigurationError(
-            "kp", f"{stiffness.min():g} N m/rad is none: it is to be at least {SOFTEST:g}"
-        )
+        problem = diagnose("stiffness-too-small", kp=stiffness.min(), least=SOFTEST)
+        raise ConfigurationError("kp", problem)
     stiffness[following], damping[following] = 0.0, 0.0
     return Gains(stiffness, damping, gear, servo)
 
@@ -328,13 +324,18 @@ def _gain(name: str, value: ArrayLike, size: int) -> Array:
     try:
         gain: Array = np.broadcast_to(given, (size,)).copy()
     except ValueError as error:
-        raise ConfigurationError(name, f"not a number, nor {size} of them") from error
+        raise ConfigurationError(name, diagnose("no-numbers", count=size)) from error
     for one in gain.tolist():
         if not math.isfinite(one) or one < 0:
-            raise ConfigurationError(name, f"{one:g} is not finite and >= 0")
+            raise ConfigurationError(name, diagnose("gain-not-valid", gain=one))
         if one > STIFFEST:
-            raise ConfigurationError(name, f"{one:g} is more than {STIFFEST:g}, which no servo has")
+            raise ConfigurationError(name, diagnose("gain-too-large", gain=one, most=STIFFEST))
     return gain
+
+
+def _unknown_integrator(name: str) -> ConfigurationError:
+    known = tuple(INTEGRATORS)
+    return ConfigurationError("integrator", diagnose("integrator-unknown", name=name, known=known))
 
 
 def with_integrator(robot: Robot, integrator: str | None) -> Robot:
@@ -346,9 +347,7 @@ def with_integrator(robot: Robot, integrator: str | None) -> Robot:
     if integrator is None:
         return robot
     if integrator not in INTEGRATORS:
-        raise ConfigurationError(
-            "integrator", f"{integrator!r} is unknown; there are: {', '.join(INTEGRATORS)}"
-        )
+        raise _unknown_integrator(integrator)
     kind = INTEGRATORS[integrator]
     spec, model = robot.description.mjcf.copy(), copy.copy(robot.mj_model)
     spec.option.integrator = model.opt.integrator = kind.value

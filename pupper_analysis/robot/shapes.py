@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.robot import contact
 
@@ -107,13 +108,13 @@ def shapes_of(robot: Robot) -> tuple[Shape, ...]:
             continue
         kind = _G(int(model.geom_type[geom]))
         if kind not in _KINDS:
-            name = model.geom(geom).name or f"of body {model.body(body).name!r}"
-            raise ModelError(
-                robot.description.mjcf_source,
-                f"geom {name} touches things and is a {kind.name.removeprefix('mjGEOM_').lower()}, "
-                "of which no distance can be told; make it a mesh or a primitive, or give it "
-                'contype="0" conaffinity="0"',
+            problem = diagnose(
+                "geom-without-distances",
+                geom=model.geom(geom).name,
+                body=model.body(body).name,
+                kind=Term(kind.name.removeprefix("mjGEOM_").lower()),
             )
+            raise ModelError(robot.description.mjcf_source, problem)
         link, place = carriers.link(model.body(body).name, moving)
         there = pin.SE3(data.geom_xmat[geom].reshape(3, 3), np.array(data.geom_xpos[geom]))
         hull, faces = (

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.results import Result
@@ -20,7 +21,7 @@ Complex = NDArray[np.complex128]
 
 LASTING = 12.0
 """How long what is said to hold must hold (s). Regularised friction creeps, and what is carried by
-it buckles slowly, without a sharp edge: v3's payload limit doubles a deviation in 30 s."""
+it buckles slowly: v3's payload limit doubles a deviation in 30 s."""
 
 SETTLE = 0.5
 """Time for which a state settles before it is judged (s): contacts meet their loads in some 0.05 s,
@@ -208,9 +209,10 @@ def step_stability(
     """
     for name, given, kind in (("model", model, mujoco.MjModel), ("data", data, mujoco.MjData)):
         if not isinstance(given, kind):
-            raise ConfigurationError(name, f"{type(given).__name__} is no {kind.__name__}")
+            what = {"given": type(given).__name__, "wanted": kind.__name__}
+            raise ConfigurationError(name, diagnose("argument-of-other-kind", **what))
     if not 0 <= settle <= _LONGEST:
-        raise ConfigurationError("settle", f"{settle} s is not between 0 and {_LONGEST:g} s")
+        raise ConfigurationError("settle", diagnose("settling-time", settle=settle, most=_LONGEST))
     start, data = data, _copied(model, data)
     steps = round(settle / model.opt.timestep)
     if not steps:

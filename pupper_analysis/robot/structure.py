@@ -14,6 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import vector
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.coordinates import PinocchioConvention
 
@@ -141,7 +142,7 @@ class Structure:
         if self.floating:
             norm = math.hypot(*own[3:7].tolist())
             if norm < 1e-9:
-                raise ConfigurationError("qpos", "its quaternion, qpos[3:7], is zero")
+                raise ConfigurationError("qpos", diagnose("quaternion-is-zero"))
             if norm != 1.0:
                 own[3:7] /= norm
         return own

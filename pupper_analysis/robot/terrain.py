@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.floor import CONTACT_OF_GEOM, add_floor, floor_of, turn_floor
@@ -109,11 +110,9 @@ def _leave_floor(
         taken |= geom.contype | geom.conaffinity
     bits = [1 << bit for bit in range(31) if not taken & 1 << bit]
     if len(bits) < 1 + len(soles):
-        raise ModelError(
-            robot.description.mjcf_source,
-            f"its geoms use all but {len(bits)} of 31 bits of contype and conaffinity: steps under "
-            f"{len(soles)} flat feet need {1 + len(soles)} of their own",
-        )
+        needed = 1 + len(soles)
+        problem = diagnose("bits-used-up", left=len(bits), feet=len(soles), needed=needed)
+        raise ModelError(robot.description.mjcf_source, problem)
     own = dict(zip(soles, bits[1:], strict=False))
     floor.contype, floor.conaffinity = 0, bits[0]
     for geom in touching:

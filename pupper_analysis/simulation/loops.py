@@ -20,8 +20,9 @@ def give_way(robot: Robot, stand: Stand, prediction: GravityCompensation) -> str
     most = float(np.abs(loops_give(robot, stand, prediction.contact_forces)).max(initial=0.0))
     if robot.closure.open_by(stand.qpos) > most / 2 or most < _OPEN:
         return None
+    bonds = ", ".join(robot.closure.bonds)
     return (
-        f"the MJCF's loops and couplings ({robot.closure.bonds}) are soft, and open by up to "
+        f"the MJCF's loops and couplings ({bonds}) are soft, and open by up to "
         f"{most:.2g} m or rad: sunk_stand allows for that"
     )
 

@@ -30,6 +30,7 @@ from pupper_analysis.checks.audit.view import (
     MjcfView,
     Shape,
 )
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
@@ -51,12 +52,10 @@ def mjcf_view(file: MjcfFile) -> MjcfView:
     else:
         spec, model = repaired(file.spec)
     if model is None:
-        notes.append("MuJoCo compiles the file not even after repair: only its text is audited")
+        notes.append(diagnose("not-compiled-after-repair"))
         return MjcfView("mjcf", "body", "", {}, tuple(notes), file, None, refusal, ())
     if refusal:
-        notes.append(
-            "MuJoCo refuses the file as it is: what it would compute is of a repaired copy"
-        )
+        notes.append(diagnose("repaired-copy-audited"))
     names = body_names(model)
     base = _base(model)
     data = mujoco.MjData(model)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.results import Result, Tabular
 
 
@@ -67,7 +68,7 @@ class Audit(Tabular):
         findings: The worst first, then by line.
         rules_run: The ids of the rules that were run.
         disabled: The ids of those that were not, on demand.
-        notes: What was left out, in plain words.
+        notes: What was left out.
     """
 
     file: str
@@ -77,7 +78,7 @@ class Audit(Tabular):
     findings: tuple[Finding, ...]
     rules_run: tuple[str, ...]
     disabled: tuple[str, ...]
-    notes: tuple[str, ...]
+    notes: tuple[Diagnostic, ...]
 
     def _columns(self) -> dict[str, list[object]]:
         names = ("rule", "severity", "file", "line", "element", "message")

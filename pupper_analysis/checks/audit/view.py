@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.checks.audit.pose import Array, Pose
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -168,7 +169,7 @@ class View:
     body_tag: str
     base: str
     bodies: dict[str, Body]
-    notes: tuple[str, ...]
+    notes: tuple[Diagnostic, ...]
 
     @cached_property
     def joints(self) -> dict[str, Joint]:
@@ -246,5 +247,5 @@ class MjcfView(View):
 
     file: MjcfFile
     model: mujoco.MjModel | None
-    refusal: tuple[str, Place] | None
+    refusal: tuple[Diagnostic, Place] | None
     body_names: tuple[str, ...]

@@ -89,7 +89,7 @@ class ModelDiff(Result):
     deviations: dict[str, float]
     left: dict[str, float]
     complete: bool
-    notes: tuple[Diagnostic | str, ...]
+    notes: tuple[Diagnostic, ...]
 
 
 @checked

@@ -22,6 +22,7 @@ from pupper_analysis.checks.passive.find import extras
 from pupper_analysis.checks.passive.mimics import urdf_mimics
 from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.passive.scene import Scene
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -40,7 +41,7 @@ class Version:
         others: {(kind, element): value} of what is not in the tree: joints that follow others,
             motors, springs, tendons ...
         carriers: {base or joint: the link or body that it moves}.
-        notes: What was assumed or left out, in plain words.
+        notes: What was assumed or left out.
         model: Of an MJCF, what MuJoCo makes of it.
         root: Of a URDF, its XML.
     """
@@ -49,7 +50,7 @@ class Version:
     tree: Parameters
     others: Mapping[tuple[str, str], Any]
     carriers: Mapping[str, str]
-    notes: tuple[str, ...]
+    notes: tuple[Diagnostic, ...]
     model: mujoco.MjModel | None = None
     root: etree._Element | None = field(default=None, repr=False)
 
@@ -64,11 +65,11 @@ def version_of(file: UrdfFile | MjcfFile) -> Version:
 
 
 def _of_urdf(file: UrdfFile) -> Version:
-    root, notes = without_shapes(file.root), list(file.notes)
+    root = without_shapes(file.root)
     mimics = urdf_mimics(root)
     for joint in root.findall("joint[mimic]"):
         joint.remove(joint.find("mimic"))
-    moving_joints(root, notes)
+    _, _, held = moving_joints(root)
     base = str(root_link(root).get("name"))
     fixed = [joint for joint in root.findall("joint") if joint.get("type") == "fixed"]
     frames = [end_link(joint, "child") for joint in fixed]
@@ -82,18 +83,18 @@ def _of_urdf(file: UrdfFile) -> Version:
         tree=urdf_tree(root, file.path, base, frames),
         others={("mimic", name): list(value) for name, value in mimics.items()},
         carriers={base: base, **carriers},
-        notes=tuple(notes),
+        notes=(*file.notes, *held),
         root=root,
     )
 
 
 def _of_mjcf(file: MjcfFile) -> Version:
-    notes, spec = list(file.notes), file.spec.copy()
-    name_all(spec, set(), notes)
-    joined = join_free_base(spec, file.path, notes)
+    spec = file.spec.copy()
+    named, joined = name_all(spec, set()), join_free_base(spec, file.path)
     whole = compile_spec(spec.copy(), file.path)
-    drop_other_objects(spec, file.path, None, notes)
-    hinges(spec, file.path, notes)
+    dropped = drop_other_objects(spec, file.path, None)
+    _, _, held = hinges(spec, file.path)
+    notes = [*file.notes, *named, *([joined] if joined else []), *dropped, *held]
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
     model = compile_spec(spec.copy(), file.path)

@@ -19,8 +19,8 @@ from pupper_analysis.models.places import Place
 def mujoco_refuses(view: MjcfView) -> Iterator[Found]:
     """Compiles the file."""
     if view.refusal is not None:
-        message, place = view.refusal
-        yield Found("mujoco", "", message, place=place)
+        problem, place = view.refusal
+        yield Found("mujoco", "", str(problem), place=place)
 
 
 @rule

@@ -1,0 +1,132 @@
+"""What is to be known of a robot as it was loaded, and what was made up for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import mujoco
+
+from pupper_analysis.checks.matching import Match
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.models.joint_drives import MadeServo
+from pupper_analysis.models.transmission import is_at_one_joint
+from pupper_analysis.prepare.drives import span
+from pupper_analysis.prepare.feet import Foot, is_ball
+from pupper_analysis.prepare.soles import BALL
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.com_reach import moves_com
+
+
+def joints(matched: Match) -> Iterator[Diagnostic]:
+    """Tells what became of joints whose names differ, or which only one file has."""
+    renamed = [
+        diagnose("names-of-joint", urdf=old, mjcf=new)
+        for new, old in matched.urdf_joint.items()
+        if old != new
+    ]
+    if renamed:
+        yield diagnose("joints-named-otherwise", joints=renamed)
+    meant = matched.conventions
+    if meant.zeros:
+        moved = [
+            diagnose("zero-moved", subject=("joint", name), offset=offset)
+            for name, offset in meant.zeros.items()
+        ]
+        yield diagnose("zeros-elsewhere", joints=moved)
+    if meant.base is not None and matched.robot.floating:
+        yield diagnose("base-frame-taken")
+    for names, where in ((matched.only_urdf, "URDF"), (matched.only_mjcf, "MJCF")):
+        if names:
+            yield diagnose("joints-held-at-zero", joints=names, file=where)
+
+
+def named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
+    """Tells which feet there are, and with how many contact points."""
+    told = [
+        diagnose(
+            "foot-on-body",
+            subject=("foot", foot.name),
+            body=robot.mj_model.body(foot.body).name,
+            points=len(foot.points),
+            several=len(foot.points) > 1,
+        )
+        for foot in feet
+    ]
+    return diagnose("feet-named" if given else "feet-found", feet=told)
+
+
+def balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[Diagnostic]:
+    """Tells which meshes balls take the place of."""
+    kinds: dict[str, list[str]] = {}
+    for foot in feet:
+        if any(is_ball(robot.mj_model, point) for point in foot.points):
+            edgy = len(foot.points) == 1 and foot.points[0].radius == BALL
+            kind = "soles" if len(foot.points) > 1 else "edges" if edgy else "round"
+            kinds.setdefault(kind, []).append(foot.name)
+    for kind, names in kinds.items():
+        if kind == "round":
+            yield diagnose("balls-for-round-meshes", feet=names)
+        elif kind == "soles":
+            yield diagnose("balls-for-soles", feet=names)
+        else:
+            yield diagnose("balls-for-edges", feet=names)
+
+
+def planar(robot: Robot) -> Iterator[Diagnostic]:
+    """Tells so if the legs cannot move the com to every place over the feet."""
+    if not moves_com(robot):
+        yield diagnose("com-anywhere-inside")
+
+
+def bound(robot: Robot) -> Iterator[Diagnostic]:
+    """Tells which joints follow others."""
+    if robot.closure is not None:
+        yield robot.closure.told()
+
+
+def made(servos: Sequence[MadeServo], own: int, timestep: float) -> Iterator[Diagnostic]:
+    """Tells which servos were made up, and instead of what.
+
+    Args:
+        servos: Those that were made up.
+        own: How many joints have one of the MJCF's.
+        timestep: Of the model that has them (s).
+    """
+    bad: dict[str, list[str]] = {}
+    for servo in servos:
+        if servo.instead_of.bad:
+            bad.setdefault(str(servo.instead_of.value), []).append(servo.joint)
+    for what, names in bad.items():
+        yield diagnose("servos-replaced", what=Term(what), joints=names)
+    yield diagnose(
+        "servos-added",
+        count=len(servos),
+        bad=bool(bad),
+        some=bool(own) and not bad,
+        kp=span([servo.kp for servo in servos], "N m/rad"),
+        kd=span([servo.kd for servo in servos], "N m s/rad"),
+        timestep=Quantity(timestep, "s"),
+    )
+
+
+def uncommanded(robot: Robot) -> Iterator[Diagnostic]:
+    """Tells which motors drive no joint of their own: a tendon, a site, a ball joint."""
+    model = robot.mj_model
+    others = [motor for motor in range(model.nactuator) if not is_at_one_joint(model, motor)]
+    if not others:
+        return
+    names = [model.actuator(motor).name or f"#{motor}" for motor in others]
+    driven = sorted({_driven(model, motor) for motor in others})
+    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
+    pulling = [
+        name
+        for motor, name in zip(others, names, strict=True)
+        if model.actuator_biastype[motor] == affine and model.actuator_biasprm[motor, :2].any()
+    ]
+    kinds = [Term(kind) for kind in driven]
+    yield diagnose("motors-commanded-zero", motors=names, kinds=kinds, servos=pulling)
+
+
+def _driven(model: mujoco.MjModel, motor: int) -> str:
+    kind = mujoco.mjtTrn(int(model.actuator_trntype[motor])).name.removeprefix("mjTRN_").lower()
+    return "ball or free joint" if kind.startswith("joint") else kind
