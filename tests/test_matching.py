@@ -463,7 +463,7 @@ def test_sides_in_names_decide_between_turns(tmp_path: Path) -> None:
         new = path.read_text().replace("left", words[0]).replace("right", words[1])
         path.write_text(new)
     with pytest.raises(
-        ModelError, match=r"--map abduction_near=[a-z]+-roll, or --map abduction_near"
+        ModelError, match=r"--map abduction_near=[a-z]+-roll or --map abduction_near"
     ):
         compared(text)
 
@@ -531,8 +531,8 @@ def test_a_choice_is_said_with_lines_to_paste(tmp_path: Path) -> None:
     comparison = compared(write_parts(tmp_path, urdf, other_links(quadruped() | middle)))
     said = [str(note) for note in comparison.notes if "may be" in str(note)]
     assert said[0] == (
-        "joint one of the URDF may be to_left, or to_right of the MJCF; say which: "
-        "--map one=to_left, or --map one=to_right"
+        "joint one of the URDF may be to_left or to_right of the MJCF; say which: "
+        "--map one=to_left or --map one=to_right"
     )
     assert len(said) == 2
 

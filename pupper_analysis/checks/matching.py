@@ -314,7 +314,7 @@ def _check_names(
         rivals = [name for name, value in wanted.items() if value == new and name != old]
         if rivals:
             both = (old, rivals[0])
-            raise ModelError(source, diagnose("mapped-twice", names=both, other=new))
+            raise ModelError(source, diagnose("names-mapped-to-one", names=both, other=new))
 
 
 def _make_alike(

@@ -71,7 +71,9 @@ def _check_rotors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
             model.joint(int(model.dof_jntid[dof])).name,
         )
         if armature < 0:
-            problem = diagnose("armature-negative", subject=("joint", joint), armature=armature)
+            problem = diagnose(
+                "rotor-inertia-negative", subject=("joint", joint), armature=armature
+            )
             raise refusal(mjcf.place("joint", joint), problem)
 
 
@@ -105,7 +107,9 @@ def _check_motors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
             name = model.actuator(motor).name
             place = mjcf.place("actuator", name) if name else mjcf.numbered("actuator", motor)
             armature = float(model.actuator_armature[motor])
-            problem = diagnose("armature-negative", subject=("actuator", name), armature=armature)
+            problem = diagnose(
+                "rotor-inertia-negative", subject=("actuator", name), armature=armature
+            )
             raise refusal(place, problem)
         if not is_at_one_joint(model, motor):
             continue
