@@ -222,7 +222,8 @@ def _keyframe(root: etree._Element, robot: pa.Robot) -> etree._Element:
 def by_itself(path: Path, seconds: float = 5.0) -> float:
     """Which share of its height a file's robot has lost, from its own keyframe in bare MuJoCo.
 
-    Infinite if it has fallen over, was thrown up, or the simulation began anew.
+    Infinite if it has fallen over, was thrown up, is farther from where it was than it is high, or
+    the simulation began anew.
 
     Raises:
         ValueError: If MuJoCo does not take the file.
@@ -241,21 +242,30 @@ def by_itself(path: Path, seconds: float = 5.0) -> float:
                 data.ctrl[motor] = gear * data.qpos[model.jnt_qposadr[joint]]
     base = next(_free(model), 1)
     touched = math.nan  # the height at which it first touches the ground
-    start, up = float(data.xpos[base][2]), data.xmat[base].reshape(3, 3)[2].copy()
+    place, up = data.xpos[base].copy(), data.xmat[base].reshape(3, 3)[2].copy()
+    start = float(place[2])
     began = data.time
     for _ in range(round(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
-        if data.ncon and math.isnan(touched):
+        if math.isnan(touched) and _on_the_ground(model, data):
             touched = float(data.xpos[base][2])
     mujoco.mj_kinematics(model, data)
-    lies = base in model.geom_bodyid[data.contact.geom].ravel()
+    lies = base in _on_the_ground(model, data)
     if touched < start and not lies:  # it hung in the air, and was dropped
         start = touched
     upright = float(data.xmat[base].reshape(3, 3)[2] @ up) > math.cos(LEANS)
-    if not (upright and data.time - began > seconds - 2 * model.opt.timestep):
+    away = math.dist(data.xpos[base][:2], place[:2])
+    if not (
+        upright and away <= abs(start) and data.time - began > seconds - 2 * model.opt.timestep
+    ):
         return math.inf
     lost = (start - float(data.xpos[base][2])) / abs(start)
     return math.inf if not abs(lost) <= FALLS and lost < 0 else lost
+
+
+def _on_the_ground(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
+    bodies = model.geom_bodyid[data.contact.geom]
+    return set(bodies[(bodies == 0).any(axis=1)].ravel().tolist()) - {0}
 
 
 def _free(model: mujoco.MjModel) -> Iterator[int]:

@@ -36,7 +36,7 @@ def standing(folder: Path, **options: object) -> legged.Pair:
 def by_itself(path: Path, seconds: float = 5.0) -> float:
     """Which share of its height a file's robot has lost, from its own keyframe in bare MuJoCo.
 
-    Infinite if it has fallen over, or the simulation began anew.
+    Infinite if it has fallen over, is farther away than it is high, or the simulation began anew.
     """
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
@@ -45,7 +45,8 @@ def by_itself(path: Path, seconds: float = 5.0) -> float:
     for _ in range(round(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
     upright = data.xmat[base][8] > math.cos(LEANS)
-    if not (upright and data.time > seconds - 2 * model.opt.timestep):
+    here = math.hypot(data.qpos[0], data.qpos[1]) <= start
+    if not (upright and here and data.time > seconds - 2 * model.opt.timestep):
         return math.inf
     return (start - float(data.qpos[2])) / start
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import legged
+import mujoco
 import numpy as np
 import pytest
 from slips import FALLS, SLIPS, by_itself, standing
@@ -12,6 +14,8 @@ from slips import FALLS, SLIPS, by_itself, standing
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.models.joint_drives import Drive
+from pupper_analysis.prepare.bare import Bare
+from pupper_analysis.prepare.self_check import own_run
 from pupper_analysis.report.verdict import in_words, of_the_file
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 
@@ -60,6 +64,50 @@ def test_a_drop_from_the_air_is_no_height_that_is_lost(tmp_path: Path) -> None:
     assert robot.own_run.end_height == pytest.approx(0.35, abs=0.01)
     assert robot.own_run.height == pytest.approx(0.35, abs=0.02)  # where its feet touch
     assert "keyframe-falls" not in {found.rule for found in pa.audit_model(pair.mjcf).findings}
+
+
+def test_what_leaves_its_place_collapses(tmp_path: Path) -> None:
+    """It stands upright, as high as ever, and slides away on its feet by g x t^2 / 2."""
+    pair = standing(tmp_path)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    text = pair.mjcf.read_text().replace("<option ", '<option gravity="0.6 0 -9.81" ')
+    text = text.replace('type="plane"', 'priority="1" friction="0.01" type="plane"')
+    pair.mjcf.write_text(text)
+    bare = Bare.of(mujoco.MjModel.from_xml_path(str(pair.mjcf)), robot)
+    run = own_run(bare, robot, ["home"])
+    assert run is not None
+    assert run.end_height == pytest.approx(run.height, rel=0.1)
+    assert run.away == pytest.approx(0.5 * (0.6 - 0.01 * 9.81) * run.duration**2, rel=0.05)
+    assert run.collapses
+    assert run.gone
+    assert "keyframe-falls" in {found.rule for found in pa.audit_model(pair.mjcf).findings}
+
+
+def test_what_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
+    """With its feet in the air: the height at which it lands is none that it keeps."""
+    pair = standing(tmp_path)
+    text = pair.mjcf.read_text().replace('qpos="0 0 0.35 ', 'qpos="0 0 0.5 ')
+    text = text.replace(" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 0 -2.5"] * 4))
+    knee = '<geom type="sphere" size="0.03" pos="0 0 -0.2"/>'
+    pair.mjcf.write_text(re.sub(r'(<body name="\w+_thigh"[^>]*>)', rf"\1{knee}", text))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.own_run is not None
+    assert robot.own_run.end_height == pytest.approx(0.23, abs=0.01)
+    assert robot.own_run.collapses
+    assert not robot.own_run.gone
+    assert "keyframe-falls" in {found.rule for found in pa.audit_model(pair.mjcf).findings}
+
+
+def test_a_servo_whose_bias_is_all_zero_is_no_motor(tmp_path: Path) -> None:
+    """``biastype="affine"`` is of a servo: its own commands are tried, and it falls."""
+    pair = standing(tmp_path)
+    servo = 'general gainprm="150" biastype="affine" biasprm="0 0 0"'
+    text = pair.mjcf.read_text().replace('kp="150" kv="5"', "").replace("<position", f"<{servo}")
+    pair.mjcf.write_text(text)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.own_run is not None
+    assert robot.own_run.collapses
+    assert {made.instead_of for made in robot.description.made_servos} == {Drive.OTHER}
 
 
 @pytest.mark.slow

@@ -299,6 +299,7 @@ CASES = [
             ("0.004", "-0.002"),
             ("0.004", "1e-9"),
             ('impratio="50"', 'impratio="-1"'),
+            ('timestep="0.004"', 'timestep="4e-6"'),  # ms taken for s
             ("/>", ' iterations="0"/>'),
             ("/>", ' tolerance="1e9"/>'),
             ("/>", ' density="-1"/>'),

@@ -105,18 +105,20 @@ def test_a_rollout_that_breaks_down_is_known() -> None:
 
 
 @pytest.mark.parametrize(
-    ("leaning", "end", "collapsed"),
+    ("leaning", "end", "away", "collapsed"),
     [
-        (0.0, 0.2, False),
-        (0.45, 0.15, False),
-        (0.0, 0.139, True),  # it lies on its shanks
-        (0.0, 0.261, True),  # it was thrown up
-        (0.51, 0.2, True),
-        (math.nan, 0.2, True),
-        (0.0, math.nan, True),
+        (0.0, 0.2, 0.0, False),
+        (0.45, 0.15, 0.19, False),
+        (0.0, 0.139, 0.0, True),  # it lies on its shanks
+        (0.0, 0.261, 0.0, True),  # it was thrown up
+        (0.0, 0.2, 0.21, True),  # it slid away, or gravity is sideways
+        (0.51, 0.2, 0.0, True),
+        (math.nan, 0.2, 0.0, True),
+        (0.0, math.nan, 0.0, True),
+        (0.0, 0.2, math.nan, True),
     ],
 )
-def test_what_has_fallen_sunk_or_been_thrown_up_has_collapsed(
-    leaning: float, end: float, collapsed: bool
+def test_what_has_fallen_sunk_or_left_its_place_has_collapsed(
+    leaning: float, end: float, away: float, collapsed: bool
 ) -> None:
-    assert has_collapsed(leaning, 0.2, end) is collapsed
+    assert has_collapsed(leaning, 0.2, end, away) is collapsed

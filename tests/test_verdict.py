@@ -27,7 +27,7 @@ def run(loss: float = 0.001, *, passed: bool = True) -> Any:
         passed=passed,
         failures=() if passed else ("it sank",),
         duration=12.0,
-        collapses=has_collapsed(0.0, 0.2, 0.2 - loss),
+        collapses=has_collapsed(0.0, 0.2, 0.2 - loss, 0.0),
         torque_error=1e-8,
         force_error=2e-8,
         stability=Stub(doubling_time=None),
@@ -49,7 +49,7 @@ def published(torque: float, *, collapses: bool = False) -> Published:
 
 def own(*, collapses: bool) -> OwnRun:
     end = 0.04 if collapses else 0.28
-    return OwnRun("home", True, 2.0, 0.285, end, 0.0, False, collapses)
+    return OwnRun("home", True, 2.0, 0.285, end, 0.0, 0.0, False, collapses)
 
 
 CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {

@@ -93,4 +93,6 @@ def _kind(model: mujoco.MjModel, motor: int) -> Drive:
         return Drive.SERVO if abs(gain - stiffness) <= _ALIKE * stiffness else Drive.OTHER
     if gain == 0:
         return Drive.NO_STIFFNESS
-    return Drive.OTHER if model.actuator_biasprm[motor, :3].any() else Drive.MOTOR
+    # An affine bias is a servo's, even if its numbers are all zero.
+    affine = model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE.value
+    return Drive.OTHER if affine or model.actuator_biasprm[motor, :3].any() else Drive.MOTOR

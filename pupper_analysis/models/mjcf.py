@@ -24,6 +24,10 @@ from pupper_analysis.models.xml import MAX_NUMBER
 
 Array = NDArray[np.float64]
 
+TIMESTEPS = 1e-5, 0.1
+"""s: of what is simulated. A stand of 12 s is 1.2 million steps of the first; contacts ring within
+10 ms, and in one step of the second a base falls 5 cm."""
+
 
 def load(path: Path) -> mujoco.MjSpec:
     """Reads an MJCF file, includes and all; the spec is not compiled, but is known to compile.

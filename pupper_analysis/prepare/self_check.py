@@ -45,6 +45,7 @@ from pupper_analysis.robot.fall import (
     height_of_keyframe,
     lean_between,
     still_moves,
+    travelled,
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
@@ -148,7 +149,7 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
     key, data = names[name], mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, key)
     mujoco.mj_kinematics(model, data)
-    up = data.xmat[bare.base].reshape(3, 3).copy()
+    place, up = data.xpos[bare.base].copy(), data.xmat[bare.base].reshape(3, 3).copy()
     places = [int(model.jnt_qposadr[model.joint(joint).id]) for joint in robot.joint_names]
     pose = data.qpos[places].copy()
     hold = hold_of(bare, robot, data, None, pose)
@@ -168,7 +169,7 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
     start = height_of_keyframe(model, before, data, bare.base)
     end = float(data.xpos[bare.base][2])
     lean = lean_between(up, data.xmat[bare.base].reshape(3, 3))
-    height = start - (bare.ground or 0.0)
+    height, away = start - (bare.ground or 0.0), travelled(place, data.xpos[bare.base])
     diverged = _diverged(model, data, float(model.key_time[key]), seconds)
     return OwnRun(
         keyframe=name,
@@ -177,8 +178,9 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
         height=height,
         end_height=end - (bare.ground or 0.0),
         lean=lean,
+        away=away,
         diverged=diverged,
-        collapses=diverged or has_collapsed(lean, height, height + end - start),
+        collapses=diverged or has_collapsed(lean, height, height + end - start, away),
         joint_error=float(np.abs(data.qpos[places] - pose).max()),
     )
 
@@ -276,7 +278,7 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     if data is None:
         return None
     mujoco.mj_kinematics(model, data)
-    start, up = float(data.xpos[bare.base][2]), data.xmat[bare.base].reshape(3, 3).copy()
+    place, up = data.xpos[bare.base].copy(), data.xmat[bare.base].reshape(3, 3).copy()
     ahead = wanted.torques if wanted.feedforward else None
     hold = hold_of(bare, robot, data, ahead, wanted.targets)
     given = roll(bare, data, hold, SECONDS)
@@ -285,13 +287,14 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     driven = robot.mj_convention.actuator_index >= 0
     off = np.abs(given[dofs] - wanted.torques)[driven]
     largest = float(np.abs(wanted.torques).max())
-    lost = start - float(data.xpos[bare.base][2])
+    lost = float(place[2] - data.xpos[bare.base][2])
     lean = lean_between(up, data.xmat[bare.base].reshape(3, 3))
     moved = data.qpos[places] - qpos[robot.nq - robot.nu :]
-    height = start - (bare.ground or 0.0)
+    height = float(place[2]) - (bare.ground or 0.0)
     torque = float(off.max(initial=0.0)) / largest if largest else 0.0
     collapses = _diverged(model, data, 0.0, SECONDS)
-    collapses = collapses or has_collapsed(lean, height, height - lost)
+    away = travelled(place, data.xpos[bare.base])
+    collapses = collapses or has_collapsed(lean, height, height - lost, away)
     differs = not (abs(lost) <= SAME_HEIGHT * height and torque <= SAME)
     return PublishedRun(
         feedforward=wanted.feedforward,

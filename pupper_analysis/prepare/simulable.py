@@ -8,15 +8,13 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refusal
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-
-_TIMESTEPS = 1e-5, 0.1
-"""s: a stand of 12 s is 1.2 million steps of the first; in one of the second a base falls 5 cm."""
 
 _TOLERANCE = 1e-2
 """Of the solver of contacts, in units of the robot's own inertia and accelerations: a robot hangs
@@ -39,7 +37,7 @@ def check_simulable(mjcf: MjcfFile) -> None:
         ModelError: If one is beyond what has a meaning; it names the file, the line and the value.
     """
     model = mjcf.compile()
-    low, high = _TIMESTEPS
+    low, high = TIMESTEPS
     step, ratio = float(model.opt.timestep), float(model.opt.impratio)
     rounds, tolerance = int(model.opt.iterations), float(model.opt.tolerance)
     for word, good, problem in (

@@ -85,15 +85,24 @@ _OWN = {
     (False, True): "DIVERGES as published from its own keyframe {keyframe}, on its own servos",
 }
 
+_GONE = (
+    "COLLAPSES as published from its own keyframe {keyframe}: it leaves its place; {height} m "
+    "high, after {seconds} s {end} m, and {away} m away"
+)
+
 
 def _file_itself(own: OwnRun | None, replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
     """Says what the file's own servos and keyframe do, if they do not hold it."""
     if own is not None and own.collapses:
         numbers = {"keyframe": own.keyframe, "height": f"{own.height:.3f}"}
         numbers |= {"seconds": f"{own.duration:g}", "end": f"{own.end_height:.3f}"}
+        text = _OWN[own.own_ctrl, own.diverged]
         if own.diverged:
             numbers = {"keyframe": own.keyframe}
-        yield Clause(False, _OWN[own.own_ctrl, own.diverged], numbers)
+        elif own.gone:
+            numbers |= {"away": f"{own.away:.3f}"}
+            text = _GONE
+        yield Clause(False, text, numbers)
     if own is not None and own.leaves:
         yield Clause(
             False,

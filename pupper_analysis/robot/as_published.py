@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from pupper_analysis.models.joint_drives import MadeServo
+from pupper_analysis.robot.fall import has_collapsed
 
 
 class ServoSource(StrEnum):
@@ -59,9 +60,10 @@ class OwnRun:
             ground from there (m).
         end_height: At the end (m).
         lean: Of the base against the keyframe at the end (rad).
+        away: How far the base has travelled from the keyframe's place, as seen from above (m).
         diverged: Whether MuJoCo began anew, as numbers were no longer any.
-        collapses: Whether it has, or has fallen, or sunk by ``robot.fall.SUNKEN`` of its
-            height.
+        collapses: Whether it has, or has fallen, sunk by ``robot.fall.SUNKEN`` of its height, or
+            travelled by its height.
         joint_error: By how much a joint ends off the keyframe, at most (rad, m).
     """
 
@@ -71,9 +73,16 @@ class OwnRun:
     height: float
     end_height: float
     lean: float
+    away: float
     diverged: bool
     collapses: bool
     joint_error: float = 0.0
+
+    @property
+    def gone(self) -> bool:
+        """Whether the base has left the place where it stood, and that is all."""
+        stands = not has_collapsed(self.lean, self.height, self.end_height, 0.0)
+        return self.collapses and not self.diverged and stands
 
     @property
     def leaves(self) -> bool:
@@ -91,8 +100,8 @@ class PublishedRun:
         torque_error: Largest deviation of a joint's torque / largest predicted torque.
         height_error: Base's height less the predicted one (m).
         joint_error: Largest deviation of a joint (rad).
-        collapses: Whether it has fallen, or sunk by ``robot.fall.SUNKEN`` of its height,
-            or diverged.
+        collapses: Whether it has fallen, sunk by ``robot.fall.SUNKEN`` of its height, travelled
+            by its height, or diverged.
         differs: Whether it does, or is off by more than a verified stand may be.
     """
 

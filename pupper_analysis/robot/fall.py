@@ -28,11 +28,16 @@ def lean_between(one: Array, other: Array) -> float:
 OWN_SECONDS = 2.0
 """Of a run from a keyframe (s): it drops by a few centimetres, and servos catch it."""
 
+GONE = 1.0
+"""Heights of its base that what stands does not travel: on feet that stay where they are, no base
+gets so far; what slides, rolls or flies does. (Gravity that is sideways moves it 20 m in 2 s.)"""
+
 LONGER = 3
 """Times as long, if it still moves then."""
 
-MOVES = 0.02
-"""m/s of the base that still moves."""
+MOVES = 1e-3
+"""m/s of the base that still moves: what stands is slower than 1e-4 after 2 s; a knee whose servo
+has no force gave way at 2e-2, and took the robot down in the second after."""
 
 _DROP = 1.0
 """s in which what hangs in the air has touched the ground: 5 m."""
@@ -44,7 +49,8 @@ def height_of_keyframe(
     """Returns the height of a base (m) that a simulation is to keep.
 
     Many keyframes are in the air, to be dropped from: what is lost until the robot first touches
-    the world is none, unless it ends lying on its base.
+    the world is none, unless it ends lying on its base or on what joins its legs to it, or stands
+    on no end of a limb.
 
     Args:
         model: MuJoCo's model.
@@ -53,7 +59,7 @@ def height_of_keyframe(
         base: The base's body.
     """
     height, trial = float(start.xpos[base][2]), copy.copy(start)
-    if base in _touching(model, end):
+    if _lies(model, end, base):
         return height
     for _ in range(round(_DROP / model.opt.timestep)):
         mujoco.mj_step(model, trial)
@@ -63,9 +69,19 @@ def height_of_keyframe(
 
 
 def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
-    """Returns the bodies that touch the world."""
-    bodies = model.geom_bodyid[data.contact.geom]
+    """Returns the bodies that touch the world, each by the one to which it is welded."""
+    bodies = model.body_weldid[model.geom_bodyid[data.contact.geom]]
     return set(bodies[(bodies == 0).any(axis=1)].ravel().tolist()) - {0}
+
+
+def _lies(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> bool:
+    """Tells whether a robot touches the world with its base or hips, or with no end of a limb."""
+    own, above = int(model.body_weldid[base]), model.body_weldid[model.body_parentid]
+    moving = [body for body in range(1, model.nbody) if model.body_weldid[body] == body]
+    carrying = {int(above[body]) for body in moving}
+    trunk = {own} | {body for body in moving if above[body] == own and body in carrying}
+    touching = _touching(model, data)
+    return bool(touching & trunk) or (bool(touching) and touching <= carrying)
 
 
 def still_moves(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> bool:
@@ -75,12 +91,19 @@ def still_moves(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> bool:
     return not float(np.abs(velocity[3:]).max()) <= MOVES
 
 
-def has_collapsed(leaning: float, start: float, end: float) -> bool:
-    """Tells whether a robot has fallen over, sunk on to itself, or was thrown off the ground.
+def travelled(start: Array, end: Array) -> float:
+    """Returns how far a position (3,) is from another, as seen from above (m)."""
+    return float(np.linalg.norm((end - start)[:2]))
+
+
+def has_collapsed(leaning: float, start: float, end: float, away: float) -> bool:
+    """Tells whether a robot has fallen over, sunk on to itself, or left where it stood.
 
     Args:
-        leaning: How far it leans (rad); not a number of what has diverged, like the next two.
+        leaning: How far it leans (rad); not a number of what has diverged, like the next three.
         start: Its base's height where it began, above the ground (m).
         end: The same at the end.
+        away: How far its base has travelled, as seen from above (m).
     """
-    return not (abs(end - start) <= SUNKEN * start and leaning <= FALLEN_TILT)
+    upright = abs(end - start) <= SUNKEN * start and leaning <= FALLEN_TILT
+    return not (upright and away <= GONE * start)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.arguments import checked
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
-from pupper_analysis.robot.fall import has_collapsed
+from pupper_analysis.robot.fall import has_collapsed, travelled
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import LASTING, Stability
@@ -318,8 +318,9 @@ def _measured(
 def _collapses(robot: Robot, stand: Stand, states: Array, timestep: float) -> bool:
     """Tells whether a robot no longer stands at the end, in any way."""
     leaning = monitor.lean(robot, stand.task.rotation(), states[-1])
-    height = float(monitor.base_heights(robot, states[-1]))
-    fallen = has_collapsed(leaning, float(stand.qpos[2]), height)
+    place = states[-1, 1 + robot.mj_convention.qpos_index[:3]]
+    away = travelled(stand.qpos[:3], place)
+    fallen = has_collapsed(leaning, float(stand.qpos[2]), float(place[2]), away)
     return fallen or monitor.diverged(states, timestep)
 
 

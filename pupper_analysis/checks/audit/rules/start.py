@@ -25,6 +25,7 @@ from pupper_analysis.robot.fall import (
     height_of_keyframe,
     lean_between,
     still_moves,
+    travelled,
 )
 
 FLOOR_DEPTH = 5e-3
@@ -175,13 +176,15 @@ def keyframe_falls(view: MjcfView) -> Iterator[Found]:
     floor, end = float(before.geom_xpos[ground][2]), float(data.xpos[base][2])
     start = height_of_keyframe(model, before, data, base)
     lean = lean_between(before.xmat[base].reshape(3, 3), data.xmat[base].reshape(3, 3))
+    away = travelled(before.xpos[base], data.xpos[base])
     began_anew = data.time - before.time < seconds - 1.5 * step
     if began_anew:
         text = "its numbers end in nothing that can be reckoned with"
-    elif has_collapsed(lean, start - floor, end - floor):
+    elif has_collapsed(lean, start - floor, end - floor, away):
         text = (
             f"after {seconds:g} s on its own actuators its base is {end - floor:.3g} m above the "
-            f"ground, of {start - floor:.3g} m, and leans by {lean:.2g} rad"
+            f"ground, of {start - floor:.3g} m, {away:.3g} m from where it was, and leans by "
+            f"{lean:.2g} rad"
         )
     else:
         return

@@ -14,6 +14,7 @@ from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.rules.files import first_place
 from pupper_analysis.checks.audit.view import MjcfView, UrdfView
+from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.places import Place
 
 _SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
@@ -122,8 +123,7 @@ def mesh_mirrored(view: UrdfView) -> Iterator[Found]:
 
 
 _OPTIONS: dict[str, tuple[float, float, Severity, str]] = {
-    # A robot's contacts ring within some 10 ms; at a tenth of a second nothing is simulated.
-    "timestep": (1e-6, 0.1, Severity.ERROR, "s"),
+    "timestep": (*TIMESTEPS, Severity.ERROR, "s"),
     "impratio": (1e-3, 1e6, Severity.ERROR, ""),
     "iterations": (1, math.inf, Severity.ERROR, ""),
     "ls_iterations": (1, math.inf, Severity.ERROR, ""),
