@@ -9,7 +9,7 @@ import sys
 
 import pupper_analysis as pa
 
-LEVELS = {"error": "error", "warning": "warning", "info": "notice"}
+LEVELS = {"error": "error", "warning": "warning", "note": "notice"}
 """{severity: GitHub's word for it}"""
 
 

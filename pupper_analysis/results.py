@@ -6,7 +6,7 @@ import html
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import orjson
@@ -47,7 +47,8 @@ def _fallback(value: Any) -> Any:
     if isinstance(value, Diagnostic):
         return value.to_dict()
     if is_dataclass(value):
-        return {f.name: getattr(value, f.name) for f in fields(value) if f.name[0] != "_"}
+        names = [f.name for f in fields(value) if f.name[0] != "_"]
+        return {name: getattr(value, name) for name in (*names, *getattr(value, "_told", ()))}
     if hasattr(value, "tolist"):  # an array that is not contiguous
         return value.tolist()
     if hasattr(value, "keys"):  # a mapping that is no dict
@@ -67,7 +68,11 @@ class Result:
 
     Their ``repr`` is short: arrays and long lists are shown by their sizes. ``to_json`` has it all.
     Nothing in them can be written to: other functions take them for checked.
+
+    JSON has their fields, and those properties that a class names in ``_told``.
     """
+
+    _told: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
         # A dataclass writes its own __repr__, unless the class itself has one.

@@ -16,14 +16,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity, audit_model
+from pupper_analysis.checks.audit import RULES, Audit, Finding, Rule, Severity, audit_model
 from pupper_analysis.checks.audit.from_urdf import urdf_view
 from pupper_analysis.checks.audit.pairs import mirror_name, mirror_pairs
 from pupper_analysis.checks.audit.registry import CHECKS, rules_table
 from pupper_analysis.checks.audit.rules.joints import expected_axis
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Source
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.report.document import Text
-from pupper_analysis.report.html.sentences import said
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN = {
@@ -468,30 +467,35 @@ def test_a_slip_is_found_where_it_is(case: Case, tmp_path: Path, sound: dict[str
     assert finding.line == line_of(path.read_text(), *case.line)
     rule = RULES[case.rule]
     assert (finding.why, finding.todo) == (rule.why, rule.todo)
-    assert isinstance(said(finding.message), Text), finding.message
     assert finding.severity.rank >= rule.severity.rank
+    told = finding.diagnostic
+    assert told.subject is not None
+    assert f"{told.subject.kind} {told.subject.name!r}".removesuffix(" ''") == finding.element
+    assert told.sources == (Source(str(path), finding.line),)
+    assert told.text("zh")
     assert case.format in rule.formats
 
 
 BROKEN = {
-    "cut.stl": (bytes(80) + (4).to_bytes(4, "little") + bytes(50 * 2), "no triangle"),
-    "text.stl": (b"root:x:0:0:root:/root:/bin/bash\n", "no triangle"),
-    "name.obj": (b"v zero 0 0\nf 1 1 1\n", "cannot be read as a mesh"),
-    "nan.obj": (b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "a vertex that is no number"),
-    "empty.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no triangle"),
-    "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", ""),
+    "cut.stl": (bytes(80) + (4).to_bytes(4, "little") + bytes(50 * 2), "mesh-without-triangle"),
+    "text.stl": (b"root:x:0:0:root:/root:/bin/bash\n", "mesh-without-triangle"),
+    "name.obj": (b"v zero 0 0\nf 1 1 1\n", "no-mesh"),
+    "nan.obj": (b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "mesh-vertex-not-finite"),
+    "empty.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "mesh-without-triangle"),
+    "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "no-mesh mesh-vertex-unknown"),
 }
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_mesh_that_is_none_is_found(name: str, tmp_path: Path) -> None:
-    content, message = BROKEN[name]
+    content, code = BROKEN[name]
     (tmp_path / name).write_bytes(content)
     edit = Edit(FL_CALF, r'<cylinder radius="0.011" length="0.11"/>', f'<mesh filename="{name}"/>')
     path = written(tmp_path, "urdf", (edit,))
     (finding,) = found(audit_model(path), "mesh-unreadable", "link 'FL_calf'")
-    assert message in finding.message
-    assert isinstance(said(finding.message), Text), finding.message
+    problem = finding.diagnostic.values["problem"]
+    assert isinstance(problem, Diagnostic)
+    assert problem.code in code.split()
     assert finding.line == line_of(path.read_text(), FL_CALF, "<mesh")
     whole = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n"
     (tmp_path / name).rename(tmp_path / "broken")
@@ -501,7 +505,7 @@ def test_a_mesh_that_is_none_is_found(name: str, tmp_path: Path) -> None:
     assert not found(audit_model(path), "mesh-unreadable")
 
 
-@pytest.mark.parametrize(("scale", "severity"), [("1 -1 1", "info"), ("-1 -1 -1", "warning")])
+@pytest.mark.parametrize(("scale", "severity"), [("1 -1 1", "note"), ("-1 -1 -1", "warning")])
 def test_mirrored_meshes(scale: str, severity: str, tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
     edit = Edit(
@@ -512,7 +516,6 @@ def test_mirrored_meshes(scale: str, severity: str, tmp_path: Path) -> None:
     path = written(tmp_path, "urdf", (edit,))
     (finding,) = found(audit_model(path), "mesh-mirrored", "link 'FL_calf'")
     assert str(finding.severity) == severity
-    assert isinstance(said(finding.message), Text)
     path.write_text(path.read_text().replace(scale, "-1 -1 1"))  # half a turn about z
     assert not found(audit_model(path), "mesh-mirrored")
     path.write_text(path.read_text().replace("-1 -1 1", "1 0 1"))
@@ -529,21 +532,24 @@ def test_a_keyframe_without_commands_is_only_told(tmp_path: Path) -> None:
     """It commands zeros, which is how many are published; where zeros are its pose, all is well."""
     path = written(tmp_path, "mjcf", (Edit(KEY, r' ctrl="[^"]*"', ""),))
     (finding,) = found(audit_model(path), "keyframe-ctrl")
-    assert finding.severity is Severity.INFO
-    assert "8 of 12 commands" in finding.message
+    assert finding.severity is Severity.NOTE
+    assert (finding.diagnostic.values["ahead"], finding.diagnostic.values["commands"]) == (8, 12)
 
 
 def test_a_continuous_joint_that_states_limits_is_told_so(tmp_path: Path) -> None:
     edit = Edit(FL_HAA, 'type="revolute"', 'type="continuous"')
     (finding,) = found(audit_model(written(tmp_path, "urdf", (edit,))), "limit-missing")
-    assert "its limits [-0.8, 0.8] rad have no effect" in finding.message
+    assert finding.diagnostic.code == "limits-without-effect"
+    assert finding.diagnostic.values["lower"] == Quantity(-0.8, "rad")
+    assert finding.diagnostic.values["upper"] == Quantity(0.8, "rad")
 
 
 def test_masses_a_thousandth_are_lighter_than_foam(tmp_path: Path) -> None:
     path = tmp_path / "light.urdf"
     text = OWN["urdf"].read_text()
     path.write_text(re.sub(r'<mass value="([^"]+)"', r'<mass value="\1e-3"', text))
-    assert "foam has 10 or more" in found(audit_model(path), "density-implausible")[0].message
+    findings = found(audit_model(path), "density-implausible")
+    assert {finding.diagnostic.code for finding in findings} == {"lighter-than-foam"}
 
 
 def test_six_equal_values_are_no_inertia(tmp_path: Path) -> None:
@@ -557,6 +563,18 @@ def test_six_equal_values_are_no_inertia(tmp_path: Path) -> None:
 
 def test_every_rule_of_the_catalogue_has_its_function() -> None:
     assert set(CHECKS) == set(RULES)
+
+
+@pytest.mark.parametrize("rule", RULES.values(), ids=lambda rule: rule.id)
+def test_rules_are_argued_in_chinese(rule: Rule) -> None:
+    assert rule.chinese.keys() == {"title", "why", "todo"}
+    assert all(re.search("[\u4e00-\u9fff]", words) for words in rule.chinese.values())
+
+
+def test_a_severity_has_the_name_of_before_too() -> None:
+    assert Severity("info") is Severity.NOTE
+    with pytest.raises(ValueError, match="frightful"):
+        Severity("frightful")
 
 
 def test_every_rule_has_a_test() -> None:
@@ -607,9 +625,10 @@ def test_the_tutorials_long_leg_is_found(format: str, tmp_path: Path) -> None:
         f"{leg}_thigh" for leg in ("FL", "FR", "RL", "RR")
     ]
     for finding in findings:
-        assert "0.12 m long" in finding.message
-        assert "0.08 m away" in finding.message
-        assert "40.0 mm beyond" in finding.message
+        values = finding.diagnostic.values
+        assert values["beyond"] is True
+        for name, expected in (("length", 0.12), ("way", 0.08), ("gap", 0.04)):
+            assert values[name].value == pytest.approx(expected), name  # type: ignore[union-attr]
 
 
 @pytest.mark.slow
@@ -641,7 +660,7 @@ def test_servo_stability_is_that_of_the_simulation(extra: tuple[Edit, ...], tmp_
         findings = found(audit_model(path), "servo-unstable")
         if not findings:
             return path, None
-        return path, float(re.findall(r"are ([\d.e+]+) times", findings[0].message)[0])
+        return path, float(findings[0].diagnostic.values["times"])  # type: ignore[arg-type]
 
     low, high = 0.001, 0.02
     assert audited(low)[1] is None
@@ -748,10 +767,10 @@ def test_another_zero_angle_may_explain_another_place(tmp_path: Path) -> None:
     knee = '<joint name="FR_KFE"'
     turned = (Edit(knee, '"0 0 -0.08"', '"0.048 0 -0.064"'),)  # as far from the hip as before
     (finding,) = found(audit_model(written(tmp_path, "urdf", turned)), "mirror-position")
-    assert "unless joint 'FR_HFE' has another zero angle" in finding.message
+    assert finding.diagnostic.values["turned"] == "FR_HFE"
     longer = (Edit(knee, '"0 0 -0.08"', '"0.048 0 -0.08"'),)
     (finding,) = found(audit_model(written(tmp_path, "urdf", longer)), "mirror-position")
-    assert "zero angle" not in finding.message
+    assert finding.diagnostic.values["turned"] is None
 
 
 def test_rounded_inertias_are_sound(tmp_path: Path) -> None:
@@ -991,8 +1010,9 @@ def test_water_in_shapes_is_what_mujoco_weighs(tmp_path: Path) -> None:
     found = massless(tmp_path, *shapes)
     (water,) = (each for each in found.findings if each.rule == "massless-link-collides")
     assert water.element == "link 'l0'"
-    assert f"they add {model.body_mass[1]:.4g} kg to 2 kg" in water.message
-    assert "(likewise l1, l2)" in water.message
+    values = water.diagnostic.values
+    assert values["water"].value == pytest.approx(model.body_mass[1])  # type: ignore[union-attr]
+    assert (values["mass"], values["others"]) == (Quantity(2.0, "kg"), ("l1", "l2"))
 
 
 def test_links_without_inertial_are_told_once(tmp_path: Path) -> None:
@@ -1004,6 +1024,7 @@ def test_links_without_inertial_are_told_once(tmp_path: Path) -> None:
     file.write_text(text)
     (bare,) = (each for each in audit_model(file).findings if each.rule == "link-without-inertial")
     assert "8.17 kg in place of 3.17 kg" in bare.message
+    assert len(bare.diagnostic.values["others"]) == 4  # type: ignore[arg-type]
     assert bare.element == "link 'body_imu_site'"
     rules = {each.rule for each in audit_model(ROOT / "urdf/pupper_v3.urdf").findings}
     assert not rules & {"link-without-inertial", "massless-link-collides"}

@@ -206,7 +206,7 @@ def test_severities_that_fail(folder: Path) -> None:
     assert "2 of less severity than fails" in result.stdout
     assert "start-outside-limits" not in result.stdout
     shown = run(folder, "--all").stdout
-    assert "info audit start-outside-limits (new)" in shown
+    assert "note audit start-outside-limits (new)" in shown
     assert "   hopper.urdf:4\n" in shown
     text = (folder / "pupper-analysis.toml").read_text()
     (folder / "pupper-analysis.toml").write_text(f'fail-on = "info"\n{text}')

@@ -114,7 +114,7 @@ REFUSED = {
     "no name": ('\n[[pair]]\nurdf = "a.urdf"\n', 2, "needs a name"),
     "no model": ('[[pair]]\nname = "a"\n', 1, "needs a urdf, an mjcf, or both"),
     "a name twice": (LEAST + LEAST, 5, "'a' is there twice"),
-    "no severity": ('fail-on = "bad"\n' + LEAST, 1, "one of error, warning, info"),
+    "no severity": ('fail-on = "bad"\n' + LEAST, 1, "one of error, warning, note"),
     "no number": (LEAST + "tolerances.mass = 'x'\n", 4, "a positive number"),
     "a negative one": (LEAST + "tolerances.mass = -1\n", 4, "a positive number"),
     "an infinite one": (LEAST + "tolerances.mass = inf\n", 4, "a positive number"),

@@ -9,7 +9,6 @@ import pytest
 from conftest import load
 
 import pupper_analysis as pa
-from pupper_analysis.checks.audit import RULES
 from pupper_analysis.report.document import Said, Text
 from pupper_analysis.report.html.sentences import patterns, said, sentences
 
@@ -38,14 +37,6 @@ def test_each_pattern_is_met_and_not_hidden_by_another() -> None:
         spoken = said(filled(english))
         assert isinstance(spoken, Text), english
         assert (spoken.en, spoken.zh) == (filled(english), filled(chinese))
-
-
-@pytest.mark.parametrize("rule", RULES.values(), ids=lambda rule: rule.id)
-def test_rules_are_argued_in_chinese(rule) -> None:
-    for sentence in (rule.why, rule.todo):
-        spoken = said(sentence)
-        assert isinstance(spoken, Text), sentence
-        assert HAN.search(spoken.zh)
 
 
 def test_a_joint_with_the_name_of_a_word_keeps_it() -> None:

@@ -166,10 +166,10 @@ def crosscheck(
 @click.option("--list-rules", is_flag=True, help="List the rules, and stop.")
 @click.option(
     "--fail-on",
-    type=click.Choice(["error", "warning", "info"]),
+    type=click.Choice(["error", "warning", "note", "info"]),
     default="error",
     show_default=True,
-    help="The least severity that makes the exit status 1.",
+    help="The least severity that makes the exit status 1; info is the same as note.",
 )
 @shared.verbose_option
 @shared.json_option

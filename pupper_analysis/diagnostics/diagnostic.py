@@ -37,6 +37,10 @@ class Severity(StrEnum):
     NOTE = "note"
     """Worth knowing."""
 
+    @classmethod
+    def _missing_(cls, value: object) -> Severity | None:
+        return cls.NOTE if value == "info" else None  # as audits, and configurations, had it before
+
     @property
     def rank(self) -> int:
         """0 for the worst."""

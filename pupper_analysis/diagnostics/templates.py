@@ -3,7 +3,7 @@
 In a template may stand
 
 - ``{mass}``, ``{mass:.3g}``: a value, with a format of Python's; a ``Quantity`` comes with its
-  unit, and ``{gap:mm:.1f}`` shows it in another one (mm, deg, g, ms, %);
+  unit, and ``{gap:mm:.1f}`` shows it in another one (mm, deg, g, ms, %), ``{gap::.1f}`` in none;
 - ``{name!r}``: a text in quotes;
 - ``{names}``: several, with commas between them, at most eight; ``{names:3}`` at most three. What
   is left out is counted: "a, b, c and 2 more". ``{parts:;}`` has semicolons, ``{ways:or}`` " or ";

@@ -9,9 +9,12 @@ _SHOWN_IN = {
     ("m", "mm"): 1e3,
     ("m", "um"): 1e6,
     ("rad", "deg"): math.degrees(1.0),
+    ("rad", "degrees"): math.degrees(1.0),
     ("rad/s", "deg/s"): math.degrees(1.0),
     ("kg", "g"): 1e3,
     ("s", "ms"): 1e3,
+    ("m^3", "L"): 1e3,
+    ("m^3", "litres"): 1e3,
     ("1", "%"): 1e2,
 }
 """{(SI unit, unit that is shown): factor}."""
@@ -33,8 +36,13 @@ class Quantity:
         object.__setattr__(self, "value", float(self.value))
 
     def __format__(self, spec: str) -> str:
-        """Returns digits and unit: by ``"mm:.1f"`` in mm, by ``".3g"`` in the unit it has."""
+        """Returns digits and unit: by ``"mm:.1f"`` in mm, by ``".3g"`` in the unit it has.
+
+        By ``":.3g"`` the digits alone, where the unit is said once for several.
+        """
         shown, colon, digits = spec.rpartition(":")
+        if colon and not shown:
+            return format(self.value, digits)
         if not colon and not digits[:1].isalpha() and digits != "%":
             shown = self.unit
         elif not colon:
@@ -63,9 +71,14 @@ class Vector:
         object.__setattr__(self, "values", tuple(float(value) for value in self.values))
 
     def __format__(self, spec: str) -> str:
-        """Returns the numbers in brackets, by default with 6 digits, and the unit."""
-        numbers = ", ".join(format(value + 0.0, spec or ".6g") for value in self.values)
-        return f"({numbers})" if self.unit == "1" else f"({numbers}) {self.unit}"
+        """Returns the numbers in brackets, by default with 6 digits, and the unit.
+
+        By ``":.3g"`` the numbers alone.
+        """
+        digits = spec.removeprefix(":") or ".6g"
+        numbers = ", ".join(format(value + 0.0, digits) for value in self.values)
+        alone = self.unit == "1" or spec.startswith(":")
+        return f"({numbers})" if alone else f"({numbers}) {self.unit}"
 
     def __str__(self) -> str:
         return format(self, "")

@@ -10,9 +10,9 @@ from typing import Any, Final
 from lxml import etree
 
 from pupper_analysis.checks.audit import RULES
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.matching import read_mapping
 from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.diagnostics import Severity
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.guard.toml import Key, TomlFile, read_toml
 
@@ -126,10 +126,11 @@ class _Reader:
     def config(self) -> GuardConfig:
         top = self.file.values
         self.check_keys(top, (), _TOP)
-        severities = [str(severity) for severity in Severity]
-        fail_on = self.text(top, (), "fail-on") or str(Severity.ERROR)
-        if fail_on not in severities:
-            raise self.invalid(("fail-on",), fail_on, f"one of {', '.join(severities)}")
+        stated = self.text(top, (), "fail-on") or str(Severity.ERROR)
+        try:
+            fail_on = Severity(stated)
+        except ValueError:
+            raise self.invalid(("fail-on",), stated, f"one of {', '.join(Severity)}") from None
         entries = top.get("pair", [])
         if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
             raise self.invalid(("pair",), entries, "tables that begin with [[pair]]")
@@ -142,7 +143,7 @@ class _Reader:
                     raise self.file.error(("pair", number, "name"), f"{pair.name!r} is there twice")
                 pairs = (*pairs, pair)
         baseline = self.folder / (self.text(top, (), "baseline") or BASELINE)
-        return GuardConfig(self.file.path, pairs, Severity(fail_on), baseline, self.file)
+        return GuardConfig(self.file.path, pairs, fail_on, baseline, self.file)
 
     def pairs(self, entry: dict[str, Any], key: Key) -> Iterator[Pair]:
         """Yields the robots of an entry: one, or one for each file that its pattern matches."""

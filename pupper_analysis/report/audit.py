@@ -5,7 +5,7 @@ from __future__ import annotations
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
 from pupper_analysis.report.formats import Annotation, Case
 
-LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.INFO: "notice"}
+LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
 """Of annotations."""
 
 
@@ -32,7 +32,7 @@ def cases(audit: Audit) -> list[Case]:
     """Returns one case per rule; errors and warnings are its failures."""
     failures: dict[str, list[str]] = {}
     for finding in audit.findings:
-        if finding.severity is not Severity.INFO:
+        if finding.severity is not Severity.NOTE:
             text = f"{_place(finding)}: {finding.element}: {finding.message}"
             failures.setdefault(finding.rule, []).append(text)
     return [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from pupper_analysis.checks.audit import rules as _rules  # noqa: F401  (registe
 from pupper_analysis.checks.audit.from_mjcf import mjcf_view
 from pupper_analysis.checks.audit.from_urdf import urdf_view
 from pupper_analysis.checks.audit.registry import CHECKS, RULES, Found, Rule
-from pupper_analysis.checks.audit.result import Audit, Finding, Severity
+from pupper_analysis.checks.audit.result import Audit, Finding
+from pupper_analysis.diagnostics import Severity, Source, Subject, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import quiet
@@ -47,9 +49,8 @@ def audit_model(
     unwanted = tuple(dict.fromkeys(disabled))
     unknown = [name for name in unwanted if name not in RULES]
     if unknown:
-        raise ConfigurationError(
-            "disabled", f"no rule {', '.join(map(repr, unknown))}; there are: {', '.join(RULES)}"
-        )
+        told = diagnose("rules-unknown", names=unknown, known=RULES)
+        raise ConfigurationError("disabled", told)
     file = read_model(path, packages)
     with warnings.catch_warnings(), np.errstate(all="ignore"), quiet():
         warnings.simplefilter("ignore")  # MuJoCo's, about models that the rules are about
@@ -87,13 +88,20 @@ def _finding(file: UrdfFile | MjcfFile, rule: Rule, found: Found) -> Finding:
         place = file.place(found.kind, found.name.strip("()"), found.child)
     if place is None:
         place = Place(file.path)
+    severity = found.severity or rule.severity
+    told = replace(
+        found.told,
+        severity=severity,
+        subject=Subject(found.kind, found.name),
+        sources=(Source(str(place.file), place.line),),
+    )
     return Finding(
         rule=rule.id,
-        severity=found.severity or rule.severity,
+        severity=severity,
         file=str(place.file),
         line=place.line,
         element=f"{found.kind} {found.name!r}" if found.name else found.kind,
-        message=found.message,
         why=rule.why,
         todo=rule.todo,
+        diagnostic=told,
     )

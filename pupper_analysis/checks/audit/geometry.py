@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.view import Body, Shape, View
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.places import one_line
 
 _SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -31,7 +32,7 @@ def mesh_vertices(path: Path) -> Array | None:
     return _read_vertices(path, path.stat().st_mtime_ns)
 
 
-def mesh_problem(path: Path) -> str | None:
+def mesh_problem(path: Path) -> Diagnostic | None:
     """Says what keeps an STL or OBJ file from being a mesh; None if nothing does, or it is another.
 
     A file of more than ``LARGEST_MESH`` bytes is not opened.
@@ -39,7 +40,7 @@ def mesh_problem(path: Path) -> str | None:
     if path.suffix.lower() not in (".stl", ".obj") or path.stat().st_size > LARGEST_MESH:
         return None
     found = _read(path, path.stat().st_mtime_ns)
-    return found if isinstance(found, str) else None
+    return found if isinstance(found, Diagnostic) else None
 
 
 LARGEST_MESH = 200_000_000
@@ -48,11 +49,11 @@ LARGEST_MESH = 200_000_000
 
 def _read_vertices(path: Path, changed: int) -> Array | None:
     found = _read(path, changed)
-    return None if isinstance(found, str) else found
+    return None if isinstance(found, Diagnostic) else found
 
 
 @lru_cache(maxsize=256)
-def _read(path: Path, _changed: int) -> Array | str:
+def _read(path: Path, _changed: int) -> Array | Diagnostic:
     """Returns the vertices (n, 3) of a mesh's convex hull (m), or what is wrong with the file."""
     import trimesh  # slow to import; yourdfpy depends on it
 
@@ -61,13 +62,13 @@ def _read(path: Path, _changed: int) -> Array | str:
         points = np.asarray(mesh.vertices, dtype=float)
         faces = np.asarray(mesh.faces)
     except Exception as error:  # whatever a broken mesh makes a parser raise
-        return f"it cannot be read as a mesh ({one_line(error) or type(error).__name__})"
+        return diagnose("no-mesh", problem=one_line(error) or type(error).__name__)
     if not len(points) or not len(faces):
-        return "it holds no triangle"
+        return diagnose("mesh-without-triangle")
     if not np.isfinite(points).all():
-        return "it has a vertex that is no number"
+        return diagnose("mesh-vertex-not-finite")
     if faces.min() < 0 or faces.max() >= len(points):
-        return f"a triangle of it names vertex {int(faces.max()) + 1} of {len(points)}"
+        return diagnose("mesh-vertex-unknown", vertex=int(faces.max()) + 1, vertices=len(points))
     return hull_points(points)
 
 

@@ -9,7 +9,7 @@ from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
 
-from pupper_analysis.checks.audit.result import Severity
+from pupper_analysis.diagnostics import Diagnostic, Severity
 from pupper_analysis.models.places import Place
 
 Check = Callable[[Any], Iterator["Found"]]
@@ -28,6 +28,7 @@ class Rule:
         title: What is wrong, in a few words.
         why: Why it matters.
         todo: What to do.
+        chinese: {``"title"``, ``"why"`` or ``"todo"``: the same in Simplified Chinese}.
         formats: Which of ``"urdf"`` and ``"mjcf"`` it is for.
     """
 
@@ -36,6 +37,7 @@ class Rule:
     title: str
     why: str
     todo: str
+    chinese: Mapping[str, str]
     formats: tuple[str, ...] = BOTH
 
 
@@ -46,7 +48,7 @@ class Found:
     Attributes:
         kind: The tag of the element at fault.
         name: Its name; "" where the file as a whole is at fault.
-        message: One sentence with the numbers.
+        told: What is wrong with it.
         child: A path below the element, for the line.
         place: Where it is, if the element cannot be found by its name.
         severity: If less bad than the rule says.
@@ -54,7 +56,7 @@ class Found:
 
     kind: str
     name: str
-    message: str
+    told: Diagnostic
     child: str | None = None
     place: Place | None = None
     severity: Severity | None = None
@@ -66,16 +68,18 @@ def _catalogue() -> dict[str, Rule]:
     entries = tomllib.loads(file.read_text(encoding="utf-8"))
     rules = {}
     for name, entry in entries.items():
-        model = entries[entry["like"]] if "like" in entry else entry
-        rules[name] = Rule(
-            name,
-            Severity(entry["severity"]),
-            entry["title"],
-            " ".join([model["why"], *([entry["more"]] if "more" in entry else [])]),
-            model["todo"],
-            tuple(entry.get("formats", BOTH)),
-        )
+        words = _words(entry, entries[entry.get("like", name)], " ")
+        chinese = _words(entry["zh"], entries[entry.get("like", name)]["zh"], "")
+        formats = tuple(entry.get("formats", BOTH))
+        severity = Severity(entry["severity"])
+        rules[name] = Rule(name, severity, **words, chinese=chinese, formats=formats)
     return rules
+
+
+def _words(own: Mapping[str, str], model: Mapping[str, str], space: str) -> dict[str, str]:
+    """Returns title, reason and remedy in one language; what is not its own is the model's."""
+    why = space.join([model["why"], *([own["more"]] if "more" in own else [])])
+    return {"title": own["title"], "why": why, "todo": model["todo"]}
 
 
 _CHECKS: dict[str, Check] = {}

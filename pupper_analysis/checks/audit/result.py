@@ -1,30 +1,13 @@
-"""What an audit finds: severities, findings and the audit as a whole."""
+"""What an audit finds: findings, and the audit as a whole."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 
-from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.diagnostics import Diagnostic, Severity
 from pupper_analysis.results import Result, Tabular
-
-
-class Severity(StrEnum):
-    """How bad a finding is."""
-
-    ERROR = "error"
-    """Physically impossible, or refused by an engine."""
-    WARNING = "warning"
-    """Very likely a slip."""
-    INFO = "info"
-    """Worth knowing; often on purpose."""
-
-    @property
-    def rank(self) -> int:
-        """0 for the worst."""
-        return list(Severity).index(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +20,10 @@ class Finding(Result):
         file: The file in which it stands (an included one, perhaps).
         line: Its line, from 1; None where it is nowhere in particular.
         element: ``link 'FL_calf'``.
-        message: One sentence with the numbers, in SI units (or mm and degrees, where it says so).
         why: Why it matters.
         todo: What to do.
+        diagnostic: What is wrong, as a code, of which a rule may have several, and numbers with
+            units, of that element and place.
     """
 
     rule: str
@@ -47,9 +31,16 @@ class Finding(Result):
     file: str
     line: int | None
     element: str
-    message: str
     why: str
     todo: str
+    diagnostic: Diagnostic
+
+    _told = ("message",)
+
+    @property
+    def message(self) -> str:
+        """One sentence with the numbers."""
+        return str(self.diagnostic)
 
     def __str__(self) -> str:
         where = Path(self.file).name + ("" if self.line is None else f":{self.line}")

@@ -7,13 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
+from pupper_analysis.diagnostics import LANGUAGES, term
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.sources import page, quoted
 from pupper_analysis.report.html.words import joined, text, word
 from pupper_analysis.robot.robot import Robot
 
-MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.INFO: ""}
+MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
 """The emphasis of each severity."""
 
 SHOWN = 40
@@ -46,7 +47,7 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
 
 
 def _plural(severity: str, count: int) -> str:
-    return severity if severity == Severity.INFO or count == 1 else f"{severity}s"
+    return severity if count == 1 else f"{severity}s"
 
 
 def _groups(audit: Audit) -> Iterable[doc.Sides]:
@@ -54,15 +55,14 @@ def _groups(audit: Audit) -> Iterable[doc.Sides]:
 
     Why they matter, and what to do, is said once for those of a rule.
     """
-    rules: dict[tuple[str, Severity, str, str], dict[str, list[Finding]]] = {}
+    rules: dict[tuple[str, Severity], dict[str, list[Finding]]] = {}
     for finding in audit.findings:
-        key = finding.rule, finding.severity, finding.why, finding.todo
+        key = finding.rule, finding.severity
         rules.setdefault(key, {}).setdefault(finding.message, []).append(finding)
     shown = 0
-    for (_, _, why, todo), alike in rules.items():
-        advice: tuple[doc.Words, ...] = (
-            text("{why} {todo}", why=doc.Said(why), todo=doc.Said(todo)).marked("quiet"),
-        )
+    for (rule, _), alike in rules.items():
+        why, todo = _words(rule, "why"), _words(rule, "todo")
+        advice: tuple[doc.Words, ...] = (text("{why} {todo}", why=why, todo=todo).marked("quiet"),)
         for place, group in enumerate(alike.values(), start=1):
             sides = _alike(audit, group, advice if place == len(alike) else ())
             yield replace(sides, detail=shown >= SHOWN)
@@ -72,10 +72,10 @@ def _groups(audit: Audit) -> Iterable[doc.Sides]:
 def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]) -> doc.Sides:
     """Returns findings of which only the element is another."""
     first, *others = group
-    said = text("{element}: {message}", element=doc.Said(first.element),
-                message=doc.Said(first.message))  # fmt: skip
+    told = doc.Said(first.diagnostic)
+    said = text("{element}: {message}", element=_element(first), message=told)
     if others:
-        names = joined(doc.Said(other.element) for other in others)
+        names = joined(_element(other) for other in others)
         said = text("{finding}; likewise {names}", finding=said, names=names)
     place, path = _place(first)
     quote = doc.Name(quoted(path, audit.file))
@@ -85,6 +85,19 @@ def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
         rule=first.rule,
     ).marked(MARKS[first.severity])
     return doc.Sides(said, (doc.Place(doc.Name(place), quote, path),), advice, tag)
+
+
+def _words(rule: str, what: str) -> doc.Text:
+    """Returns a rule's title, reason or remedy."""
+    return doc.Text(getattr(RULES[rule], what), RULES[rule].chinese[what])
+
+
+def _element(finding: Finding) -> doc.Text:
+    """Returns the element at fault: its kind, and its name if it has one."""
+    subject = finding.diagnostic.subject
+    assert subject is not None
+    name = f" {subject.name!r}" if subject.name else ""
+    return doc.Text(*(f"{term(subject.kind, language)}{name}" for language in LANGUAGES))
 
 
 def _place(finding: Finding) -> tuple[str, str]:
@@ -99,10 +112,10 @@ def _findings(audit: Audit) -> doc.Table:
             doc.Number(str(order), order, MARKS[one.severity]),
             word(str(one.severity)),
             doc.Name(_place(one)[0]),
-            doc.Said(one.element),
-            doc.Said(one.message),
+            _element(one),
+            doc.Said(one.diagnostic),
             doc.Name(one.rule),
-            word(RULES[one.rule].title) if one.rule in RULES else doc.Name(""),
+            _words(one.rule, "title"),
         )
         for order, one in enumerate(audit.findings, start=1)
     ]
@@ -139,7 +152,7 @@ def rules_table() -> doc.Table:
                 doc.Name(rule.id),
                 word(str(rule.severity)),
                 doc.Name(", ".join(rule.formats)),
-                word(rule.title),
+                _words(rule.id, "title"),
             )
             for rule in RULES.values()
         ),

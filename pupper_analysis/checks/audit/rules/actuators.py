@@ -16,8 +16,8 @@ import numpy as np
 
 from pupper_analysis.checks.audit.from_mjcf import joint_name
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import MjcfView
+from pupper_analysis.diagnostics import Quantity, Severity, Term, diagnose
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 
 
@@ -88,21 +88,21 @@ def actuator_without_effect(view: MjcfView) -> Iterator[Found]:
     """Finds gains and gears of 0."""
     for _, drive in _drives(view):
         if drive.kp == 0 or drive.gear == 0:
-            text = f"its gain is {drive.kp:g} and its gear {drive.gear:g}"
-            yield Found("actuator", drive.name, text)
+            told = diagnose("actuator-without-effect", gain=drive.kp, gear=drive.gear)
+            yield Found("actuator", drive.name, told)
 
 
 @rule
 def servo_drives_away(view: MjcfView) -> Iterator[Found]:
     """Finds forces that grow with the joint's own motion: -dF/dq < 0, or -dF/dqdot < 0."""
     for _, drive in _drives(view):
-        for value, what, unit, cause in (
-            (drive.stiffness, "stiffness", "N m/rad (or N/m)", "further"),
-            (drive.kd, "damping", "N m s/rad (or N s/m)", "faster"),
-        ):
-            if value < 0:
-                text = f"its {what} is {value:g} {unit}: the {cause} it moves, the more it drives"
-                yield Found("actuator", drive.name, text)
+        if drive.stiffness < 0:
+            stiffness = Quantity(drive.stiffness, "N m/rad")
+            told = diagnose("servo-drives-away", stiffness=stiffness)
+            yield Found("actuator", drive.name, told)
+        if drive.kd < 0:
+            damping = Quantity(drive.kd, "N m s/rad")
+            yield Found("actuator", drive.name, diagnose("damping-drives", damping=damping))
 
 
 @rule
@@ -114,9 +114,9 @@ def servos_compete(view: MjcfView) -> Iterator[Found]:
             holding.setdefault(drive.joint_name, []).append(drive)
     for joint, several in holding.items():
         if len(several) > 1:
-            gains = " and ".join(f"{drive.stiffness:g}" for drive in several)
-            text = f"joint {joint!r} has {len(several)} position servos, of {gains} N m/rad"
-            yield Found("actuator", several[1].name, text)
+            gains = [Quantity(drive.stiffness, "N m/rad") for drive in several]
+            told = diagnose("servos-compete", joint=joint, servos=len(several), gains=gains)
+            yield Found("actuator", several[1].name, told)
 
 
 SLOWEST = 1.0
@@ -133,7 +133,8 @@ def actuator_slow(view: MjcfView) -> Iterator[Found]:
         )
         constant = float(model.actuator_dynprm[drive.id, 0])
         if filtered and constant > SLOWEST:
-            yield Found("actuator", drive.name, f"its time constant is {constant:g} s")
+            told = diagnose("actuator-slow", constant=Quantity(constant, "s"))
+            yield Found("actuator", drive.name, told)
 
 
 @rule
@@ -142,8 +143,8 @@ def forcerange_without_zero(view: MjcfView) -> Iterator[Found]:
     for model, drive in _drives(view):
         low, high = model.actuator_forcerange[drive.id]
         if model.actuator_forcelimited[drive.id] and not low <= 0 <= high:
-            text = f"its forcerange is [{low:g}, {high:g}]: it can never let go"
-            yield Found("actuator", drive.name, text)
+            told = diagnose("forcerange-without-zero", low=low, high=high)
+            yield Found("actuator", drive.name, told)
 
 
 @rule
@@ -152,11 +153,13 @@ def servo_gains_contradict(view: MjcfView) -> Iterator[Found]:
     for _, drive in _drives(view):
         differ = drive.servo and not math.isclose(drive.kp, drive.stiffness, rel_tol=1e-6)
         if differ and drive.kp != 0:
-            text = (
-                f"its force is {drive.kp:g} ctrl {-drive.stiffness:+g} q {-drive.kd:+g} qdot "
-                "(N m, rad, rad/s)"
+            told = diagnose(
+                "servo-gains-contradict",
+                ctrl=Quantity(drive.kp, "N m/rad"),
+                q=Quantity(-drive.stiffness, "N m/rad"),
+                qdot=Quantity(-drive.kd, "N m s/rad"),
             )
-            yield Found("actuator", drive.name, text)
+            yield Found("actuator", drive.name, told)
 
 
 @rule
@@ -166,9 +169,9 @@ def actuator_unlimited(view: MjcfView) -> Iterator[Found]:
         limited = model.actuator_forcelimited[drive.id] or model.jnt_actfrclimited[drive.joint]
         by_input = not drive.servo and model.actuator_ctrllimited[drive.control]
         if not limited and not by_input:
-            what = "position servo" if drive.servo else "motor"
-            text = f"this {what} of gain {drive.kp:g} has no forcerange, and its joint none either"
-            yield Found("actuator", drive.name, text)
+            kind = Term("position servo" if drive.servo else "motor")
+            told = diagnose("actuator-unlimited", kind=kind, gain=drive.kp)
+            yield Found("actuator", drive.name, told)
 
 
 @rule
@@ -180,16 +183,18 @@ def forcerange_above_joint(view: MjcfView) -> Iterator[Found]:
         force = float(np.abs(model.actuator_forcerange[drive.id]).max()) * abs(drive.gear)
         joint = float(np.abs(model.jnt_actfrcrange[drive.joint]).max())
         if force > 1.01 * joint:
-            text = (
-                f"it may give {force:g} N m (or N), of which joint {drive.joint_name!r} "
-                f"lets {joint:g} through"
+            told = diagnose(
+                "forcerange-above-joint",
+                force=Quantity(force, "N m"),
+                joint=drive.joint_name,
+                through=Quantity(joint, "N m"),
             )
-            yield Found("actuator", drive.name, text)
+            yield Found("actuator", drive.name, told)
 
 
 @rule
 def ctrlrange_differs(view: MjcfView) -> Iterator[Found]:
-    """Compares the ranges; INFO where the ctrlrange is wider, or narrower by less than 10 %."""
+    """Compares the ranges; NOTE where the ctrlrange is wider, or narrower by less than 10 %."""
     for model, drive in _drives(view):
         limited = model.actuator_ctrllimited[drive.control] and model.jnt_limited[drive.joint]
         if not drive.servo or not limited or drive.gear == 0:
@@ -199,10 +204,13 @@ def ctrlrange_differs(view: MjcfView) -> Iterator[Found]:
         lost = np.array([ctrl[0] - joint[0], joint[1] - ctrl[1]]) / (joint[1] - joint[0])
         narrower = lost.max() > 0.01
         if narrower or lost.min() < -0.01:
-            text = (
-                f"its ctrlrange [{ctrl[0]:.4g}, {ctrl[1]:.4g}] is "
-                f"{'narrower' if narrower else 'wider'} than the range [{joint[0]:.4g}, "
-                f"{joint[1]:.4g}] of joint {drive.joint_name!r} (rad or m)"
+            told = diagnose(
+                "ctrlrange-narrower" if narrower else "ctrlrange-wider",
+                ctrl_low=ctrl[0],
+                ctrl_high=ctrl[1],
+                low=joint[0],
+                high=joint[1],
+                joint=drive.joint_name,
             )
-            severity = Severity.WARNING if lost.max() > 0.1 else Severity.INFO
-            yield Found("actuator", drive.name, text, severity=severity)
+            severity = Severity.WARNING if lost.max() > 0.1 else Severity.NOTE
+            yield Found("actuator", drive.name, told, severity=severity)

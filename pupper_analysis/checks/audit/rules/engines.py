@@ -6,12 +6,11 @@ import math
 from collections.abc import Iterator, Sequence
 
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.view import Body, Shape, UrdfView
+from pupper_analysis.checks.audit.view import Shape, UrdfView
+from pupper_analysis.diagnostics import Quantity, diagnose
 
 WATER = 1000.0
 """The density that PhysX gives a shape of which none is known (kg/m^3)."""
-
-_NAMED = 4  # links that are told by name
 
 
 @rule
@@ -22,11 +21,13 @@ def link_without_inertial(view: UrdfView) -> Iterator[Found]:
     ]
     if not links:
         return
-    text = (
-        f"it has no <inertial>{_others(links)}: in PyBullet the robot weighs "
-        f"{view.total_mass + len(links):.6g} kg in place of {view.total_mass:.6g} kg"
+    told = diagnose(
+        "link-without-inertial",
+        others=[link.name for link in links[1:]],
+        weighs=Quantity(view.total_mass + len(links), "kg"),
+        mass=Quantity(view.total_mass, "kg"),
     )
-    yield Found("link", links[0].name, text)
+    yield Found("link", links[0].name, told)
 
 
 @rule
@@ -42,20 +43,14 @@ def massless_link_collides(view: UrdfView) -> Iterator[Found]:
         return
     masses = [_water(shapes) for shapes in links.values()]
     known = [mass for mass in masses if mass is not None]
-    first = next(iter(links))
-    if len(known) == len(masses):
-        text = f"filled with water, they add {sum(known):.4g} kg to {view.total_mass:.6g} kg"
-    else:
-        text = f"filled with water, their meshes add to {view.total_mass:.6g} kg"
-    text = f"it has no mass, and shapes for contacts{_others(list(links))}: {text}"
-    yield Found("link", first.name, text, "collision")
-
-
-def _others(links: Sequence[Body]) -> str:
-    """Names the links besides the first."""
-    names = [link.name for link in links[1:]]
-    listed = ", ".join(names[:_NAMED]) + (" …" if len(names) > _NAMED else "")
-    return f" (likewise {listed})" if names else ""
+    first, *others = (link.name for link in links)
+    told = diagnose(
+        "massless-link-collides",
+        others=others,
+        water=Quantity(sum(known), "kg") if len(known) == len(masses) else None,
+        mass=Quantity(view.total_mass, "kg"),
+    )
+    yield Found("link", first, told, "collision")
 
 
 def _water(shapes: Sequence[Shape]) -> float | None:

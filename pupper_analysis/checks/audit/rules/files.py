@@ -10,6 +10,7 @@ from lxml import etree
 from pupper_analysis.checks.audit.geometry import mesh_problem
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.view import FIXED, MjcfView, UrdfView, View
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.packages import existing, is_pointer
 from pupper_analysis.models.places import Place
@@ -20,7 +21,7 @@ def mujoco_refuses(view: MjcfView) -> Iterator[Found]:
     """Compiles the file."""
     if view.refusal is not None:
         problem, place = view.refusal
-        yield Found("mujoco", "", str(problem), place=place)
+        yield Found("mujoco", "", diagnose("mujoco-refuses", problem=problem), place=place)
 
 
 @rule
@@ -35,8 +36,8 @@ def mesh_missing(view: UrdfView | MjcfView) -> Iterator[Found]:
             name = mesh.get("filename", "")
             if name not in seen and view.file.resolve_mesh(name) is None:
                 place = Place(view.file.path, mesh.sourceline)
-                text = _what_is_missing(name, [view.file.path.parent / name])
-                yield Found("link", str(link.get("name")), text, place=place)
+                told = _what_is_missing(name, [view.file.path.parent / name])
+                yield Found("link", str(link.get("name")), told, place=place)
             seen.add(name)
 
 
@@ -54,7 +55,8 @@ def mesh_unreadable(view: UrdfView) -> Iterator[Found]:
             problem = mesh_problem(path)
             if problem is not None:
                 place = Place(view.file.path, mesh.sourceline)
-                yield Found("link", str(link.get("name")), f"{name!r}: {problem}", place=place)
+                told = diagnose("mesh-unreadable", mesh=name, problem=problem)
+                yield Found("link", str(link.get("name")), told, place=place)
 
 
 def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:
@@ -70,10 +72,9 @@ def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:
             yield Found("mesh", known, _what_is_missing(name, places), place=place)
 
 
-def _what_is_missing(name: str, places: Iterable[Path]) -> str:
-    if any(map(is_pointer, places)):
-        return f"{name!r} is a pointer of Git LFS, not the mesh: git lfs pull brings it"
-    return f"there is no file {name!r}"
+def _what_is_missing(name: str, places: Iterable[Path]) -> Diagnostic:
+    pointer = any(map(is_pointer, places))
+    return diagnose("mesh-is-lfs-pointer" if pointer else "mesh-missing", mesh=name)
 
 
 def first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:
@@ -96,9 +97,8 @@ def material_undefined(view: UrdfView) -> Iterator[Found]:
         if not name or name in defined or name in missing or _of_gazebo(material):
             continue
         missing.add(name)
-        text = "it is used, but has neither colour nor texture anywhere"
         place = Place(view.file.path, material.sourceline)
-        yield Found("material", name, text, place=place)
+        yield Found("material", name, diagnose("material-undefined"), place=place)
 
 
 def _of_gazebo(element: etree._Element) -> bool:
@@ -116,6 +116,10 @@ def joint_named_like_link(view: View) -> Iterator[Found]:
         if j.kind == FIXED and j.name in view.bodies and j.name not in both
     ]
     if both:
-        more = f", and {len(both) - 1} others" if len(both) > 1 else ""
-        text = f"a {view.body_tag} is called {both[0]!r} too{more}"
-        yield Found("joint", both[0], text)
+        told = diagnose(
+            "joint-named-like-link",
+            kind=Term(view.body_tag),
+            joint=both[0],
+            others=len(both) - 1,
+        )
+        yield Found("joint", both[0], told)

@@ -10,6 +10,7 @@ from pupper_analysis.checks.audit.geometry import extent_points, link_points
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.view import Body, Inertial, View
+from pupper_analysis.diagnostics import Quantity, diagnose
 
 FACTOR = 100.0
 """How far an inertia may be from that of a solid box: units slip by 1000 or more."""
@@ -37,8 +38,12 @@ def inertia_not_positive_definite(view: View) -> Iterator[Found]:
         zero = max(1e-9 * scale, TINY * inertial.mass)
         alone = body.moving and len(view.fixed_group(body.name)) == 1
         if least < -max(zero, inertial.rounding) or (alone and least <= zero):
-            text = f"its principal moments reach from {least:.4g} to {greatest:.4g} kg m^2"
-            yield Found(view.body_tag, body.name, text, view.inertial_part("inertia"))
+            told = diagnose(
+                "inertia-not-positive-definite",
+                least=Quantity(least, "kg m^2"),
+                greatest=Quantity(greatest, "kg m^2"),
+            )
+            yield Found(view.body_tag, body.name, told, view.inertial_part("inertia"))
 
 
 @rule
@@ -55,13 +60,16 @@ def triangle_inequality(view: View) -> Iterator[Found]:
         # Of six equal values two moments are 0, but for rounding to either side.
         positive = least >= -max(1e-9 * greatest, TINY * inertial.mass)
         if positive and excess > max(tolerance, TINY * inertial.mass):
-            text = (
-                f"its principal moments {least:.4g} + {middle:.4g} < {greatest:.4g} kg m^2, "
-                f"by {excess:.2g} kg m^2 ({100 * excess / greatest:.2g} %)"
+            told = diagnose(
+                "triangle-inequality",
+                least=Quantity(least, "kg m^2"),
+                middle=Quantity(middle, "kg m^2"),
+                greatest=Quantity(greatest, "kg m^2"),
+                excess=Quantity(excess, "kg m^2"),
+                share=Quantity(excess / greatest, "1"),
+                equal=bool(np.allclose(inertial.inertia, inertial.inertia[0, 0], rtol=1e-6)),
             )
-            if np.allclose(inertial.inertia, inertial.inertia[0, 0], rtol=1e-6):
-                text += ": all six values are equal, so it is that of a rod without width"
-            yield Found(view.body_tag, body.name, text, view.inertial_part("inertia"))
+            yield Found(view.body_tag, body.name, told, view.inertial_part("inertia"))
 
 
 @rule
@@ -87,21 +95,24 @@ def inertia_implausible(view: View) -> Iterator[Found]:
         own = extent_points([body], body)
         expected = 0.0 if own is None else _solid_box(own, inertial.mass)
         if greatest > (2.0 if shaped else FACTOR) * inertial.mass * reach**2:
-            gyration = np.sqrt(greatest / inertial.mass)
-            text = (
-                f"its greatest moment of {greatest:.3g} kg m^2 at {inertial.mass:.3g} kg means a "
-                f"radius of gyration of {1e3 * gyration:.3g} mm, "
-                f"but it reaches only {1e3 * reach:.3g} mm from its com"
+            told = diagnose(
+                "inertia-too-large",
+                moment=Quantity(greatest, "kg m^2"),
+                mass=Quantity(inertial.mass, "kg"),
+                gyration=Quantity(np.sqrt(greatest / inertial.mass), "m"),
+                reach=Quantity(reach, "m"),
             )
         elif greatest < expected / FACTOR:
-            text = (
-                f"its greatest moment is {greatest:.3g} kg m^2; a solid box of its size and its "
-                f"{inertial.mass:.3g} kg has {expected:.3g} kg m^2, "
-                f"{expected / greatest:.0f} times that"
+            told = diagnose(
+                "inertia-too-small",
+                moment=Quantity(greatest, "kg m^2"),
+                mass=Quantity(inertial.mass, "kg"),
+                solid=Quantity(expected, "kg m^2"),
+                times=expected / greatest,
             )
         else:
             continue
-        yield Found(view.body_tag, body.name, text, view.inertial_part("inertia"))
+        yield Found(view.body_tag, body.name, told, view.inertial_part("inertia"))
 
 
 def _solid_box(points: Array, mass: float) -> float:

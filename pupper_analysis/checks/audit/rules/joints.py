@@ -10,8 +10,9 @@ import numpy as np
 from pupper_analysis.checks.audit.pairs import mirror_plane
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.view import HINGE, View
+from pupper_analysis.diagnostics import Quantity, Term, Vector, diagnose
 
-_MOTIONS = ("rolls (about x)", "pitches (about y)", "yaws (about z)")
+_MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
 
 _NAMES = (
     (0, ("haa", "abad", "abduction", "adduction", "hip_roll", "hx")),
@@ -52,12 +53,13 @@ def axis_contradicts_name(view: View) -> Iterator[Found]:
             continue
         if abs(joint.axis[axis]) < 0.5:
             really = int(np.argmax(np.abs(joint.axis)))
-            x, y, z = joint.axis + 0.0
-            text = (
-                f"by its name it {_MOTIONS[axis]}, but at zero angles its axis is "
-                f"({x:.3g}, {y:.3g}, {z:.3g}) in the base frame: it {_MOTIONS[really]}"
+            told = diagnose(
+                "axis-contradicts-name",
+                named=_MOTIONS[axis],
+                axis=Vector(tuple(joint.axis), "1"),
+                turns=_MOTIONS[really],
             )
-            yield Found("joint", joint.name, text, "axis")
+            yield Found("joint", joint.name, told, "axis")
 
 
 @rule
@@ -65,7 +67,7 @@ def axis_zero(view: View) -> Iterator[Found]:
     """Finds axes shorter than 1e-9."""
     for joint in view.joints.values():
         if joint.moves and float(np.linalg.norm(joint.raw_axis)) < 1e-9:
-            yield Found("joint", joint.name, "its axis has length 0", "axis")
+            yield Found("joint", joint.name, diagnose("axis-zero"), "axis")
 
 
 @rule
@@ -74,7 +76,6 @@ def axis_not_unit(view: View) -> Iterator[Found]:
     for joint in view.joints.values():
         length = float(np.linalg.norm(joint.raw_axis))
         if joint.moves and length > 1e-9 and abs(length - 1.0) > 1e-3:
-            x, y, z = joint.raw_axis
-            yield Found(
-                "joint", joint.name, f"({x:g}, {y:g}, {z:g}) has length {length:.4g}", "axis"
-            )
+            axis = Vector(tuple(joint.raw_axis), "1")
+            told = diagnose("axis-not-unit", axis=axis, length=Quantity(length, "1"))
+            yield Found("joint", joint.name, told, "axis")

@@ -12,6 +12,7 @@ from pupper_analysis.checks.audit.from_mjcf import line_of
 from pupper_analysis.checks.audit.from_urdf import number
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.view import HINGE, MjcfView, UrdfView, View
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 
 
 @rule
@@ -23,8 +24,9 @@ def range_empty(view: View) -> Iterator[Found]:
     """
     for joint in view.joints.values():
         if joint.moves and joint.lower >= joint.upper:
-            limits = f"its lower limit is {joint.lower:g}, its upper {joint.upper:g} {joint.unit}"
-            yield Found("joint", joint.name, limits, "limit")
+            lower, upper = Quantity(joint.lower, joint.unit), Quantity(joint.upper, joint.unit)
+            told = diagnose("range-empty", lower=lower, upper=upper)
+            yield Found("joint", joint.name, told, "limit")
     if isinstance(view, MjcfView) and view.refusal is None:
         yield from _inverted(view)
 
@@ -47,8 +49,8 @@ def _inverted(view: MjcfView) -> Iterator[Found]:
                 if getattr(element, switch) == auto and low > high:
                     around = element.parent.name if tag == "joint" else view.base
                     place = None if element.name else line_of(view.file, element, around)
-                    text = f"its {name} is [{low:g}, {high:g}]: MuJoCo takes it for no limit"
-                    yield Found(tag, element.name, text, place=place)
+                    told = diagnose("range-inverted", attribute=name, low=low, high=high)
+                    yield Found(tag, element.name, told, place=place)
 
 
 @rule
@@ -60,26 +62,25 @@ def limit_missing(view: View) -> Iterator[Found]:
     for joint in view.joints.values():
         if joint.moves and math.isinf(joint.lower) and "wheel" not in joint.name.lower():
             ignored = _limits_without_effect(view, joint.name)
-            if ignored:
+            if ignored is not None:
                 yield Found("joint", joint.name, ignored, "limit")
                 continue
-            text = f"this {joint.kind} turns or slides without end"
-            yield Found("joint", joint.name, text)
+            told = diagnose("joint-without-end", kind=Term(joint.kind))
+            yield Found("joint", joint.name, told)
 
 
-def _limits_without_effect(view: View, name: str) -> str:
+def _limits_without_effect(view: View, name: str) -> Diagnostic | None:
     """Says so if a joint of type continuous states limits all the same."""
     if not isinstance(view, UrdfView):
-        return ""
+        return None
     limit = view.file.root.find(f"joint[@name='{name}']/limit") if "'" not in name else None
     if limit is None or limit.get("lower") is None or limit.get("upper") is None:
-        return ""
+        return None
     lower, upper = number(limit, "lower", 0.0), number(limit, "upper", 0.0)
     if lower >= upper:
-        return ""
-    return (
-        f"it is of type continuous, so that its limits [{lower:g}, {upper:g}] rad have no effect; "
-        'say type="revolute" if they are meant, or take them out'
+        return None
+    return diagnose(
+        "limits-without-effect", lower=Quantity(lower, "rad"), upper=Quantity(upper, "rad")
     )
 
 
@@ -96,18 +97,21 @@ def limits_in_wrong_unit(view: View) -> Iterator[Found]:
         limits = (joint.lower, joint.upper)
         integers = all(abs(value - round(value)) < 1e-9 for value in limits)
         if integers and 12 <= max(map(abs, limits)) <= 360:
-            text = f"[{limits[0]:g}, {limits[1]:g}] rad look like degrees"
-            yield Found("joint", joint.name, text, "limit")
+            lower, upper = (Quantity(value, "rad") for value in limits)
+            told = diagnose("limits-look-like-degrees", lower=lower, upper=upper)
+            yield Found("joint", joint.name, told, "limit")
     if not isinstance(view, MjcfView) or not view.file.spec.compiler.degree or len(hinges) < 3:
         return
     widest = max(hinges, key=lambda j: max(abs(j.lower), abs(j.upper)))
     low, high = np.rad2deg((widest.lower, widest.upper))
     if max(abs(low), abs(high)) <= 2 * math.pi:
-        text = (
-            f"the file is in degrees, and the widest range of its {len(hinges)} hinges is "
-            f"[{low:.4g}, {high:.4g}] degrees: that looks like radians"
+        told = diagnose(
+            "limits-look-like-radians",
+            hinges=len(hinges),
+            lower=Quantity(widest.lower, "rad"),
+            upper=Quantity(widest.upper, "rad"),
         )
-        yield Found("joint", widest.name, text)
+        yield Found("joint", widest.name, told)
 
 
 @rule
@@ -117,9 +121,15 @@ def effort_or_velocity_zero(view: UrdfView) -> Iterator[Found]:
         limit = joint.find("limit")
         if limit is None or joint.get("type") == "fixed" or joint.find("mimic") is not None:
             continue
-        zero = [what for what in ("effort", "velocity") if number(limit, what, 1.0) <= 0]
+        zero = {what: number(limit, what, 1.0) for what in ("effort", "velocity")}
+        zero = {what: value for what, value in zero.items() if value <= 0}
         if zero:
-            values = " and ".join(
-                f"its {what} limit is {number(limit, what, 0.0):g}" for what in zero
+            units = ("N", "m/s") if joint.get("type") == "prismatic" else ("N m", "rad/s")
+            effort, velocity = (
+                Quantity(zero[what], unit) if what in zero else None
+                for what, unit in zip(("effort", "velocity"), units, strict=True)
             )
-            yield Found("joint", str(joint.get("name")), values, "limit")
+            told = diagnose(
+                "effort-or-velocity-zero", effort=effort, velocity=velocity, both=len(zero) == 2
+            )
+            yield Found("joint", str(joint.get("name")), told, "limit")

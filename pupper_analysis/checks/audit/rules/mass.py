@@ -10,8 +10,8 @@ import numpy as np
 from pupper_analysis.checks.audit.from_mjcf import line_of
 from pupper_analysis.checks.audit.geometry import extent_points, link_points, outside_hull
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import FREE, MjcfView, View
+from pupper_analysis.diagnostics import Quantity, Severity, Vector, diagnose
 from pupper_analysis.models.places import Place
 
 LIGHT, HEAVY = 0.05, 500.0
@@ -37,10 +37,12 @@ def mass_not_positive(view: View) -> Iterator[Found]:
         if inertial.mass == 0 and not inertial.inertia.any():
             continue
         largest = float(np.abs(inertial.inertia).max())
-        text = (
-            f"its mass is {inertial.mass:g} kg, with moments of inertia up to {largest:.3g} kg m^2"
+        told = diagnose(
+            "mass-not-positive",
+            mass=Quantity(inertial.mass, "kg"),
+            largest=Quantity(largest, "kg m^2"),
         )
-        yield Found(view.body_tag, body.name, text, view.inertial_part("mass"))
+        yield Found(view.body_tag, body.name, told, view.inertial_part("mass"))
 
 
 @rule
@@ -51,10 +53,8 @@ def moving_body_without_mass(view: View) -> Iterator[Found]:
             continue
         carries = any(other.mass > 0 for other in view.descendants(body.name))
         joint = body.joints[0].name
-        text = f"joint {joint!r} moves it, but it and all that is fixed to it weigh 0 kg"
-        if carries:
-            text += " (bodies with mass hang on it by further joints: Pinocchio accepts that)"
-        yield Found(view.body_tag, body.name, text, severity=Severity.WARNING if carries else None)
+        told = diagnose("moving-body-without-mass", joint=joint, carries=carries)
+        yield Found(view.body_tag, body.name, told, severity=Severity.WARNING if carries else None)
 
 
 @rule
@@ -74,12 +74,13 @@ def com_outside_shapes(view: View) -> Iterator[Found]:
         shapes = [shape for part in group for shape in part.shapes]
         drawn = any(shape.kind == "mesh" or not shape.collides for shape in shapes)
         if outside > COM_OUTSIDE + (DRAWN if drawn else SIMPLIFIED) * size:
-            x, y, z = inertial.com
-            text = (
-                f"its com ({x:.4g}, {y:.4g}, {z:.4g}) m is {1e3 * outside:.1f} mm outside its "
-                f"shapes, which are {1e3 * size:.0f} mm long"
+            told = diagnose(
+                "com-outside-shapes",
+                com=Vector(tuple(inertial.com), "m"),
+                outside=Quantity(outside, "m"),
+                size=Quantity(size, "m"),
             )
-            yield Found(view.body_tag, body.name, text, view.inertial_part("origin"))
+            yield Found(view.body_tag, body.name, told, view.inertial_part("origin"))
 
 
 @rule
@@ -90,8 +91,13 @@ def total_mass_unusual(view: View) -> Iterator[Found]:
         return
     total = base.mass + sum(body.mass for body in view.descendants(base.name))
     if not LIGHT <= total <= HEAVY:
-        text = f"all bodies together weigh {total:.4g} kg; expected are {LIGHT:g} to {HEAVY:g} kg"
-        yield Found(view.body_tag, view.base, text)
+        told = diagnose(
+            "total-mass-unusual",
+            mass=Quantity(total, "kg"),
+            least=Quantity(LIGHT, "kg"),
+            most=Quantity(HEAVY, "kg"),
+        )
+        yield Found(view.body_tag, view.base, told)
 
 
 @rule
@@ -101,9 +107,11 @@ def inertial_ignored(view: MjcfView) -> Iterator[Found]:
         return
     for body in view.file.spec.bodies:
         if body.explicitinertial and body.name in view.bodies:
-            mass = view.bodies[body.name].mass
-            text = f"stated are {body.mass:.4g} kg, but MuJoCo takes {mass:.4g} kg from its geoms"
-            yield Found("body", body.name, text, "inertial")
+            taken = view.bodies[body.name].mass
+            told = diagnose(
+                "inertial-ignored", stated=Quantity(body.mass, "kg"), taken=Quantity(taken, "kg")
+            )
+            yield Found("body", body.name, told, "inertial")
 
 
 @rule
@@ -127,13 +135,14 @@ def visual_adds_mass(view: MjcfView) -> Iterator[Found]:
         for geom in drawn if solid else by_accident:
             if not solid and geom.type != mujoco.mjtGeom.mjGEOM_MESH:
                 continue
-            mass = view.bodies[body.name].mass
-            text = (
-                f"it touches nothing, yet its density of {geom.density:g} kg/m^3 counts in the "
-                f"{mass:.4g} kg of body {body.name!r}"
+            told = diagnose(
+                "visual-adds-mass",
+                density=Quantity(geom.density, "kg/m^3"),
+                mass=Quantity(view.bodies[body.name].mass, "kg"),
+                body=body.name,
             )
             place: Place | None = None if geom.name else line_of(view.file, geom, body.name)
-            yield Found("geom", geom.name, text, place=place)
+            yield Found("geom", geom.name, told, place=place)
 
 
 @rule
@@ -150,8 +159,5 @@ def base_fixed(view: View) -> Iterator[Found]:
         return
     mass = sum(body.mass for body in view.fixed_group(base.name))
     if not any(joint.kind == FREE for joint in base.joints):
-        text = (
-            f"with all that is fixed to it, it weighs {mass:.4g} kg; it has no free joint, and "
-            f"there are {len(feet)} feet"
-        )
-        yield Found(view.body_tag, base.name, text)
+        told = diagnose("base-fixed", mass=Quantity(mass, "kg"), feet=len(feet))
+        yield Found(view.body_tag, base.name, told)

@@ -10,6 +10,7 @@ from pupper_analysis.checks.audit.pairs import Mirror, mirror_pairs, mirror_plan
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.view import HINGE, Body, Inertial, Joint, View
+from pupper_analysis.diagnostics import Quantity, Vector, bound, diagnose
 
 POSITION, MASS, COM, INERTIA, LIMIT = 1e-3, 0.01, 1e-3, 0.1, 0.02
 """Tolerances: m, relative, m, relative, rad or m."""
@@ -78,10 +79,6 @@ def _same_mass(one: Body, other: Body) -> bool:
     return not abs(one.mass - other.mass) > MASS * max(abs(one.mass), abs(other.mass))
 
 
-def _vector(vector: Array) -> str:
-    return "(" + ", ".join(f"{value:.4g}" for value in vector + 0.0) + ")"
-
-
 @rule
 def mirror_position(view: View) -> Iterator[Found]:
     """Compares the places of joints, or of fixed bodies; once per chain."""
@@ -91,17 +88,18 @@ def mirror_position(view: View) -> Iterator[Found]:
     for one, other in _displaced(view, mirror)[1]:
         image, place = mirror.point(_anchor(one)), _anchor(other)
         gap = float(np.linalg.norm(image - place))
-        text = (
-            f"it is at {_vector(place)} m in the base's axes, {1e3 * gap:.3g} mm from the mirror "
-            f"image {_vector(image)} of {one.name!r}"
+        told = diagnose(
+            "mirror-position",
+            place=Vector(tuple(place), "m"),
+            gap=Quantity(gap, "m"),
+            image=Vector(tuple(image), "m"),
+            other=one.name,
+            turned=_turned_by(view, image, other),
         )
-        turned = _turned_by(view, image, other)
-        if turned is not None:
-            text += f" (unless joint {turned!r} has another zero angle than its partner)"
         if view.format == "urdf" and other.joints:
-            yield Found("joint", other.joints[0].name, text, "origin")
+            yield Found("joint", other.joints[0].name, told, "origin")
         else:
-            yield Found(view.body_tag, other.name, text)
+            yield Found(view.body_tag, other.name, told)
 
 
 @rule
@@ -109,8 +107,13 @@ def mirror_mass(view: View) -> Iterator[Found]:
     """Compares masses, with 1 % of tolerance."""
     for one, other in _body_pairs(view):
         if not _same_mass(one, other):
-            text = f"it weighs {other.mass:.4g} kg, {one.name!r} {one.mass:.4g} kg"
-            yield Found(view.body_tag, other.name, text, view.inertial_part("mass"))
+            told = diagnose(
+                "mirror-mass",
+                mass=Quantity(other.mass, "kg"),
+                other=one.name,
+                its=Quantity(one.mass, "kg"),
+            )
+            yield Found(view.body_tag, other.name, told, view.inertial_part("mass"))
 
 
 @rule
@@ -121,11 +124,14 @@ def mirror_com(view: View) -> Iterator[Found]:
         com = other.pose.point(there.com)
         gap = float(np.linalg.norm(image - com))
         if gap > COM + 0.01 * float(np.linalg.norm(com)):
-            text = (
-                f"its com is at {_vector(com)} m in the base's axes, {1e3 * gap:.3g} mm from the "
-                f"mirror image {_vector(image)} of that of {one.name!r}"
+            told = diagnose(
+                "mirror-com",
+                com=Vector(tuple(com), "m"),
+                gap=Quantity(gap, "m"),
+                image=Vector(tuple(image), "m"),
+                other=one.name,
             )
-            yield Found(view.body_tag, other.name, text, view.inertial_part("origin"))
+            yield Found(view.body_tag, other.name, told, view.inertial_part("origin"))
 
 
 @rule
@@ -144,11 +150,14 @@ def mirror_inertia(view: View) -> Iterator[Found]:
         gap = np.abs(image - tensor)[elements]
         worst = int(np.argmax(gap))
         if gap[worst] > max(INERTIA * scale, min(rounding, 0.5 * scale)):
-            text = (
-                f"its {names[worst]} in the base's axes is {tensor[elements][worst]:.3g} kg m^2, "
-                f"that of the mirror image of {one.name!r} is {image[elements][worst]:.3g} kg m^2"
+            told = diagnose(
+                "mirror-inertia",
+                entry=names[worst],
+                value=Quantity(tensor[elements][worst], "kg m^2"),
+                other=one.name,
+                its=Quantity(image[elements][worst], "kg m^2"),
             )
-            yield Found(view.body_tag, other.name, text, view.inertial_part("inertia"))
+            yield Found(view.body_tag, other.name, told, view.inertial_part("inertia"))
 
 
 def _joint_pairs(view: View) -> Iterator[tuple[Mirror, Joint, Joint]]:
@@ -178,12 +187,14 @@ def mirror_axis(view: View) -> Iterator[Found]:
         if one.axis.any() and other.axis.any():
             cosine = abs(_sense(mirror, one, other))
             if cosine < np.cos(np.deg2rad(1.0)):
-                angle = np.rad2deg(np.arccos(cosine))
-                text = (
-                    f"its axis {_vector(other.axis)} in the base's axes is {angle:.3g} degrees off "
-                    f"the mirror image of {one.name!r}, {_vector(mirror.matrix @ one.axis)}"
+                told = diagnose(
+                    "mirror-axis",
+                    axis=Vector(tuple(other.axis), "1"),
+                    angle=Quantity(np.arccos(cosine), "rad"),
+                    other=one.name,
+                    image=Vector(tuple(mirror.matrix @ one.axis), "1"),
                 )
-                yield Found("joint", other.name, text, "axis")
+                yield Found("joint", other.name, told, "axis")
 
 
 @rule
@@ -197,15 +208,23 @@ def mirror_limits(view: View) -> Iterator[Found]:
         here = (other.lower, other.upper)
         gap = max(abs(a - b) if a != b else 0.0 for a, b in zip(image, here, strict=True))
         if gap > LIMIT:
-            way = "the same" if sense > 0 else "the other"
-            text = (
-                f"its range is [{here[0]:.4g}, {here[1]:.4g}] {other.unit}; the mirror image of "
-                f"{one.name!r}, with an axis of {way} sense, has [{image[0]:.4g}, {image[1]:.4g}]"
+            lower, upper, its_lower, its_upper = (
+                Quantity(limit, other.unit) for limit in (*here, *image)
+            )
+            told = diagnose(
+                "mirror-limits",
+                lower=lower,
+                upper=upper,
+                unit=other.unit,
+                other=one.name,
+                same_sense=sense > 0,
+                its_lower=its_lower,
+                its_upper=its_upper,
             )
         elif one.effort != other.effort and not np.isclose(one.effort, other.effort, rtol=0.01):
-            text = (
-                f"its effort is {other.effort:g}, that of {one.name!r} is {one.effort:g} N m (or N)"
-            )
+            unit = "N m" if other.kind == HINGE else "N"
+            effort, its = bound(other.effort, unit), bound(one.effort, unit)
+            told = diagnose("mirror-effort", effort=effort, other=one.name, its=its)
         else:
             continue
-        yield Found("joint", other.name, text, "limit")
+        yield Found("joint", other.name, told, "limit")

@@ -10,9 +10,9 @@ import numpy as np
 
 from pupper_analysis.checks.audit.from_mjcf import line_of
 from pupper_analysis.checks.audit.from_urdf import vector
-from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.view import MjcfView, UrdfView
+from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.models.places import Place
 
 FULL_TURN = 2 * math.pi + 1e-3
@@ -29,16 +29,16 @@ def rpy_in_degrees(view: UrdfView | MjcfView) -> Iterator[Found]:
                 while owner.tag not in ("link", "joint") and owner.getparent() is not None:
                     owner = owner.getparent()
                 line = Place(view.file.path, element.sourceline)
-                text = f"rpy is ({rpy[0]:g}, {rpy[1]:g}, {rpy[2]:g}) rad"
-                yield Found(str(owner.tag), str(owner.get("name")), text, place=line)
+                told = diagnose("rpy-in-degrees", attribute="rpy", angles=Vector(tuple(rpy), "rad"))
+                yield Found(str(owner.tag), str(owner.get("name")), told, place=line)
         return
     if view.file.spec.compiler.degree:
         return
     for tag, name, element, place in _posed(view):
         euler = np.array(element.alt.euler)  # type: ignore[attr-defined]
         if np.isfinite(euler).all() and np.abs(euler).max() > FULL_TURN:
-            text = f"euler is ({euler[0]:g}, {euler[1]:g}, {euler[2]:g}) rad"
-            yield Found(tag, name, text, place=place)
+            told = diagnose("rpy-in-degrees", attribute="euler", angles=Vector(tuple(euler), "rad"))
+            yield Found(tag, name, told, place=place)
 
 
 @rule
@@ -50,8 +50,12 @@ def quaternion_not_unit(view: MjcfView) -> Iterator[Found]:
         parts = np.abs(quaternion[quaternion != 0])
         on_purpose = len(parts) > 0 and np.ptp(parts) < 1e-9 * parts.max()
         if abs(length - 1.0) > 1e-3 and not on_purpose:
-            text = f"({_numbers(quaternion)}) has length {length:.4g}"
-            yield Found(tag, name, text, place=place)
+            told = diagnose(
+                "quaternion-not-unit",
+                quaternion=Vector(tuple(quaternion), "1"),
+                length=Quantity(length, "1"),
+            )
+            yield Found(tag, name, told, place=place)
 
 
 @rule
@@ -69,8 +73,12 @@ def keyframe_quaternion(view: MjcfView) -> Iterator[Found]:
             quaternion = np.array(key.qpos)[start : start + 4]
             length = float(np.linalg.norm(quaternion))
             if len(quaternion) == 4 and abs(length - 1.0) > 1e-3:
-                text = f"its quaternion ({_numbers(quaternion)}) has length {length:.4g}"
-                yield Found("key", key.name, text)
+                told = diagnose(
+                    "keyframe-quaternion",
+                    quaternion=Vector(tuple(quaternion), "1"),
+                    length=Quantity(length, "1"),
+                )
+                yield Found("key", key.name, told)
 
 
 def _posed(view: MjcfView) -> Iterator[tuple[str, str, object, Place | None]]:
@@ -82,7 +90,3 @@ def _posed(view: MjcfView) -> Iterator[tuple[str, str, object, Place | None]]:
             for element in elements:
                 place = None if element.name else line_of(view.file, element, around)
                 yield tag, element.name, element, place
-
-
-def _numbers(values: Array) -> str:
-    return ", ".join(f"{value:g}" for value in values)

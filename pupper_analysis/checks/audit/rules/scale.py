@@ -11,6 +11,7 @@ from pupper_analysis.checks.audit.geometry import extent_points, link_points
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.view import Body, View
+from pupper_analysis.diagnostics import Quantity, diagnose
 
 DENSEST = 20_000.0
 """Mass per volume of the convex hull (kg/m^3) above which no link is: tungsten has 19300.
@@ -56,12 +57,13 @@ def density_implausible(view: View) -> Iterator[Found]:
         volume = _volume(np.concatenate([points, links]))
         density = mass / volume if volume > 0 else np.inf
         if volume > 0 and not LIGHTEST <= density <= DENSEST:
-            text = (
-                f"its {mass:.4g} kg in a hull of {1e3 * volume:.3g} litres are {density:.3g} "
-                "kg/m^3; "
-                + ("lead has 11300, tungsten 19300" if density > DENSEST else "foam has 10 or more")
+            told = diagnose(
+                "denser-than-metal" if density > DENSEST else "lighter-than-foam",
+                mass=Quantity(mass, "kg"),
+                volume=Quantity(volume, "m^3"),
+                density=Quantity(density, "kg/m^3"),
             )
-            yield Found(view.body_tag, body.name, text, view.inertial_part("mass"))
+            yield Found(view.body_tag, body.name, told, view.inertial_part("mass"))
 
 
 @rule
@@ -72,18 +74,25 @@ def scale_unusual(view: View) -> Iterator[Found]:
         return
     size = _extent(places)
     if size > LARGE or 0 < size < TINY:
-        text = f"its joints reach over {size:.4g} m; expected are {TINY:g} to {LARGE:g} m"
-        yield Found(view.body_tag, view.base, text)
+        told = diagnose(
+            "joints-out-of-scale",
+            size=Quantity(size, "m"),
+            least=Quantity(TINY, "m"),
+            most=Quantity(LARGE, "m"),
+        )
+        yield Found(view.body_tag, view.base, told)
     if size < SMALL:
         return
     for body in view.bodies.values():
         points = extent_points([body], body)
         if points is not None and _extent(points) > OUT_OF_SCALE * size:
-            text = (
-                f"its shapes are {_extent(points):.4g} m long, "
-                f"{_extent(points) / size:.3g} times the extent of all joints, {size:.4g} m"
+            told = diagnose(
+                "shapes-out-of-scale",
+                length=Quantity(_extent(points), "m"),
+                times=_extent(points) / size,
+                size=Quantity(size, "m"),
             )
-            yield Found(view.body_tag, body.name, text)
+            yield Found(view.body_tag, body.name, told)
 
 
 def _moving(view: View) -> Iterator[Body]:

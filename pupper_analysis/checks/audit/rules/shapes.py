@@ -8,27 +8,27 @@ import numpy as np
 
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.view import Body, Shape, View
+from pupper_analysis.diagnostics import Quantity, Severity, Subject, Term, diagnose
 
 TOLERANCE = 1e-3
 """How exactly shapes are expected at joints and frames (m)."""
 
 
-def _next_points(view: View, body: Body) -> dict[str, Array]:
+def _next_points(view: View, body: Body) -> dict[Subject, Array]:
     """Returns where the link ends: its moving children and its feet, in its frame (m)."""
     to_frame = body.pose.inverse()
-    points: dict[str, Array] = {}
+    points: dict[Subject, Array] = {}
     for part in view.fixed_group(body.name):
         local = to_frame * part.pose
         for child in view.children(part.name):
             if child.moving:
-                points[f"joint {child.joints[0].name!r}"] = to_frame.point(child.pose.position)
+                points[Subject("joint", child.joints[0].name)] = to_frame.point(child.pose.position)
         if part is not body and _is_foot(part.name):
-            points[f"{view.body_tag} {part.name!r}"] = local.position
+            points[Subject(view.body_tag, part.name)] = local.position
         for frame in part.frames:
             if _is_foot(frame.name):
-                points[f"site {frame.name!r}"] = local.point(frame.position)
+                points[Subject("site", frame.name)] = local.point(frame.position)
     return points
 
 
@@ -74,18 +74,23 @@ def shape_ends_off_joint(view: View) -> Iterator[Found]:
             }
             if not ahead:
                 continue
-            name, way = min(ahead.items(), key=lambda item: abs(item[1] - length))
+            end, way = min(ahead.items(), key=lambda item: abs(item[1] - length))
             gap, caps = length - way, shape.size[0]
             tolerance = max(TOLERANCE, 0.02 * way)
             reached = -0.2 * way < gap < tolerance or abs(gap + caps) < tolerance
-            if not reached and (name, round(length, 6)) not in reported:
-                reported.add((name, round(length, 6)))
-                more = "beyond" if gap > 0 else "short of"
-                text = (
-                    f"its {shape.kind} begins at its joint and is {length:.4g} m long, but {name} "
-                    f"is {way:.4g} m away: it ends {1e3 * abs(gap):.1f} mm {more} it"
+            if not reached and (end, round(length, 6)) not in reported:
+                reported.add((end, round(length, 6)))
+                told = diagnose(
+                    "shape-ends-off-joint",
+                    shape=Term(shape.kind),
+                    length=Quantity(length, "m"),
+                    kind=Term(end.kind),
+                    end=end.name,
+                    way=Quantity(way, "m"),
+                    gap=Quantity(abs(gap), "m"),
+                    beyond=gap > 0,
                 )
-                yield Found(view.body_tag, body.name, text, _tag(view, shape))
+                yield Found(view.body_tag, body.name, told, _tag(view, shape))
 
 
 def _tag(view: View, shape: Shape) -> str:
@@ -104,7 +109,7 @@ def _on_line(offset: Array, direction: Array, radius: float) -> bool:
 def foot_sphere_off_frame(view: View) -> Iterator[Found]:
     """Compares a foot's frame with the nearest sphere that touches things, of what moves with it.
 
-    Spheres of the foot, by their name or their link's, come first. INFO where the frame is inside
+    Spheres of the foot, by their name or their link's, come first. NOTE where the frame is inside
     the sphere: some make a flat sole that way.
     """
     for body in view.bodies.values():
@@ -130,11 +135,10 @@ def foot_sphere_off_frame(view: View) -> Iterator[Found]:
             _, gap, radius = min(spheres)
             if gap > 5 * radius or gap < TOLERANCE or abs(gap - radius) < TOLERANCE:
                 continue
-            text = (
-                f"the nearest sphere that touches things, of radius {1e3 * radius:.4g} mm, is "
-                f"centred {1e3 * gap:.4g} mm away from it"
+            told = diagnose(
+                "foot-sphere-off-frame", radius=Quantity(radius, "m"), gap=Quantity(gap, "m")
             )
-            yield Found(kind, name, text, severity=Severity.INFO if gap < radius else None)
+            yield Found(kind, name, told, severity=Severity.NOTE if gap < radius else None)
 
 
 def _carrier(view: View, body: Body) -> str:

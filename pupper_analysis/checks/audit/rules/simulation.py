@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.rules.actuators import drives
 from pupper_analysis.checks.audit.rules.files import first_place
 from pupper_analysis.checks.audit.view import MjcfView
+from pupper_analysis.diagnostics import Quantity, Severity, Vector, diagnose
 from pupper_analysis.robot.contact import combine, ground_geom
 from pupper_analysis.robot.servo_stability import servo_stability
 
@@ -21,14 +21,13 @@ STANDARD_GRAVITY = 9.80665
 
 @rule
 def gravity_unusual(view: MjcfView) -> Iterator[Found]:
-    """Finds a gravity off by more than 0.02 m/s^2 in any direction; INFO unless it points up."""
+    """Finds a gravity off by more than 0.02 m/s^2 in any direction; NOTE unless it points up."""
     gravity = np.array(view.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -STANDARD_GRAVITY)) > 0.02:
-        x, y, z = gravity
         place = first_place(view.file, "option", "gravity")
-        text = f"gravity is ({x:g}, {y:g}, {z:g}) m/s^2"
-        severity = None if z > 0 else Severity.INFO
-        yield Found("option", "", text, place=place, severity=severity)
+        told = diagnose("gravity-unusual", gravity=Vector(tuple(gravity), "m/s^2"))
+        severity = None if gravity[2] > 0 else Severity.NOTE
+        yield Found("option", "", told, place=place, severity=severity)
 
 
 @rule
@@ -43,8 +42,8 @@ def armature_zero(view: MjcfView) -> Iterator[Found]:
         for drive in driven
     ]
     if driven and not any(armature):
-        text = f"the armature of all {len(driven)} driven joints is 0 kg m^2"
-        yield Found("joint", driven[0].joint_name, text)
+        told = diagnose("armature-zero", joints=len(driven))
+        yield Found("joint", driven[0].joint_name, told)
 
 
 @rule
@@ -68,12 +67,14 @@ def servo_unstable(view: MjcfView) -> Iterator[Found]:
     found = servo_stability(model, data, stiffness, damping, implicit)
     if found is not None and found.ratio > 1:
         drive = max(used, key=lambda drive: float(found.shares[model.jnt_dofadr[drive.joint]]))
-        text = (
-            f"kp = {drive.kp:g}, kd = {drive.kd:g} and a timestep of "
-            f"{1e3 * model.opt.timestep:g} ms with the Euler integrator are {found.ratio:.3g} "
-            "times beyond the limit of stability"
+        told = diagnose(
+            "servo-unstable",
+            kp=Quantity(drive.kp, "N m/rad"),
+            kd=Quantity(drive.kd, "N m s/rad"),
+            step=Quantity(model.opt.timestep, "s"),
+            times=found.ratio,
         )
-        yield Found("actuator", drive.name, text)
+        yield Found("actuator", drive.name, told)
 
 
 @rule
@@ -103,11 +104,10 @@ def foot_frictionless(view: MjcfView) -> Iterator[Found]:
         contact = combine(model, geom, geom if ground is None else ground)
         friction = contact.friction[0] if ground is None else contact.sliding_friction
         if friction < 1e-3:
-            text = (
-                f"its contact has condim {contact.condim} and a sliding friction of "
-                f"{contact.friction[0]:g}"
+            told = diagnose(
+                "foot-frictionless", condim=contact.condim, friction=contact.friction[0]
             )
             if name:
-                yield Found("geom", name, text)
+                yield Found("geom", name, told)
             else:
-                yield Found("body", view.body_names[body], text, "geom")
+                yield Found("body", view.body_names[body], told, "geom")

@@ -13,9 +13,9 @@ import numpy as np
 from pupper_analysis.checks.audit.from_mjcf import joint_name
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.rules.actuators import drives
 from pupper_analysis.checks.audit.view import MjcfView, View
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.fall import (
@@ -50,13 +50,13 @@ class Start:
 
     Attributes:
         element: Tag and name for findings.
-        words: What it is called in a message.
+        told: What it is called.
         qpos: (nq,).
-        severity: INFO for qpos0 where keyframes exist: then nobody starts there.
+        severity: NOTE for qpos0 where keyframes exist: then nobody starts there.
     """
 
     element: tuple[str, str]
-    words: str
+    told: Diagnostic
     qpos: Array
     severity: Severity
 
@@ -65,22 +65,22 @@ def _starts(view: MjcfView) -> Iterator[Start]:
     model = view.model
     if model is None or not view.bodies:
         return
-    least = Severity.INFO if model.nkey else Severity.WARNING
-    yield Start(("body", view.base), "qpos0", np.array(model.qpos0), least)
+    least = Severity.NOTE if model.nkey else Severity.WARNING
+    yield Start(("body", view.base), diagnose("start-qpos0"), np.array(model.qpos0), least)
     for key in range(min(model.nkey, MOST_KEYFRAMES)):
         name = model.key(key).name
-        words = f"keyframe {name!r}" if name else f"keyframe {key}"
-        yield Start(("key", name), words, np.array(model.key_qpos[key]), Severity.WARNING)
+        told = diagnose("start-keyframe", keyframe=name, number=key)
+        yield Start(("key", name), told, np.array(model.key_qpos[key]), Severity.WARNING)
 
 
 @rule
 def start_outside_limits(view: View) -> Iterator[Found]:
-    """Finds joints outside by more than 1 mrad (1 mm); INFO for zero angles and qpos0."""
+    """Finds joints outside by more than 1 mrad (1 mm); NOTE for zero angles and qpos0."""
     if not isinstance(view, MjcfView):
         values = {joint.name: 0.0 for joint in view.joints.values() if joint.moves}
         if view.base:
             where = (view.body_tag, view.base)
-            yield from _outside(view, where, "the zero configuration", values, Severity.INFO)
+            yield from _outside(view, where, diagnose("start-zero"), values, Severity.NOTE)
         return
     model = view.model
     for start in _starts(view):
@@ -89,12 +89,17 @@ def start_outside_limits(view: View) -> Iterator[Found]:
             joint_name(model, joint): float(start.qpos[model.jnt_qposadr[joint]])
             for joint in range(model.njnt)
         }
-        severity = Severity.INFO if start.words == "qpos0" else Severity.WARNING
-        yield from _outside(view, start.element, start.words, values, severity)
+        named = start.element[0] == "key"
+        severity = Severity.WARNING if named else Severity.NOTE
+        yield from _outside(view, start.element, start.told, values, severity)
 
 
 def _outside(
-    view: View, where: tuple[str, str], words: str, values: dict[str, float], severity: Severity
+    view: View,
+    where: tuple[str, str],
+    start: Diagnostic,
+    values: dict[str, float],
+    severity: Severity,
 ) -> Iterator[Found]:
     excess = {
         joint.name: max(joint.lower - values[joint.name], values[joint.name] - joint.upper)
@@ -104,12 +109,17 @@ def _outside(
     outside = [name for name, by in excess.items() if by > 1e-3]
     if outside:
         worst = view.joints[max(outside, key=lambda name: excess[name])]
-        text = (
-            f"in {words}, joint {worst.name!r} is at {values[worst.name]:.4g} {worst.unit}, "
-            f"outside [{worst.lower:.4g}, {worst.upper:.4g}] "
-            f"({len(outside)} of {len(excess)} joints are outside)"
+        told = diagnose(
+            "start-outside-limits",
+            start=start,
+            joint=worst.name,
+            value=Quantity(values[worst.name], worst.unit),
+            lower=Quantity(worst.lower, worst.unit),
+            upper=Quantity(worst.upper, worst.unit),
+            outside=len(outside),
+            joints=len(excess),
         )
-        yield Found(*where, text, severity=severity)
+        yield Found(*where, told, severity=severity)
 
 
 @rule
@@ -136,13 +146,15 @@ def keyframe_ctrl(view: MjcfView) -> Iterator[Found]:
         if ahead:
             worst = max(ahead, key=lambda name: abs(ahead[name]))
             name = model.key(key).name
-            text = (
-                f"it commands joint {worst!r} to where it is not, {ahead[worst]:+.3g} "
-                f"{view.joints[worst].unit} away, more than its servo can be ahead "
-                f"({len(ahead)} of {model.nu} commands are)"
+            told = diagnose(
+                "keyframe-ctrl",
+                joint=worst,
+                off=Quantity(ahead[worst], view.joints[worst].unit),
+                ahead=len(ahead),
+                commands=model.nu,
             )
             said = len(view.file.spec.keys[key].ctrl) > 0
-            yield Found("key", name, text, severity=None if said else Severity.INFO)
+            yield Found("key", name, told, severity=None if said else Severity.NOTE)
 
 
 @rule
@@ -179,16 +191,19 @@ def keyframe_falls(view: MjcfView) -> Iterator[Found]:
     away = travelled(before.xpos[base], data.xpos[base])
     began_anew = data.time - before.time < seconds - 1.5 * step
     if began_anew:
-        text = "its numbers end in nothing that can be reckoned with"
+        told = diagnose("keyframe-diverges")
     elif has_collapsed(lean, start - floor, end - floor, away):
-        text = (
-            f"after {seconds:g} s on its own actuators its base is {end - floor:.3g} m above the "
-            f"ground, of {start - floor:.3g} m, {away:.3g} m from where it was, and leans by "
-            f"{lean:.2g} rad"
+        told = diagnose(
+            "keyframe-falls",
+            time=Quantity(seconds, "s"),
+            end=_rounded(end - floor, "m"),
+            start=_rounded(start - floor, "m"),
+            away=_rounded(away, "m"),
+            lean=_rounded(lean, "rad"),
         )
     else:
         return
-    yield Found("key", names[key], text)
+    yield Found("key", names[key], told)
 
 
 def _held(view: MjcfView, data: mujoco.MjData) -> bool:
@@ -218,11 +233,14 @@ def start_in_floor(view: MjcfView) -> Iterator[Found]:
                 depths[name] = max(depth, depths.get(name, 0.0))
         if depths:
             deepest = max(depths, key=lambda name: depths[name])
-            more = f", and {len(depths) - 1} more bodies" if len(depths) > 1 else ""
-            text = (
-                f"in {start.words}, body {deepest!r} is {1e3 * depths[deepest]:.3g} mm in the floor"
+            told = diagnose(
+                "start-in-floor",
+                start=start.told,
+                body=deepest,
+                depth=_rounded(depths[deepest], "m"),
+                others=len(depths) - 1,
             )
-            yield Found(*start.element, text + more, severity=start.severity)
+            yield Found(*start.element, told, severity=start.severity)
 
 
 def _is_plane(view: MjcfView, geom: int) -> bool:
@@ -243,12 +261,23 @@ def start_self_collision(view: MjcfView) -> Iterator[Found]:
                 depths[pair] = max(depth, depths.get(pair, 0.0))
         if depths:
             one, other = worst = max(depths, key=lambda pair: depths[pair])
-            more = f", and {len(depths) - 1} more pairs" if len(depths) > 1 else ""
-            text = (
-                f"in {start.words}, bodies {one!r} and {other!r} are {1e3 * depths[worst]:.3g} mm "
-                "in each other"
+            told = diagnose(
+                "start-self-collision",
+                start=start.told,
+                body=one,
+                other=other,
+                depth=_rounded(depths[worst], "m"),
+                others=len(depths) - 1,
             )
-            yield Found(*start.element, text + more, severity=start.severity)
+            yield Found(*start.element, told, severity=start.severity)
+
+
+def _rounded(value: float, unit: str) -> Quantity:
+    """Returns what a simulation, or a search for contacts, ends in, to the digits that it has.
+
+    The others are of the machine, and of MuJoCo's version: a baseline would not know it again.
+    """
+    return Quantity(float(f"{value:.3g}"), unit)
 
 
 def _contacts(

@@ -11,9 +11,9 @@ from lxml import etree
 from pupper_analysis.checks.audit.from_mjcf import line_of
 from pupper_analysis.checks.audit.from_urdf import number, vector
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.result import Severity
 from pupper_analysis.checks.audit.rules.files import first_place
 from pupper_analysis.checks.audit.view import MjcfView, UrdfView
+from pupper_analysis.diagnostics import Severity, Vector, diagnose
 from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.places import Place
 
@@ -40,8 +40,10 @@ def value_impossible(view: UrdfView | MjcfView) -> Iterator[Found]:
                 for attribute in attributes:
                     value = number(element, attribute, 0.0)
                     if value < 0:
-                        text = f"its {tag} {attribute} is {value:g}"
-                        yield Found("joint", str(joint.get("name")), text, tag)
+                        told = diagnose(
+                            "value-impossible", attribute=f"{tag} {attribute}", value=value
+                        )
+                        yield Found("joint", str(joint.get("name")), told, tag)
         return
     for joint in view.file.spec.joints:
         around = line_of(view.file, joint, joint.parent.name)
@@ -49,18 +51,20 @@ def value_impossible(view: UrdfView | MjcfView) -> Iterator[Found]:
             value = float(np.atleast_1d(getattr(joint, attribute))[0])
             if value < 0:
                 place = None if joint.name else around
-                yield Found("joint", joint.name, f"its {attribute} is {value:g}", place=place)
+                told = diagnose("value-impossible", attribute=attribute, value=value)
+                yield Found("joint", joint.name, told, place=place)
     for at, tendon in enumerate(view.file.spec.tendons):
         for attribute in _PASSIVE:
             value = float(np.atleast_1d(getattr(tendon, attribute))[0])
             if value < 0:
                 place = None if tendon.name else view.file.numbered("tendon", at)
-                yield Found("tendon", tendon.name, f"its {attribute} is {value:g}", place=place)
+                told = diagnose("value-impossible", attribute=attribute, value=value)
+                yield Found("tendon", tendon.name, told, place=place)
     for geom in view.file.spec.geoms:
         if min(geom.friction) < 0:
             place = None if geom.name else line_of(view.file, geom, geom.parent.name)
-            text = f"its friction is ({', '.join(f'{value:g}' for value in geom.friction)})"
-            yield Found("geom", geom.name, text, place=place)
+            told = diagnose("friction-negative", friction=Vector(tuple(geom.friction), "1"))
+            yield Found("geom", geom.name, told, place=place)
 
 
 def _impossible_sizes(view: UrdfView) -> Iterator[Found]:
@@ -76,8 +80,10 @@ def _impossible_sizes(view: UrdfView) -> Iterator[Found]:
         for name, values in sizes.items():
             bad = values < 0 if name == "length" else values <= 0
             if bad.any():
-                text = f"the {name} of its {tag} is {shape.get(name)}"
-                yield Found("link", link, text, place=Place(view.file.path, shape.sourceline))
+                told = diagnose(
+                    "size-impossible", attribute=name, shape=tag, stated=shape.get(name)
+                )
+                yield Found("link", link, told, place=Place(view.file.path, shape.sourceline))
 
 
 def _shapes(view: UrdfView) -> Iterator[tuple[str, etree._Element, etree._Element]]:
@@ -97,8 +103,8 @@ def geometry_empty(view: UrdfView) -> Iterator[Found]:
             for geometry in link.iterfind(f"{tag}/geometry"):
                 if next(geometry.iterchildren(tag=etree.Element), None) is None:
                     place = Place(view.file.path, geometry.sourceline)
-                    text = f"the <geometry> of its <{tag}> has no shape"
-                    yield Found("link", str(link.get("name")), text, place=place)
+                    told = diagnose("geometry-empty", tag=tag)
+                    yield Found("link", str(link.get("name")), told, place=place)
 
 
 @rule
@@ -115,11 +121,15 @@ def mesh_mirrored(view: UrdfView) -> Iterator[Found]:
     for count, found in mirrored.items():
         if found:
             link, shape = found[0]
-            text = f"the scale of its mesh {shape.get('filename')!r} is {shape.get('scale')}"
-            text += f", and {len(found) - 1} others alike" if len(found) > 1 else ""
-            severity = Severity.INFO if count == 1 else None
+            told = diagnose(
+                "mesh-mirrored",
+                mesh=shape.get("filename"),
+                scale=shape.get("scale"),
+                others=len(found) - 1,
+            )
+            severity = Severity.NOTE if count == 1 else None
             place = Place(view.file.path, shape.sourceline)
-            yield Found("link", link, text, place=place, severity=severity)
+            yield Found("link", link, told, place=place, severity=severity)
 
 
 _OPTIONS: dict[str, tuple[float, float, Severity, str]] = {
@@ -145,7 +155,14 @@ def option_out_of_range(view: MjcfView) -> Iterator[Found]:
     for name, (least, greatest, severity, unit) in _OPTIONS.items():
         value = float(getattr(option, name))
         if not least <= value <= greatest:
-            text = f"{name} is {value:g} {unit}".rstrip()
-            text += f"; it is to be from {least:g}" if value < least else f", above {greatest:g}"
+            told = diagnose(
+                "option-out-of-range",
+                option=name,
+                value=value,
+                unit=unit,
+                least=least,
+                greatest=greatest,
+                below=value < least,
+            )
             place = first_place(view.file, "option", name)
-            yield Found("option", "", text, place=place, severity=severity)
+            yield Found("option", "", told, place=place, severity=severity)
