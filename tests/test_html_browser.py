@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from test_html import EVIL, analysis, evil_analysis
 from test_study_report import outcome
 
 import pupper_analysis as pa
+from pupper_analysis.pupper.comparison import Reference, compare, comparison_table
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
@@ -354,5 +356,36 @@ def test_no_name_acts(browser: Any, tmp_path: Path) -> None:
     one = Opened(browser, file)
     assert EVIL[0] in one.page.locator("h2").nth(1).inner_text()
     assert one.page.locator("img").count() == 0
+    assert one.complaints == []
+    one.context.close()
+
+
+@pytest.mark.longest
+def test_parts_are_folded_and_verdicts_are_seen_on_a_screen(browser: Any, tmp_path: Path) -> None:
+    """Of two robots: each part is opened by its link, and on paper, where a view is there once."""
+    file = tmp_path / "two.html"
+    both = [analysis(), replace(analysis(), name="other")]
+    rows = [compare(one, "v3", Reference(1.0, None, None)) for one in both]
+    pa.write_report([*both, comparison_table(rows)], file, robots=[load("v3")])
+    one = Opened(browser, file, viewport={"width": 1280, "height": 900})
+    page = one.page
+    assert page.title() == "Analysis: v3, other"
+    parts = "[...document.querySelectorAll('details.part')].map((part) => part.open)"
+    assert page.evaluate(parts) == [False, False]
+    assert page.evaluate("document.documentElement.scrollHeight") < 3000
+    page.locator("nav a").nth(1).click()
+    page.locator("#s1 .canvas canvas").wait_for(timeout=10_000)
+    assert page.evaluate(parts) == [True, False]
+    wide = "[...document.querySelectorAll('.scroll')].every((e) => e.scrollWidth <= e.clientWidth)"
+    assert page.evaluate(wide)
+    for _ in range(2):  # a preview asks twice
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert page.evaluate(parts) == [True, True]
+    page.emulate_media(media="print")
+    seen = "[...document.querySelectorAll('.canvas > *')].filter((e) => e.offsetParent).length"
+    page.locator(".canvas .printed").first.wait_for()
+    assert page.evaluate(seen) == page.locator(".canvas").count() == 1
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.evaluate(parts) == [True, False]
     assert one.complaints == []
     one.context.close()
