@@ -47,11 +47,11 @@ def test_analyze_prints_every_part_and_writes_figures_and_json(tmp_path: Path) -
         "v3-heavy",
         "Joints",
         "com at zero angles",
-        "Stand (PlaCo",
+        "Errors of the solved stand (PlaCo",
         "Foot Jacobians",
         "Motor torques",
         "Contact forces",
-        "with feed-forward",
+        "feed-forward",
         "Height deviation",
         "Cross-check",
         "Comparison",
@@ -196,7 +196,7 @@ def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch)
     result = CliRunner().invoke(cli.analyze, ["original", "--no-figures"])
     assert result.exit_code == 1
     assert "FAILED original: " in result.stdout
-    assert "failed: a joint is off by" in result.stdout
+    assert "FAILED original: a joint is off by" in result.stdout
     assert "0 of 1 verified" in result.stdout
 
 

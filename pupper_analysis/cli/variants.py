@@ -137,7 +137,7 @@ def _analyze_all(
     from pupper_analysis.analysis.robot import analyze_variant
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.report.documents.analysis import analysis_document
-    from pupper_analysis.report.terminal import console, print_document, print_head
+    from pupper_analysis.report.terminal import console, print_document, print_summary
     from pupper_analysis.stance.stand import solve_stand
 
     robots = [load_variant(spec) for spec in specs]
@@ -150,7 +150,7 @@ def _analyze_all(
         if shown and everything:
             print_document(out, analysis_document(analyses[-1]), everything=True)
         elif shown:
-            print_head(out, analysis_document(analyses[-1]))
+            print_summary(out, analysis_document(analyses[-1]))
     return analyses, robots
 
 

@@ -74,7 +74,7 @@ def print_report(out: Console, report: Report, *, everything: bool = False) -> N
     several = bool(report.overview) and not everything
     for document in report.documents:
         if several:
-            print_head(out, document)
+            print_summary(out, document)
         else:
             print_document(out, document, everything=everything)
     for block in report.overview:
@@ -100,6 +100,14 @@ def print_document(out: Console, document: Document, *, everything: bool = False
     print_notes(out, document.notes, everything=everything)
     if not everything:
         _print_left_out(out, document)
+
+
+def print_summary(out: Console, document: Document) -> None:
+    """Prints a document's verdict and key figures, and how many notes it has."""
+    print_head(out, document)
+    if count := len(document.notes):
+        said = f"  {count} note{'s' if count > 1 else ''} on what was assumed: -v"
+        _say(out, Text(said, "dim"))
 
 
 def print_head(out: Console, document: Document) -> None:
