@@ -1,15 +1,17 @@
 """The spectrum of a step against nudged simulations: do both say the same of what stands?
 
-    python benchmarks/stability.py [COUNT] [FILE.xml ...]
+    python benchmarks/stability.py [COUNT] [--seed SEED] [--files FILE.xml ...]
 
 Random variants, stances, payloads and gains (and MJCFs with a keyframe, each at three time steps)
 are judged by ``step_stability``, and simulated for 12 s, nudged by 1e-3 m/s and rad/s in three
-random ways. What differs is marked; the last table counts.
+random ways. A robot *leaves* if a joint is further than 1e-2 rad from where it was at any time,
+*goes on* if a nudge does not decay, and *stays* otherwise. What differs is marked; the
+last table counts.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -23,7 +25,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.stability import LASTING, Mode, Stability, step_stability
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.nudge import LEFT, NUDGE
+from pupper_analysis.simulation.nudge import LEFT, NUDGE, response
 from pupper_analysis.simulation.rollout import STATE, full_state, place_on_ground, run
 
 Array = NDArray[np.float64]
@@ -33,6 +35,9 @@ NUDGES = 3
 DOUBLINGS = 14.0
 """After so many a nudge of 1e-3 (some 1e-5 rad) is 0.1 rad: what is refused is simulated for so
 long, if that is longer than 12 s."""
+
+HARD = 0.3
+"""Of a push beyond dry friction (m/s, rad/s), which frees what that holds."""
 
 SLOW = DOUBLINGS * LASTING
 """Longer is not waited (s): what buckles more slowly than in ``LASTING`` is not refused."""
@@ -48,9 +53,30 @@ class Case:
     ctrl: Array
 
 
-def variants(count: int) -> Iterator[Case]:
+@dataclass
+class Seen:
+    """What became of nudges, at worst.
+
+    Attributes:
+        way: The greatest way of a joint from where it was before (rad, m): at any time, or at the
+            end of a harder push, which itself takes joints away.
+        goes_on: Whether one did not decay: what shakes may end in a cycle of milliradians.
+    """
+
+    way: float
+    goes_on: bool
+
+    @property
+    def word(self) -> str:
+        """One word for it."""
+        if not self.way < LEFT:
+            return "leaves"
+        return "goes on" if self.goes_on else "stays"
+
+
+def variants(count: int, seed: int = 0) -> Iterator[Case]:
     """Yields random stands of the variants on random gains, with feed-forward."""
-    random = np.random.default_rng(0)
+    random = np.random.default_rng(seed)
     names = sorted(pa.VARIANTS)
     while count:
         name = str(random.choice(names))
@@ -111,37 +137,52 @@ def waited(mode: Mode) -> float:
     return min(max(LASTING, DOUBLINGS * (mode.doubling_time or 0.0)), SLOW)
 
 
-def worst(
+def seen(
     case: Case, duration: float, speed: float = NUDGE, *, enough: float = float("inf")
-) -> float:
-    """Returns how far a joint is from where it was at the end, at worst (rad).
+) -> Seen:
+    """Simulates what nudges do to a case.
 
     Nudges after one that takes it ``enough`` away (rad) are not tried.
     """
     model, steps = case.model, round(duration / case.model.opt.timestep)
-    hinges = 1 + model.jnt_qposadr[model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value]
     settled = run(model, case.start, np.tile(case.ctrl, (round(1 / model.opt.timestep), 1)))[-1]
     if abs(settled[0] - case.start[0] - 1.0) > 0.01 or not np.isfinite(settled).all():
-        return np.inf
-    ways = []
+        return Seen(np.inf, goes_on=True)
+    found = Seen(0.0, goes_on=False)
     for seed in range(NUDGES):
         start = settled.copy()
         rates = slice(1 + model.nq, 1 + model.nq + model.nv)
         start[rates] += speed * np.random.default_rng(seed).uniform(-1, 1, model.nv)
         states = run(model, start, np.tile(case.ctrl, (steps, 1)))
         whole = np.isfinite(states).all() and (np.diff(states[:, 0]) > 0).all()
-        way = np.abs(states[-steps // 4 :, hinges] - settled[hinges]).max()
-        ways.append(float(way) if whole else np.inf)
-        if ways[-1] > enough:
+        nudge = response(model, settled, states)
+        way = nudge.moved if speed > NUDGE else nudge.farthest
+        found.way = max(found.way, way if whole else np.inf)
+        found.goes_on |= not nudge.decayed
+        if found.way > enough:
             break
-    return max(ways)
+    return found
+
+
+def tried(case: Case, leaving: tuple[Mode, ...]) -> Seen:
+    """Simulates nudges of a case; longer, and harder, if modes are said to take it away."""
+    found = seen(case, LASTING)
+    if not leaving or found.word == "leaves" or (found.goes_on and leaving[0].shakes):
+        return found
+    longer = waited(leaving[0])
+    found = seen(case, longer, enough=LEFT) if longer > LASTING else found
+    return found if found.word != "stays" else seen(case, LASTING, HARD)
 
 
 def main() -> None:
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 60
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("count", nargs="?", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--files", nargs="*", default=[])
+    given = parser.parse_args()
     told: Counter[tuple[str, str]] = Counter()
     spent = []
-    for case in (*variants(count), *files(sys.argv[2:])):
+    for case in (*variants(given.count, given.seed), *files(given.files)):
         found, took = judged(case)
         spent.append(took)
         leaving = found.leaving() if found.at_rest else ()
@@ -153,21 +194,14 @@ def main() -> None:
             says = "shakes without dry friction"
         else:
             says = "shakes" if leaving[0].shakes else "buckles"
-        way = worst(case, LASTING)
-        if leaving and way < LEFT:
-            # It is refused, and stays for 12 s: longer, or with a push beyond dry friction.
-            longer = waited(leaving[0])
-            way = worst(case, longer, enough=LEFT) if longer > LASTING else way
-            if way < LEFT:
-                way = worst(case, LASTING, 0.3)
-        saw = "stays" if way < LEFT else "leaves"
-        told[says, saw] += 1
-        differs = "DIFFERS: " if (says == "holds") == (saw == "leaves") else ""
+        saw = tried(case, leaving)
+        told[says, saw.word] += 1
+        differs = "DIFFERS: " if (says == "holds") != (saw.word == "stays") else ""
         mode = leaving[0] if leaving else found.slowest
-        print(f"{differs}{case.name}: {says}, {saw} ({way:.1e} rad); {mode}", flush=True)
-    print(f"{sum(told.values())} cases, {np.median(spent):.1f} ms each (median)")
-    for (says, saw), number in sorted(told.items()):
-        print(f"{says:30s} {saw:8s} {number}")
+        print(f"{differs}{case.name}: {says}, {saw.word} ({saw.way:.1e} rad); {mode}", flush=True)
+    print(f"{sum(told.values())} cases, {np.median(spent or [0]):.1f} ms each (median)")
+    for (says, word), number in sorted(told.items()):
+        print(f"{says:30s} {word:10s} {number}")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servos
 from pupper_analysis.simulation.causes import too_stiff
 from pupper_analysis.simulation.monitor import DIVERGED
-from pupper_analysis.simulation.nudge import LEFT
 from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.verify import (
     ANOTHER_ROBOT,
@@ -192,7 +191,7 @@ def _stays(seen: StandVerification) -> bool:
     """Tells whether a robot came to rest where it stood, and again after a nudge."""
     nudge = seen.nudge
     steady = seen.height_deviation < _STILL and abs(seen.height_drift) <= SETTLED_DRIFT
-    again = nudge is not None and nudge.decayed and nudge.moved < LEFT and seen.stability.lasts()
+    again = nudge is not None and nudge.decayed and nudge.stays and seen.stability.lasts()
     return steady and again and max(seen.foot_slip.values()) <= _STAYED and not _falls(seen)
 
 

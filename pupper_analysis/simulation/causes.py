@@ -77,6 +77,12 @@ def unstable(stability: Stability, nudge: Nudge | None) -> list[str]:
     if nudge is not None and not nudge.moved < LEFT:
         after = f"{nudge.duration:.3g} s after a nudge"
         said.append(f"{after} a joint is {nudge.moved:.1g} rad from where it was")
+    elif nudge is not None and not nudge.stays:
+        who = nudge.farthest_joint or "a joint"
+        said.append(
+            f"{nudge.farthest_time:.2g} s after a nudge {who} is {nudge.farthest:.1g} rad from "
+            "where it was, and comes back"
+        )
     return said
 
 

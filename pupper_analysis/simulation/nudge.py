@@ -41,6 +41,9 @@ class Nudge(Result):
         left: The same in the last third.
         moved: The greatest way of a joint from where it was before, in the last third, beyond what
             it had crept already (rad, m).
+        farthest: The same at any time after the nudge: what comes back has left all the same.
+        farthest_joint: Which joint that is; "" if it has no name.
+        farthest_time: When, after the nudge (s).
         decayed: Whether the motion ``left`` is less, or nothing to speak of.
     """
 
@@ -50,7 +53,15 @@ class Nudge(Result):
     motion: float
     left: float
     moved: float
+    farthest: float
+    farthest_joint: str
+    farthest_time: float
     decayed: bool
+
+    @property
+    def stays(self) -> bool:
+        """Whether no joint ever left where it was."""
+        return self.farthest < LEFT
 
 
 def nudged_states(model: mujoco.MjModel, state: Array, ctrl: Array, duration: float) -> Array:
@@ -89,23 +100,28 @@ def response(
         creep: (n, size) states before it, over which feet creep: what goes on at most so fast is
             not the nudge's.
     """
-    third = len(states) // 3
+    third, timestep = len(states) // 3, float(model.opt.timestep)
     windows = states[third : 2 * third], states[-third:]
     motion, left = (_swinging(rows[:, 1 + model.nq : 1 + model.nq + model.nv]) for rows in windows)
-    whole = not monitor.diverged(states, float(model.opt.timestep))
-    hinges = model.jnt_qposadr[model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value]
-    ways = np.abs(states[-third:, 1 + hinges] - before[1 + hinges])
+    whole = not monitor.diverged(states, timestep)
+    joints = np.flatnonzero(model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value)
+    hinges = model.jnt_qposadr[joints]
+    ways = np.abs(states[:, 1 + hinges] - before[1 + hinges])
     if creep is not None:
         rates = np.abs(creep[-1] - creep[0])[1 + hinges] / (creep[-1, 0] - creep[0, 0])
-        ways = np.maximum(ways - np.outer(states[-third:, 0] - before[0], rates), 0.0)
+        ways = np.maximum(ways - np.outer(states[:, 0] - before[0], rates), 0.0)
+    when, joint = np.unravel_index(np.argmax(ways), ways.shape) if ways.size else (0, None)
     gone = left <= max(_DECAYING * motion, _GONE * NUDGE)
     return Nudge(
         speed=NUDGE,
         time=float(before[0]),
-        duration=len(states) * float(model.opt.timestep),
+        duration=len(states) * timestep,
         motion=motion,
         left=left,
-        moved=float(ways.max(initial=0.0)),
+        moved=float(ways[-third:].max(initial=0.0)),
+        farthest=float(ways.max(initial=0.0)),
+        farthest_joint="" if joint is None else model.joint(joints[joint]).name,
+        farthest_time=timestep * (int(when) + 1),
         decayed=bool(whole and gone),
     )
 
