@@ -108,13 +108,17 @@ def _surprises(analysis: Analysis) -> Iterable[doc.Words]:
         yield text(
             "Commanded the pose alone, without feed-forward, it loses {loss} mm of height: "
             "{servo} mm in the servos, {contact} mm in the soft contacts.",
-            loss=f"{1e3 * without.height_loss:.2f}",
-            servo=f"{1e3 * without.servo_sag:.2f}",
-            contact=f"{1e3 * without.contact_sag:.2f}",
+            loss=_millimetre_digits(without.height_loss),
+            servo=_millimetre_digits(without.servo_sag),
+            contact=_millimetre_digits(without.contact_sag),
         )
     else:
         yield text("Commanded the pose alone, without feed-forward, it does not stand:")
         yield from map(doc.Said, without.failures)
+
+
+def _millimetre_digits(length: float) -> str:
+    return doc.number(length, ".2f", scale=1e3).text
 
 
 def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from pupper_analysis.diagnostics import grouped
 from pupper_analysis.report.document import Said, Text, Words
 from pupper_analysis.report.documents.sources import files
 from pupper_analysis.report.html.words import text
@@ -19,7 +20,7 @@ def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
 
 def assumptions(robot: Robot) -> tuple[Words, ...]:
     """Returns what was assumed when a robot was loaded, and what its MJCF does by itself."""
-    return (*map(Said, robot.notes), *map(clause_text, of_the_file(robot)))
+    return (*map(clause_text, of_the_file(robot)), *map(Said, grouped(robot.notes)))
 
 
 def ground_text(depths: Iterable[float]) -> Text:
