@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.checks.audit import Severity
+from pupper_analysis.diagnostics import Severity, catalogue, diagnose, diagnostic
 from pupper_analysis.guard.baseline import Entry, judged, read_baseline, same, write_baseline
 from pupper_analysis.guard.config import read_config
 from pupper_analysis.guard.remarks import Remark, State, plain
@@ -131,7 +132,7 @@ def test_what_was_mended_is_stale_until_the_baseline_is_written(folder: Path) ->
     assert "::notice file=" in run(folder, "--format", "github").stdout
     result = run(folder, "--update-baseline")
     assert f"{said}; it was taken out" in result.stdout
-    assert tomllib.loads((folder / BASELINE).read_text()) == {"version": 1}
+    assert tomllib.loads((folder / BASELINE).read_text()) == {"version": 2}
     assert "stale" not in run(folder).stdout
 
 
@@ -345,12 +346,60 @@ def test_for_machines(folder: Path) -> None:
     ]
 
 
+def with_findings(folder: Path) -> Path:
+    """The sample with an impossible mass and a rule that is not switched off; its configuration."""
+    config = folder / "pupper-analysis.toml"
+    config.write_text(re.sub("start-outside-limits = .*", "", config.read_text()))
+    change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="-0.4"/>')
+    return config
+
+
+def test_a_baseline_of_an_older_version_is_read(folder: Path) -> None:
+    """Version 1 kept findings as sentences; the file is as it wrote it."""
+    config = with_findings(folder)
+    shutil.copy(ROOT / "tests" / "data" / "baseline_1.toml", folder / BASELINE)
+    check = pa.check_repository(config)
+    assert check.passed
+    assert check.stale == ()
+    assert {remark.state for remark in check.remarks} == {State.KNOWN}
+    assert len(check.remarks) == 6
+    assert check.outdated == 3
+    assert "3 entries of the baseline are sentences" in run(folder).stdout
+    assert "--update-baseline renews it" in run(folder, "--format", "github").stdout
+    change(folder / BASELINE, "its mass is -0.4 kg", "it weighs -0.4 kg")
+    (other,) = (one for one in pa.check_repository(config).remarks if one.fails)
+    assert (other.kind, other.state) == ("mass-not-positive", State.CHANGED)
+    assert pa.check_repository(config, update_baseline=True).outdated == 0
+    assert pa.check_repository(config).passed
+    assert not any(one.outdated for one in read_baseline(folder / BASELINE))
+
+
+def test_other_words_are_nothing_new(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A baseline knows findings by code and values, whatever is said of them."""
+    config = with_findings(folder)
+    pa.check_repository(config, update_baseline=True)
+    said = {one.message for one in pa.check_repository(config).remarks}
+    words = {"en": "put otherwise", "zh": "换了说法"}
+    monkeypatch.setattr(
+        diagnostic, "entry", lambda code: replace(catalogue.entry(code), templates=words)
+    )
+    check = pa.check_repository(config)
+    assert said & {one.message for one in check.remarks} == set()
+    assert {one.state for one in check.remarks} == {State.KNOWN}
+    change(folder / "hopper.urdf", '<mass value="-0.4"/>', '<mass value="-0.5"/>')
+    (found,) = (
+        one for one in pa.check_repository(config).remarks if one.kind == "mass-not-positive"
+    )
+    assert found.state is State.CHANGED
+    assert (found.before or {})["values"]["mass"] == -0.4
+
+
 def test_github_shows_what_is_not_known(folder: Path) -> None:
     assert run(folder, "--format", "github").stdout == "passed: 0 to mend, 1 known\n"
 
 
 REFUSED = {
-    "version": ("version = 2", 1, "version = 2 is not one that is read; there is 1"),
+    "version": ("version = 3", 1, "version = 3 is not one that is read; there are 1, 2"),
     "a version that is a truth": ("version = true", 1, "version = True is not one"),
     "no version": ("", None, "version = None is not one"),
     "a key": ("version = 1\nknwon = 1", 2, "no key 'knwon'; valid: version, known"),
@@ -397,8 +446,9 @@ def test_a_baseline_that_cannot_be_written_is_known_before(folder: Path) -> None
 
 def remark(element: str, value: object, kind: str = "mass", file: str = "a.urdf") -> Remark:
     values = {"urdf": value}
+    told = diagnose("problem", problem="text")
     return Remark(
-        "crosscheck", "a", kind, element, file, values, Severity.ERROR, "text", "about", None
+        "crosscheck", "a", kind, element, file, values, Severity.ERROR, told, "about", None
     )
 
 

@@ -33,7 +33,7 @@ def checked_log(text: str) -> dict[str, Any]:
     assert all(rule["shortDescription"]["text"] for rule in driver["rules"])
     allowed = {"ruleId", "ruleIndex", "level", "message", "locations", "partialFingerprints"}
     for result in run["results"]:
-        assert result.keys() <= allowed | {"baselineState"}
+        assert result.keys() <= allowed | {"baselineState", "properties"}
         assert ids[result["ruleIndex"]] == result["ruleId"]
         assert result["level"] in ("none", "note", "warning", "error")
         assert isinstance(result["message"]["text"], str)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.files import whole_file
 from pupper_analysis.guard.remarks import REFUSED, Remark, State
@@ -16,13 +17,14 @@ from pupper_analysis.models.places import source_name
 from pupper_analysis.results import Result
 
 _IDENTITY: Final = ("check", "pair", "file", "kind", "element")
-_VALUES: Final = ("urdf", "mjcf", "message")
-_VERSION: Final = 1
+_VALUES: Final = ("urdf", "mjcf", "code", "values", "message")
+_VERSION: Final = 2
+_READ: Final = (1, _VERSION)
 
 _HEADER: Final = """\
 # What `pupper-analysis check` knows of the models: only what is not here, or has changed, fails.
 # Written by `pupper-analysis check --update-baseline`; its diff is what is let pass.
-version = 1
+version = 2
 """
 
 _SAME: Final = 1e-6
@@ -43,9 +45,22 @@ class Entry(Result):
         note: Its message when it was written, as a comment for people.
     """
 
+    # Baselines of version 1 kept findings as sentences, as the values' "message".
+
     identity: tuple[str, ...]
     values: Mapping[str, Any]
     note: str = field(default="", compare=False)
+
+    @property
+    def outdated(self) -> bool:
+        """Whether it is kept as a sentence, which another wording makes another one."""
+        return "message" in self.values
+
+    def is_of(self, remark: Remark) -> bool:
+        """Whether it has the values of a remark of its identity."""
+        if self.outdated:
+            return bool(self.values["message"] == str(remark.diagnostic))
+        return same(self.values, remark.values)
 
     def __str__(self) -> str:
         check, pair, file, kind, element = self.identity
@@ -62,26 +77,28 @@ def read_baseline(path: Path) -> tuple[Entry, ...]:
         return ()
     file = read_toml(path)
     version = file.values.get("version")
-    if version != _VERSION or isinstance(version, bool):
-        raise ModelError(
-            source_name(path, file.line_of(("version",))),
-            f"version = {version!r} is not one that is read; there is {_VERSION}",
-        )
+    if version not in _READ or isinstance(version, bool):
+        told = diagnose("baseline-version-unknown", version=repr(version), known=_READ)
+        raise ModelError(source_name(path, file.line_of(("version",))), told)
     for name in file.values.keys() - {"version", "known"}:
-        raise file.error((name,), f"no key {name!r}; valid: version, known")
+        raise file.error(
+            (name,), diagnose("key-unknown", key=name, within="", known=("version", "known"))
+        )
     known, entries = file.values.get("known", []), []
     if not isinstance(known, list):
-        raise file.error(("known",), "known is not valid; give tables that begin with [[known]]")
+        raise file.error(("known",), diagnose("baseline-without-tables"))
     for number, values in enumerate(known):
         key = ("known", number)
         if not isinstance(values, dict):
-            raise file.error(("known",), "known holds what is no table")
+            raise file.error(("known",), diagnose("baseline-entry-no-table"))
         for name, value in values.items():
             if name not in (*_IDENTITY, *_VALUES):
-                valid = ", ".join((*_IDENTITY, *_VALUES))
-                raise file.error((*key, name), f"no key {name!r} in known; valid: {valid}")
+                valid = (*_IDENTITY, *_VALUES)
+                told = diagnose("key-unknown", key=name, within="known", known=valid)
+                raise file.error((*key, name), told)
             if name in _IDENTITY and not isinstance(value, str):
-                raise file.error((*key, name), f"{name} = {value!r} is not valid; give a text")
+                told = diagnose("baseline-value-no-text", key=name, value=repr(value))
+                raise file.error((*key, name), told)
         identity = tuple(values.get(name, "") for name in _IDENTITY)
         entries.append(Entry(identity, {k: v for k, v in values.items() if k in _VALUES}))
     return tuple(entries)
@@ -98,8 +115,7 @@ def write_baseline(path: Path, entries: Iterable[Entry]) -> None:
     for entry in ordered:
         names = dict(zip(_IDENTITY, entry.identity, strict=True))
         values = {**{name: text for name, text in names.items() if text}, **entry.values}
-        # Where the message is the value, it needs no comment.
-        notes = [entry.note] if entry.note and "message" not in entry.values else []
+        notes = [entry.note] if entry.note and not entry.outdated else []
         tables.append(toml_table("known", values, notes))
     with whole_file(path) as file:
         file.write("\n".join(tables).encode())
@@ -107,7 +123,7 @@ def write_baseline(path: Path, entries: Iterable[Entry]) -> None:
 
 def entry_of(remark: Remark) -> Entry:
     """Returns what a baseline keeps of a remark."""
-    return Entry(remark.identity, remark.values, remark.message)
+    return Entry(remark.identity, remark.values, str(remark.diagnostic))
 
 
 def judged(
@@ -126,7 +142,7 @@ def judged(
     result = list(remarks)
     for number, remark in enumerate(result):
         here = waiting.get(remark.identity, [])
-        found = next((entry for entry in here if same(entry.values, remark.values)), None)
+        found = next((entry for entry in here if entry.is_of(remark)), None)
         if found is not None:
             here.remove(found)
             result[number] = replace(remark, state=State.KNOWN)

@@ -12,7 +12,7 @@ from lxml import etree
 from pupper_analysis.checks.audit import RULES
 from pupper_analysis.checks.matching import read_mapping
 from pupper_analysis.checks.tolerances import Tolerances
-from pupper_analysis.diagnostics import Severity
+from pupper_analysis.diagnostics import Diagnostic, Severity, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.guard.toml import Key, TomlFile, read_toml
 
@@ -83,11 +83,7 @@ def find_config(start: Path | None = None) -> Path:
     for each in (folder, *folder.parents):
         if (each / CONFIG).is_file():
             return each / CONFIG
-    raise ConfigurationError(
-        "config",
-        f"no {CONFIG} in {folder}, nor in a folder above it; check --init writes one, or name its "
-        "path",
-    )
+    raise ConfigurationError("config", diagnose("no-config", file=CONFIG, folder=folder))
 
 
 def is_part(path: Path) -> bool:
@@ -130,17 +126,19 @@ class _Reader:
         try:
             fail_on = Severity(stated)
         except ValueError:
-            raise self.invalid(("fail-on",), stated, f"one of {', '.join(Severity)}") from None
+            severities = diagnose("one-of", names=[str(each) for each in Severity])
+            raise self.invalid(("fail-on",), stated, severities) from None
         entries = top.get("pair", [])
         if not isinstance(entries, list) or not all(isinstance(each, dict) for each in entries):
-            raise self.invalid(("pair",), entries, "tables that begin with [[pair]]")
+            raise self.invalid(("pair",), entries, Term("tables that begin with [[pair]]"))
         if not entries:
-            raise ModelError(self.file.path, "it has no [[pair]]; give name, urdf and mjcf of one")
+            raise ModelError(self.file.path, diagnose("config-without-pair"))
         pairs: tuple[Pair, ...] = ()
         for number, entry in enumerate(entries):
             for pair in self.pairs(entry, ("pair", number)):
                 if pair.name in [other.name for other in pairs]:
-                    raise self.file.error(("pair", number, "name"), f"{pair.name!r} is there twice")
+                    told = diagnose("pair-twice", pair=pair.name)
+                    raise self.file.error(("pair", number, "name"), told)
                 pairs = (*pairs, pair)
         baseline = self.folder / (self.text(top, (), "baseline") or BASELINE)
         return GuardConfig(self.file.path, pairs, fail_on, baseline, self.file)
@@ -156,7 +154,7 @@ class _Reader:
         stars = [text.count("*") for text in patterns.values()]
         if len(patterns) == 2 and (stars != [1, 1] or any(c in t for t in patterns.values()
                                                           for c in "?[")):  # fmt: skip
-            valid = "one * in each, which stands for the same in both"
+            valid = Term("one * in each, which stands for the same in both")
             raise self.invalid((*key, "urdf"), patterns["urdf"], valid)
         found: dict[str, dict[str, str]] = {}
         for kind, pattern in patterns.items():
@@ -177,9 +175,10 @@ class _Reader:
             files = (path for path in self.folder.glob(pattern) if path.is_file())
             paths = sorted(path for path in files if not is_part(path))
         except (NotImplementedError, ValueError) as error:
-            raise self.invalid(key, pattern, "a pattern relative to this file") from error
+            raise self.invalid(key, pattern, Term("a pattern relative to this file")) from error
         if not paths:
-            raise self.file.error(key, f"{key[-1]} = {pattern!r}: no file matches")
+            told = diagnose("no-file-matches", key=str(key[-1]), pattern=pattern)
+            raise self.file.error(key, told)
         return [path.relative_to(self.folder).as_posix() for path in paths]
 
     def pair(self, entry: dict[str, Any], key: Key) -> Pair:
@@ -187,9 +186,9 @@ class _Reader:
         name = self.text(entry, key, "name")
         urdf, mjcf = (self.model(entry, key, kind) for kind in ("urdf", "mjcf"))
         if not name:
-            raise self.file.error(key, "a [[pair]] needs a name, by which it is spoken of")
+            raise self.file.error(key, diagnose("pair-without-name"))
         if urdf is None and mjcf is None:
-            raise self.file.error(key, f"pair {name!r} needs a urdf, an mjcf, or both")
+            raise self.file.error(key, diagnose("pair-without-file", pair=name))
         top = self.file.values
         tolerances = Tolerances.strict() if self.flag(entry, key, "strict") else Tolerances()
         given = {**self.tolerances(top, ()), **self.tolerances(entry, key)}
@@ -212,7 +211,8 @@ class _Reader:
             return None
         path = self.folder / text
         if not path.is_file():
-            raise self.file.error((*key, kind), f"{kind} = {text!r}: there is no such file")
+            told = diagnose("pair-file-missing", key=kind, file=text)
+            raise self.file.error((*key, kind), told)
         return path
 
     def names(self, entry: dict[str, Any], key: Key) -> dict[str, str]:
@@ -220,17 +220,17 @@ class _Reader:
         names = read_mapping(self.folder / file) if file is not None else {}
         for old, new in self.table(entry, key, "map").items():
             if not isinstance(new, str):
-                raise self.invalid((*key, "map", old), new, "the name in the MJCF, in quotes")
+                raise self.invalid((*key, "map", old), new, Term("the name in the MJCF, in quotes"))
             if names.setdefault(old, new) != new:
-                problem = f"{old!r} is mapped to both {names[old]!r} and {new!r}"
-                raise self.file.error((*key, "map", old), problem)
+                told = diagnose("mapped-to-both", joint=old, one=names[old], other=new)
+                raise self.file.error((*key, "map", old), told)
         return names
 
     def packages(self, entry: dict[str, Any], key: Key) -> dict[str, Path]:
         found = {}
         for name, folder in self.table(entry, key, "packages").items():
             if not isinstance(folder, str) or not (self.folder / folder).is_dir():
-                raise self.invalid((*key, "packages", name), folder, "a folder that exists")
+                raise self.invalid((*key, "packages", name), folder, Term("a folder that exists"))
             found[name] = self.folder / folder
         return found
 
@@ -240,38 +240,44 @@ class _Reader:
         for name, value in table.items():
             number = isinstance(value, int | float) and not isinstance(value, bool)
             if not number or not 0 < value < float("inf"):
-                raise self.invalid((*key, "tolerances", name), value, "a positive number")
+                valid = Term("a positive number")
+                raise self.invalid((*key, "tolerances", name), value, valid)
         return {name: float(value) for name, value in table.items()}
 
     def disabled(self, entry: dict[str, Any], key: Key) -> dict[str, str]:
         table = self.table(entry, key, "disable")
-        self.check_keys(table, (*key, "disable"), tuple(RULES), "rule of the audit")
+        self.check_keys(table, (*key, "disable"), tuple(RULES), rules=True)
         for rule, reason in table.items():
             if not isinstance(reason, str) or not reason.strip():
-                raise self.invalid((*key, "disable", rule), reason, "the reason, in quotes")
+                valid = Term("the reason, in quotes")
+                raise self.invalid((*key, "disable", rule), reason, valid)
         return dict(table)
 
     def check_keys(
-        self, table: Mapping[str, Any], key: Key, valid: tuple[str, ...], what: str = "key"
+        self, table: Mapping[str, Any], key: Key, valid: tuple[str, ...], *, rules: bool = False
     ) -> None:
         """Refuses keys that are not valid."""
         for name in table:
             if name not in valid:
                 inside = ".".join(part for part in key if isinstance(part, str))
-                where = f" in {inside}" if inside else ""
-                problem = f"no {what} {name!r}{where}; valid: {', '.join(valid)}"
-                raise self.file.error((*key, name), problem)
+                told = diagnose(
+                    "rule-unknown" if rules else "key-unknown",
+                    key=name,
+                    within=inside,
+                    known=valid,
+                )
+                raise self.file.error((*key, name), told)
 
     def text(self, table: dict[str, Any], key: Key, name: str) -> str | None:
         value = table.get(name)
         if value is not None and (not isinstance(value, str) or not value or "\0" in value):
-            raise self.invalid((*key, name), value, "a text, in quotes")
+            raise self.invalid((*key, name), value, Term("a text, in quotes"))
         return value
 
     def texts(self, table: dict[str, Any], key: Key, name: str) -> tuple[str, ...]:
         values = table.get(name, [])
         if not isinstance(values, list) or not all(isinstance(each, str) for each in values):
-            raise self.invalid((*key, name), values, "a list of names, in quotes")
+            raise self.invalid((*key, name), values, Term("a list of names, in quotes"))
         return tuple(values)
 
     def flag(self, table: dict[str, Any], key: Key, name: str) -> bool:
@@ -279,7 +285,7 @@ class _Reader:
         for values, way in ((table, key), (self.file.values, ())):
             value = values.get(name)
             if value is not None and not isinstance(value, bool):
-                raise self.invalid((*way, name), value, "true or false")
+                raise self.invalid((*way, name), value, Term("true or false"))
             if value is not None:
                 return value
         return False
@@ -287,8 +293,9 @@ class _Reader:
     def table(self, table: dict[str, Any], key: Key, name: str) -> dict[str, Any]:
         value = table.get(name, {})
         if not isinstance(value, dict):
-            raise self.invalid((*key, name), value, "a table")
+            raise self.invalid((*key, name), value, Term("a table"))
         return value
 
-    def invalid(self, key: Key, value: object, valid: str) -> ModelError:
-        return self.file.error(key, f"{key[-1]} = {value!r} is not valid; give {valid}")
+    def invalid(self, key: Key, value: object, valid: Term | Diagnostic) -> ModelError:
+        told = diagnose("setting-not-valid", key=str(key[-1]), value=repr(value), valid=valid)
+        return self.file.error(key, told)

@@ -9,6 +9,7 @@ from typing import Final
 
 from lxml import etree
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
 from pupper_analysis.guard.config import CONFIG
@@ -38,11 +39,10 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
     """
     path = folder / CONFIG
     if path.exists():
-        raise ConfigurationError("--init", f"{path} is there already; add [[pair]] tables to it")
+        raise ConfigurationError("--init", diagnose("config-there-already", file=path))
     entries = entries_of(folder)
     if not entries:
-        problem = f"no URDF and no MJCF in {folder.absolute()}, nor in a folder below it"
-        raise ConfigurationError("--init", problem)
+        raise ConfigurationError("--init", diagnose("no-models", folder=folder.absolute()))
     tables = [toml_table("pair", entry) for entry in entries]
     with whole_file(path) as file:
         file.write("\n".join([_HEAD, *tables]).encode())

@@ -11,8 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.checks.audit import RULES, Audit, Severity
+from pupper_analysis.checks.audit import RULES, Audit
 from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Severity,
+    Subject,
+    Vector,
+    diagnose,
+)
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.guard.config import Pair
 from pupper_analysis.results import Result
@@ -48,9 +56,9 @@ class Remark(Result):
             single number; the audit's rule; ``refused`` if the file could not be read.
         element: The joint, body or frame.
         file: The file: of a difference, the pair's URDF. Relative to the configuration, with ``/``.
-        values: What is remembered of it: both values, or the message.
+        values: What is remembered of it: both values; or its ``code``, and the ``values`` of that.
         severity: How bad it is.
-        message: One sentence.
+        diagnostic: What it is.
         about: The kind in a few words.
         place: Where it stands, ``file:line``; a path that can be opened.
         other_place: Where a difference stands in the MJCF.
@@ -66,13 +74,23 @@ class Remark(Result):
     file: str
     values: Mapping[str, Any]
     severity: Severity
-    message: str
+    diagnostic: Diagnostic
     about: str
     place: str | None
     other_place: str | None = None
     state: State = State.NEW
     before: Mapping[str, Any] | None = None
     fails: bool = False
+
+    _told = ("message",)
+
+    @property
+    def message(self) -> str:
+        """One sentence; of a finding also what to do."""
+        if self.check != "audit" or self.kind not in RULES:
+            return str(self.diagnostic)
+        told = str(self.diagnostic).rstrip(".")
+        return f"{self.element}: {told}. {RULES[self.kind].todo}"
 
     @property
     def identity(self) -> tuple[str, str, str, str, str]:
@@ -101,32 +119,36 @@ def of_comparison(comparison: Comparison, pair: Pair, folder: Path) -> Iterator[
             file,
             {side: plain(value) for side, value in values.items() if value is not None},
             Severity.ERROR,
-            difference.message,
+            difference.diagnostic,
             f"{difference.kind}: the URDF and the MJCF differ",
             difference.urdf_place,
             difference.mjcf_place,
         )
-    said = [("part", "", str(part), comparison.urdf) for part in comparison.parts]
+    told = [("part", "", part, comparison.urdf) for part in comparison.parts]
     for joints, path, other in (
         (comparison.only_urdf, comparison.urdf, comparison.mjcf),
         (comparison.only_mjcf, comparison.mjcf, comparison.urdf),
     ):
-        lacks = f"is not in {Path(other).name}"
-        said += [("joint", name, f"joint {name} {lacks}", path) for name in joints]
-    said += [("agreement", "", str(text), comparison.mjcf) for text in comparison.objections]
+        for name in joints:
+            lacks = diagnose(
+                "joint-not-in-file", subject=("joint", name), lacks=Path(other).name, sources=path
+            )
+            told.append(("joint", name, lacks, path))
+    told += [("agreement", "", one, comparison.mjcf) for one in comparison.objections]
     if pair.base not in (None, comparison.base):
-        message = f"the base is {comparison.base}, not {pair.base} as {pair.name} says"
-        said.append(("base", comparison.base, message, comparison.urdf))
-    for kind, element, message, place in said:
+        subject = Subject("body", comparison.base)
+        another = diagnose("base-not-as-named", subject=subject, named=pair.base, pair=pair.name)
+        told.append(("base", comparison.base, another, comparison.urdf))
+    for kind, element, diagnostic, place in told:
         yield Remark(
             "crosscheck",
             pair.name,
             kind,
             element,
             file,
-            {"message": message},
+            remembered(diagnostic),
             Severity.ERROR,
-            message,
+            diagnostic,
             _ABOUT[kind],
             place,
         )
@@ -150,9 +172,9 @@ def of_audit(audit: Audit, folder: Path) -> Iterator[Remark]:
             finding.rule,
             finding.element,
             relative(finding.file, folder),
-            {"message": finding.message},
+            remembered(finding.diagnostic),
             finding.severity,
-            f"{finding.element}: {finding.message.rstrip('.')}. {finding.todo}",
+            finding.diagnostic,
             RULES[finding.rule].title,
             finding.file if finding.line is None else f"{finding.file}:{finding.line}",
         )
@@ -171,12 +193,32 @@ def of_error(
         REFUSED,
         pair.name,
         relative(path, folder),
-        {"message": str(error)},
+        remembered(error.diagnostic),
         Severity.ERROR,
-        str(error),
+        error.diagnostic,
         _ABOUT["refused"],
         place if known else str(path),
     )
+
+
+def remembered(diagnostic: Diagnostic) -> dict[str, Any]:
+    """Returns what a baseline keeps of a diagnostic: its code and its values, in SI units."""
+    values = {name: _bare(value) for name, value in diagnostic.values.items()}
+    kept = {name: value for name, value in values.items() if value is not None}
+    return {"code": diagnostic.code, **({"values": kept} if kept else {})}
+
+
+def _bare(value: Any) -> Any:
+    """Returns a value of a diagnostic as numbers, texts, lists and tables of them."""
+    if isinstance(value, Diagnostic):
+        return remembered(value)
+    if isinstance(value, Quantity):
+        return plain(value.value)
+    if isinstance(value, Vector):
+        return plain(np.array(value.values))
+    if isinstance(value, tuple):
+        return [_bare(one) for one in value]
+    return None if value is None else plain(value)
 
 
 def relative(file: str | Path, folder: Path) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.places import one_line, source_name
 
@@ -52,9 +53,9 @@ class TomlFile:
             start = None
         return None
 
-    def error(self, key: Key, problem: str) -> ModelError:
+    def error(self, key: Key, problem: Diagnostic) -> ModelError:
         """Returns the error that tells the line of a key, and what is wrong with it."""
-        return ModelError(source_name(self.path, self.line_of(key)), one_line(problem))
+        return ModelError(source_name(self.path, self.line_of(key)), problem)
 
 
 def _has(values: Any, key: Key) -> bool:
@@ -78,12 +79,12 @@ def read_toml(path: Path) -> TomlFile:
         text = path.read_text(encoding="utf-8")
         return TomlFile(path, text, tomllib.loads(text))
     except OSError as error:
-        problem = f"it cannot be read: {error.strerror}"
-        raise ModelError(source_name(path), problem) from error
+        told = diagnose("toml-not-read", problem=error.strerror or str(error))
+        raise ModelError(source_name(path), told) from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         found = re.search(r"at line (\d+)", str(error))
         where = source_name(path, int(found[1]) if found else None)
-        raise ModelError(where, f"not a TOML file: {one_line(error)}") from error
+        raise ModelError(where, diagnose("not-toml", problem=one_line(error))) from error
 
 
 def toml_value(value: object) -> str:

@@ -23,6 +23,7 @@ def remarks(audit: Audit) -> list[Annotation]:
             _place(finding),
             rule=f"audit/{finding.rule}",
             about=RULES[finding.rule].title,
+            diagnostic=finding.diagnostic,
         )
         for finding in audit.findings
     ]

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.report.sarif import Result, Rule, from_root, sarif
 
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
@@ -50,6 +51,7 @@ class Annotation:
     rule: str = ""
     about: str = ""
     known: bool | None = None
+    diagnostic: Diagnostic | None = None
 
     @property
     def file_and_line(self) -> tuple[str, int | None]:
@@ -187,4 +189,5 @@ def _result(annotation: Annotation) -> Result:
         file,
         line,
         annotation.known,
+        annotation.diagnostic,
     )

@@ -33,11 +33,16 @@ def summary(check: RepositoryCheck) -> Text:
 
 def before_in_words(remark: Remark) -> Text:
     """Returns what the baseline has of a remark."""
-    values = (
-        str(value) if name == "message" else f"{name} {value}"
-        for name, value in (remark.before or {}).items()
-    )
-    return text("the baseline has: {values}", values=", ".join(values))
+    before = remark.before or {}
+    sentence = before.get("message")
+    if sentence is not None:  # of an older version
+        return text("the baseline has: {values}", values=sentence)
+    known = before.get("values", before)
+    if "code" in before:
+        now = remark.values.get("values", {})
+        known = {name: value for name, value in known.items() if now.get(name) != value}
+    values = ", ".join(f"{name} {value}" for name, value in known.items())
+    return text("the baseline has: {values}", values=values or before.get("code", ""))
 
 
 def _what_of_stale(check: RepositoryCheck) -> str:
@@ -78,7 +83,28 @@ def remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[Annota
         )
         for entry in check.stale
     ]
+    if check.outdated:
+        found.append(
+            Annotation(
+                "notice",
+                "outdated baseline",
+                outdated(check).en,
+                check.baseline,
+                rule="check/outdated",
+                about="a baseline keeps sentences of an older version",
+                known=False,
+            )
+        )
     return found
+
+
+def outdated(check: RepositoryCheck) -> Text:
+    """Returns how to renew a baseline that an older version wrote."""
+    return text(
+        "{count} entries of the baseline are sentences of an older version, which other words make "
+        "other ones: pupper-analysis check --update-baseline renews it",
+        count=check.outdated,
+    )
 
 
 def _places(remark: Remark) -> list[str | None]:
@@ -104,6 +130,7 @@ def _annotation(remark: Remark, place: str | None) -> Annotation:
         rule=f"{remark.check}/{remark.kind}",
         about=remark.about,
         known=remark.state is State.KNOWN,
+        diagnostic=remark.diagnostic,
     )
 
 

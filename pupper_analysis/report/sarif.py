@@ -18,6 +18,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.results import to_json
+
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 
 _LEVELS = {"error": "error", "warning": "warning", "notice": "note"}
@@ -50,6 +53,7 @@ class Result:
         file: The file; "" if there is none.
         line: From 1; None where the file as a whole is meant.
         known: Whether a baseline has it; None where there is no baseline.
+        diagnostic: It as a code and values, if it is one.
     """
 
     rule: Rule
@@ -59,6 +63,7 @@ class Result:
     file: str
     line: int | None
     known: bool | None = None
+    diagnostic: Diagnostic | None = None
 
 
 def from_root(file: str | Path) -> str:
@@ -114,6 +119,9 @@ def _results(results: Iterable[Result], numbers: dict[str, int]) -> Iterator[dic
         entry["partialFingerprints"] = {"subject/v1": fingerprint.hexdigest()[:32]}
         if result.known is not None:
             entry["baselineState"] = "unchanged" if result.known else "new"
+        if result.diagnostic is not None:
+            told = json.loads(to_json(result.diagnostic))
+            entry["properties"] = {name: told[name] for name in ("code", "values")}
         yield entry
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
-from pupper_analysis.diagnostics import LANGUAGES, term
+from pupper_analysis.diagnostics import LANGUAGES, Diagnostic, term
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.sources import page, quoted
@@ -61,7 +61,7 @@ def _groups(audit: Audit) -> Iterable[doc.Sides]:
         rules.setdefault(key, {}).setdefault(finding.message, []).append(finding)
     shown = 0
     for (rule, _), alike in rules.items():
-        why, todo = _words(rule, "why"), _words(rule, "todo")
+        why, todo = rule_words(rule, "why"), rule_words(rule, "todo")
         advice: tuple[doc.Words, ...] = (text("{why} {todo}", why=why, todo=todo).marked("quiet"),)
         for place, group in enumerate(alike.values(), start=1):
             sides = _alike(audit, group, advice if place == len(alike) else ())
@@ -73,9 +73,9 @@ def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
     """Returns findings of which only the element is another."""
     first, *others = group
     told = doc.Said(first.diagnostic)
-    said = text("{element}: {message}", element=_element(first), message=told)
+    said = text("{element}: {message}", element=element(first.diagnostic), message=told)
     if others:
-        names = joined(_element(other) for other in others)
+        names = joined(element(other.diagnostic) for other in others)
         said = text("{finding}; likewise {names}", finding=said, names=names)
     place, path = _place(first)
     quote = doc.Name(quoted(path, audit.file))
@@ -87,14 +87,14 @@ def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
     return doc.Sides(said, (doc.Place(doc.Name(place), quote, path),), advice, tag)
 
 
-def _words(rule: str, what: str) -> doc.Text:
+def rule_words(rule: str, what: str) -> doc.Text:
     """Returns a rule's title, reason or remedy."""
     return doc.Text(getattr(RULES[rule], what), RULES[rule].chinese[what])
 
 
-def _element(finding: Finding) -> doc.Text:
+def element(finding: Diagnostic) -> doc.Text:
     """Returns the element at fault: its kind, and its name if it has one."""
-    subject = finding.diagnostic.subject
+    subject = finding.subject
     assert subject is not None
     name = f" {subject.name!r}" if subject.name else ""
     return doc.Text(*(f"{term(subject.kind, language)}{name}" for language in LANGUAGES))
@@ -112,10 +112,10 @@ def _findings(audit: Audit) -> doc.Table:
             doc.Number(str(order), order, MARKS[one.severity]),
             word(str(one.severity)),
             doc.Name(_place(one)[0]),
-            _element(one),
+            element(one.diagnostic),
             doc.Said(one.diagnostic),
             doc.Name(one.rule),
-            _words(one.rule, "title"),
+            rule_words(one.rule, "title"),
         )
         for order, one in enumerate(audit.findings, start=1)
     ]
@@ -152,7 +152,7 @@ def rules_table() -> doc.Table:
                 doc.Name(rule.id),
                 word(str(rule.severity)),
                 doc.Name(", ".join(rule.formats)),
-                _words(rule.id, "title"),
+                rule_words(rule.id, "title"),
             )
             for rule in RULES.values()
         ),

@@ -6,13 +6,14 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
+from pupper_analysis.checks.audit import RULES
 from pupper_analysis.guard.check import PairCheck, RepositoryCheck
 from pupper_analysis.guard.remarks import Remark
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.audit import MARKS
+from pupper_analysis.report.documents.audit import MARKS, element, rule_words
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.sources import quoted
-from pupper_analysis.report.guard import before_in_words, from_the_root, summary
+from pupper_analysis.report.guard import before_in_words, from_the_root, outdated, summary
 from pupper_analysis.report.html.words import joined, text, word
 from pupper_analysis.robot.robot import Robot
 
@@ -31,6 +32,8 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
             for entry in check.stale
         )  # fmt: skip
         blocks.append(doc.Lines(tuple(stale), "warn", text("stale")))
+    if check.outdated:
+        blocks.append(doc.Lines((outdated(check),), "warn", text("Notes")))
     blocks.append(_pairs(check.pairs))
     notes = tuple(
         text("{name}: {note}", name=doc.Name(pair.name), note=doc.Said(note))
@@ -83,7 +86,11 @@ def _group(group: list[Remark]) -> doc.Sides:
         )
         for place in places
     )
-    sides = doc.Sides(doc.Said(first.message), columns, tuple(notes), tag)
+    told: doc.Words = doc.Said(first.diagnostic)
+    if first.check == "audit" and first.kind in RULES:
+        told = text("{element}: {message}", element=element(first.diagnostic), message=told)
+        notes.append(rule_words(first.kind, "todo"))
+    sides = doc.Sides(told, columns, tuple(notes), tag)
     return replace(sides, detail=not any(remark.fails for remark in group))
 
 
