@@ -8,6 +8,7 @@ from pathlib import Path
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.convert.last_check import KeyframeRun
 from pupper_analysis.convert.repair import Repair
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.results import Result
 from pupper_analysis.simulation.verify import StandVerification
@@ -30,12 +31,12 @@ class Draft:
 
     text: str
     meshes: dict[Path, bytes]
-    notes: tuple[str, ...]
-    left: tuple[str, ...]
+    notes: tuple[Diagnostic, ...]
+    left: tuple[Diagnostic, ...]
     repairs: tuple[Repair, ...] = ()
     urdf: UrdfFile | None = None
     stands: bool = False
-    failure: str | None = None
+    failure: Diagnostic | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +62,12 @@ class Conversion(Result):
     source: str
     output: str
     written: tuple[str, ...]
-    notes: tuple[str, ...]
-    left: tuple[str, ...]
+    notes: tuple[Diagnostic, ...]
+    left: tuple[Diagnostic, ...]
     repairs: tuple[Repair, ...]
     comparison: Comparison
     verification: StandVerification | None
     kept: KeyframeRun | None
-    failures: tuple[str, ...]
+    failures: tuple[Diagnostic, ...]
     agree: bool
     passed: bool

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.convert.from_urdf import FLOOR, UrdfBodies
 from pupper_analysis.convert.xml_text import element, words
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.prepare.contact_points import lowest
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -46,11 +47,11 @@ def add_scene(root: etree._Element) -> None:
     worldbody.insert(1, etree.Element("geom", floor))
 
 
-def add_imu(root: etree._Element, bodies: UrdfBodies) -> str:
+def add_imu(root: etree._Element, bodies: UrdfBodies) -> Diagnostic:
     """Adds an IMU: on the link that is named after one, otherwise at the base's origin.
 
     Returns:
-        What was added, in words.
+        What was added.
     """
     named = sorted((name for name in bodies.frames if "imu" in name.lower()), key=len)
     link = named[0] if named else bodies.root
@@ -64,8 +65,7 @@ def add_imu(root: etree._Element, bodies: UrdfBodies) -> str:
     for tag, name in (("gyro", "gyro"), ("accelerometer", "accelerometer")):
         element(sensor, tag, name=name, site=site)
     element(sensor, "framequat", name="orientation", objtype="site", objname=site)
-    where = f"link {link!r}" if named else "the base's origin"
-    return f"an IMU (gyro, accelerometer, orientation) is at {where}"
+    return diagnose("imu-added", link=link if named else None)
 
 
 def add_mimics(root: etree._Element, bodies: UrdfBodies) -> None:

@@ -12,8 +12,8 @@ from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_ten
 from pupper_analysis.checks.matching_urdf import end_link, root_link
 from pupper_analysis.convert.meshes import Meshes
 from pupper_analysis.convert.xml_text import element, free_name, halved, is_zero, words
-from pupper_analysis.diagnostics import Term, diagnose
-from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.unlimited import states_no_limits
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -49,7 +49,7 @@ class UrdfBodies:
         urdf: The file.
         meshes: Its meshes.
         armature: {joint: rotor inertia (kg m^2)}.
-        notes: What an MJCF cannot say, or what was left out, in plain words.
+        notes: What an MJCF cannot say, or what was left out.
         materials: {name: rgba} that shapes use.
         mimics: The joints that follow others.
         efforts: {joint: effort limit (N m or N)}, of those that follow no other and have one.
@@ -61,7 +61,7 @@ class UrdfBodies:
     urdf: UrdfFile
     meshes: Meshes
     armature: dict[str, float]
-    notes: list[str] = field(default_factory=list)
+    notes: list[Diagnostic] = field(default_factory=list)
     materials: dict[str, str] = field(default_factory=dict)
     mimics: list[etree._Element] = field(default_factory=list)
     efforts: dict[str, str] = field(default_factory=dict)
@@ -110,10 +110,10 @@ class UrdfBodies:
                 raise refusal_at(self.urdf.path, self._links[link], problem)
         guarded = len(self.urdf.root.findall("joint/safety_controller"))
         if guarded:
-            self.notes.append(f"safety controllers of {guarded} joints: an MJCF has none")
+            self.notes.append(diagnose("safety-controllers-left", count=guarded))
         if self.root == WORLD:
             if self._links[WORLD].find("inertial") is not None:
-                self.notes.append(f"the <inertial> of link {WORLD!r}, which is fixed: no effect")
+                self.notes.append(diagnose("inertial-of-world-left", subject=("link", WORLD)))
             self._fill(worldbody, self._links[self.root])
             return
         body = element(worldbody, "body", name=self.root)
@@ -153,9 +153,9 @@ class UrdfBodies:
             bounds = f"{limit.get('lower') or 0} {limit.get('upper') or 0}"
             low, high = (float(word) for word in bounds.split())
             if not low < high:
+                moved = "joint", name
                 self.notes.append(
-                    f"joint {name!r} is limited to {low:g} to {high:g}, which an MJCF cannot say: "
-                    "it has no range there"
+                    diagnose("empty-range-left", subject=moved, lower=low, upper=high)
                 )
                 bounds = None
         element(
@@ -171,7 +171,8 @@ class UrdfBodies:
         )
         effort = _stated(limit, "effort")
         if effort is not None and float(effort) < 0:
-            self.notes.append(f"effort limit {effort} of joint {name!r}: it is negative")
+            limit = Quantity(float(effort), "N m")
+            self.notes.append(diagnose("effort-negative", subject=("joint", name), effort=limit))
             effort = None
         if self._follows(joint):
             self.mimics.append(joint)
@@ -194,10 +195,9 @@ class UrdfBodies:
             passed.add(meant)
             leader = joints.get(meant)
         if leader is None or leader.get("type") == "fixed":
-            self.notes.append(
-                f"joint {name!r} mimics {joint.find('mimic').get('joint')!r}, which leads to no "
-                "other joint that moves: it has a servo of its own"
-            )
+            meant = str(joint.find("mimic").get("joint"))
+            told = diagnose("mimic-leads-nowhere", subject=("joint", name), leader=meant)
+            self.notes.append(told)
             return False
         return True
 
@@ -233,11 +233,11 @@ class UrdfBodies:
         sizes = " ".join(str(geometry.get(word)) for word in _SIZES.get(tag, ()))
         point = tag == "sphere" and is_zero(sizes) and kind == "collision"
         if point:
-            said = f"spheres of radius 0, points that touch, have a radius of {_POINT} m"
-            self.notes += [said] if said not in self.notes else []
+            told = diagnose("points-made-spheres", radius=Quantity(float(_POINT), "m"))
+            self.notes += [told] if told not in self.notes else []
         elif any(float(size) <= 0 for size in sizes.split()):
-            said = f"a shape <{tag}> of size {sizes} was left out: MuJoCo has no flat ones"
-            self.notes += [said] if said not in self.notes else []
+            told = diagnose("flat-shape-left", tag=tag, sizes=sizes)
+            self.notes += [told] if told not in self.notes else []
             return None
         if tag == "mesh":
             name = self.meshes.name(geometry, touches=kind == "collision")
@@ -249,7 +249,7 @@ class UrdfBodies:
         if tag in ("cylinder", "capsule"):
             half = halved(str(geometry.get("length")))
             return {"type": tag, "size": f"{geometry.get('radius')} {half}"}
-        self.notes.append(f"a shape <{tag}> was left out: an MJCF has none")
+        self.notes.append(diagnose("shape-left", tag=tag))
         return None
 
     def _material(self, shape: etree._Element) -> str | None:
@@ -318,8 +318,8 @@ def check_joints(urdf: UrdfFile, names: dict[str, float]) -> None:
     known = [str(joint.get("name")) for joint in urdf.root.findall("joint")]
     for name, value in names.items():
         if name not in known:
-            raise ModelError(urdf.path, f"no joint {name!r}; there are: {', '.join(known) or '-'}")
+            raise UnknownNameError(urdf.path, "joint", name, known)
         if not 0 <= value < float("inf"):
-            raise ConfigurationError(
-                "armature", f"{value} kg m^2 of joint {name!r} is negative, or no number"
-            )
+            inertia = Quantity(value, "kg m^2")
+            problem = diagnose("armature-not-valid", subject=("joint", name), armature=inertia)
+            raise ConfigurationError("armature", problem)

@@ -10,6 +10,8 @@ from typing import Final
 
 from lxml import etree
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+
 READABLE: Final = (".stl", ".obj", ".msh")
 """Endings of the mesh files that MuJoCo reads."""
 
@@ -30,7 +32,15 @@ _GLB: Final = struct.Struct("<4sIIII")
 
 
 class UnreadableError(Exception):
-    """A mesh file is not taken; the message says why, of several files."""
+    """A mesh file is not taken.
+
+    Attributes:
+        reason: Why, of several files.
+    """
+
+    def __init__(self, reason: Diagnostic) -> None:
+        self.reason = reason
+        super().__init__(str(reason))
 
 
 def obj_of(path: Path) -> bytes:
@@ -42,8 +52,8 @@ def obj_of(path: Path) -> bytes:
     check_size(path)
     ending = path.suffix.lower()
     if ending not in _CONVERTIBLE:
-        formats = ", ".join((*READABLE, *_CONVERTIBLE))
-        raise UnreadableError(f"in formats that are not read (those are {formats})")
+        formats = (*READABLE, *_CONVERTIBLE)
+        raise UnreadableError(diagnose("mesh-format-not-read", formats=formats))
     import trimesh  # comes with yourdfpy, and is slow to import
 
     try:
@@ -66,7 +76,7 @@ def obj_of(path: Path) -> bytes:
     except UnreadableError:
         raise
     except Exception as error:  # whatever the many readers raise of broken files
-        raise UnreadableError("for they are broken, or not what their names say") from error
+        raise UnreadableError(diagnose("mesh-broken")) from error
 
 
 def check_size(path: Path) -> None:
@@ -76,12 +86,12 @@ def check_size(path: Path) -> None:
         UnreadableError: If so.
     """
     if path.stat().st_size > MOST_BYTES:
-        raise UnreadableError(f"for they are larger than {MOST_BYTES // 10**6} MB")
+        raise UnreadableError(diagnose("mesh-too-large", most=MOST_BYTES // 10**6))
 
 
 def _check_count(vertices: int) -> None:
     if vertices > MOST_VERTICES:
-        raise UnreadableError(f"for they have more than {MOST_VERTICES} vertices")
+        raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=MOST_VERTICES))
 
 
 def _check_gltf(data: bytes) -> None:
@@ -119,7 +129,7 @@ def _check_collada(data: bytes) -> None:
 
     scenes = root.iter("{*}visual_scene")
     if any(sum(map(parts, scene.iterfind("{*}node"))) > MOST_PARTS for scene in scenes):
-        raise UnreadableError(f"for they have more than {MOST_PARTS} parts")
+        raise UnreadableError(diagnose("mesh-has-too-many-parts", most=MOST_PARTS))
 
 
 class _Beside:

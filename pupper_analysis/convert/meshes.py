@@ -11,19 +11,18 @@ from lxml import etree
 
 from pupper_analysis.convert.mesh_files import READABLE, UnreadableError, check_size, obj_of
 from pupper_analysis.convert.xml_text import element, free_name
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.flat import flat_mesh
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
-
-_MISSING = "for there is no such file"
 
 
 class Meshes:
     """The meshes of a new MJCF, each file with each scale once.
 
     Attributes:
-        notes: What was left out, in plain words.
+        notes: What was left out.
         copied: Whether all meshes are copied to a folder beside the MJCF.
         made: {path that the MJCF names: content} of meshes that are written beside the MJCF: in
             formats that MuJoCo cannot read, or copied.
@@ -32,7 +31,7 @@ class Meshes:
     def __init__(self, urdf: UrdfFile, output: Path, *, copied: bool = False) -> None:
         self.urdf, self.output, self.copied = urdf, output, copied
         self.made: dict[Path, bytes] = {}
-        self._left: dict[str, list[str]] = {}
+        self._left: dict[Diagnostic, list[str]] = {}
         self._names: dict[tuple[Path, str], str] = {}
         self._taken: set[str] = set()
         self._places: dict[Path, Path] = {}
@@ -42,23 +41,16 @@ class Meshes:
         self._shells: set[Path] = set()
 
     @property
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Diagnostic]:
         """What was left out, by reason."""
-        texts = []
-        for why, files in self._left.items():
-            some = ", ".join(files[:3]) + (", ..." if len(files) > 3 else "")
-            texts.append(f"{len(files)} mesh file(s) left out, {why}: {some}")
-        return texts
+        return [diagnose("meshes-left", files=files, why=why) for why, files in self._left.items()]
 
     @property
-    def missing(self) -> str:
-        """Says how many files are not there, and what helps; empty if all are."""
-        files = self._left.get(_MISSING, [])
-        if not files:
-            return ""
+    def missing(self) -> Diagnostic | None:
+        """Which files are not there, and what helps; None if all are."""
+        files = self._left.get(diagnose("no-such-mesh-file"), [])
         packages = any("://" in file for file in files)
-        helps = "--package NAME=FOLDER tells where a package is" if packages else "bring them"
-        return f"{len(files)} mesh files are missing, and feet may be among them ({helps})"
+        return diagnose("meshes-missing", files=files, packages=packages) if files else None
 
     def name(self, mesh: etree._Element, *, touches: bool) -> str | None:
         """Returns the name of a URDF's <mesh> in the MJCF; None if it is left out.
@@ -71,7 +63,7 @@ class Meshes:
         scale = mesh.get("scale") or "1 1 1"
         path = self.urdf.resolve_mesh(file)
         if path is None:
-            self._leave(_MISSING, file)
+            self._leave(diagnose("no-such-mesh-file"), file)
             return None
         named, path = path, path.resolve()
         self._named.setdefault(path, named.absolute())
@@ -80,14 +72,14 @@ class Meshes:
         try:
             self._take(path)
         except UnreadableError as error:
-            self._leave(str(error), file)
+            self._leave(error.reason, file)
             return None
         content = self.made.get(self._place(path))
         try:
             _compile(content, path, scale, touches=touches, shell=path in self._shells)
         except ValueError as error:
             if flat_mesh(error) is None:
-                self._leave(f"for MuJoCo refuses them ({_said(error)})", file)
+                self._leave(diagnose("mesh-refused", message=_said(error)), file)
                 return None
             self._shells.add(path)
             return self.name(mesh, touches=touches)
@@ -135,7 +127,7 @@ class Meshes:
             )
 
     @property
-    def elsewhere(self) -> str:
+    def elsewhere(self) -> Diagnostic | None:
         """Says where meshes are that do not move with the MJCF's folder; empty if all do."""
         outside = {
             Path(_relative(self._named.get(path, path), path, self.output)).parent
@@ -144,13 +136,9 @@ class Meshes:
         }
         outside = {folder for folder in outside if ".." in folder.parts or folder.is_absolute()}
         if not outside:
-            return ""
-        first = min(folder.as_posix() for folder in outside)
-        more = f" and {len(outside) - 1} more" if len(outside) > 1 else ""
-        return (
-            f"meshes are read from {first}{more}, seen from the new file: move these folders "
-            "together, or add --copy-meshes"
-        )
+            return None
+        folders = sorted(folder.as_posix() for folder in outside)
+        return diagnose("meshes-elsewhere", folders=folders)
 
     def _place(self, path: Path) -> Path:
         """Returns the file that the MJCF names for a file of the URDF."""
@@ -174,7 +162,7 @@ class Meshes:
         if place != path and place not in self.made:
             self.made[place] = path.read_bytes() if readable else obj_of(path)
 
-    def _leave(self, why: str, file: str) -> None:
+    def _leave(self, why: Diagnostic, file: str) -> None:
         files = self._left.setdefault(why, [])
         if file not in files:
             files.append(file)

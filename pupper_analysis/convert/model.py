@@ -15,7 +15,8 @@ from pupper_analysis.convert.last_check import keyframe_run
 from pupper_analysis.convert.repair import Repair
 from pupper_analysis.convert.to_mjcf import MjcfOptions, mjcf_draft
 from pupper_analysis.convert.to_urdf import urdf_draft
-from pupper_analysis.errors import ConfigurationError, OutputError
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.errors import ConfigurationError, OutputError, diagnosed
 from pupper_analysis.files import check_writable
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import quiet
@@ -87,20 +88,22 @@ def convert_model(
     """
     for name, value in (("sag", sag), ("damping_ratio", damping_ratio)):
         if value is not None and not 0 < value < float("inf"):
-            raise ConfigurationError(name, f"{value} is not positive")
+            raise ConfigurationError(name, diagnose("value-not-positive", value=value))
     source, output = Path(source), Path(output)
     check_writable(output)
     if output.resolve() == source.resolve():
-        raise OutputError(output, "it is the source; give the new file another name")
+        raise OutputError(output, diagnose("output-is-source"))
     if output.exists() and not output.is_file():
-        raise OutputError(output, "it is no regular file; the new file is read again, to prove it")
+        raise OutputError(output, diagnose("output-not-regular"))
     if output.exists() and not force:
-        raise OutputError(output, "it exists; add --force (force=True) to replace it")
+        raise OutputError(output, diagnose("output-there"))
     file = read_model(source, packages)
     wanted = ".xml" if isinstance(file, UrdfFile) else ".urdf"
     if output.suffix.lower() != wanted:
-        kind = {".xml": "an MJCF", ".urdf": "a URDF"}[wanted]
-        raise OutputError(output, f"{source} becomes {kind}: end its name in {wanted}")
+        made = diagnose(
+            "output-named-otherwise", source=source, ending=wanted, mjcf=wanted == ".xml"
+        )
+        raise OutputError(output, made)
     options = MjcfOptions(
         feet, fixed_base, merge_fixed, armature, sag, damping_ratio, repair_inertia, copy_meshes
     )
@@ -114,16 +117,18 @@ def convert_model(
         urdf, mjcf = output, source
     written = _write(output, draft, force=force)
     comparison = compare_models(urdf, mjcf, packages=packages, tolerances=FINE)
-    verification, kept, failures = None, None, list(_disagreements(comparison, draft.repairs))
+    verification, kept = None, None
+    failures = list(_disagreements(comparison, draft.repairs))
     agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
     if draft.failure is not None:
-        failures.append(f"it does not stand: {draft.failure}")
+        failures.append(draft.failure)
     elif draft.stands:
         verification = _stood(draft.urdf or read_urdf(urdf), mjcf, feet)
-        failures += verification.failures
+        failures += map(diagnosed, verification.failures)
         if mjcf == output:
             kept = keyframe_run(mjcf)
-            failures += [f"from its keyframe {why}" for why in (kept.failures if kept else ())]
+            why = [] if kept is None else kept.failures
+            failures += [diagnose("fails-from-keyframe", problem=problem) for problem in why]
     return Conversion(
         source=str(source),
         output=str(output),
@@ -144,12 +149,10 @@ def _refuse_given(options: MjcfOptions, source: Path) -> None:
     """Refuses what only a new MJCF can have."""
     for field in fields(options):
         if getattr(options, field.name) != field.default:
-            raise ConfigurationError(
-                field.name, f"{source} is an MJCF, and the URDF made of it has none; leave it out"
-            )
+            raise ConfigurationError(field.name, diagnose("not-of-an-mjcf", source=source))
 
 
-def _disagreements(comparison: Comparison, repairs: Sequence[Repair]) -> Iterator[str]:
+def _disagreements(comparison: Comparison, repairs: Sequence[Repair]) -> Iterator[Diagnostic]:
     """Yields what makes the files disagree, but for the inertials that were repaired.
 
     Of these the comparison proves that they explain all that is left.
@@ -157,8 +160,8 @@ def _disagreements(comparison: Comparison, repairs: Sequence[Repair]) -> Iterato
     repaired = {repair.body for repair in repairs}
     for difference in comparison.differences:
         if not (difference.kind in OF_INERTIALS and difference.element in repaired):
-            yield difference.message
-    yield from map(str, comparison.objections)
+            yield difference.diagnostic
+    yield from comparison.objections
 
 
 def _stood(urdf: UrdfFile, mjcf: Path, feet: Feet | None) -> StandVerification:
@@ -174,7 +177,7 @@ def _write(output: Path, draft: Draft, *, force: bool) -> list[Path]:
     """
     there = [path for path in draft.meshes if path.exists()]
     if there and not force:
-        raise OutputError(there[0], "it exists; add --force (force=True) to replace it")
+        raise OutputError(there[0], diagnose("output-there"))
     contents = {**draft.meshes, output: draft.text.encode(errors="backslashreplace")}
     write_together([Writing(path, content) for path, content in contents.items()])
     return list(contents)

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.convert.inertials import add_to, inertia_of, placement_of, put_inertia
 from pupper_analysis.convert.xml_text import element, words
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.places import refusal
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.results import Result
@@ -60,18 +62,19 @@ class Repair(Result):
     new_mass: float
     new_moments: tuple[float, float, float]
 
-    def __str__(self) -> str:
+    @property
+    def diagnostic(self) -> Diagnostic:
+        """What was written, as it is told."""
+        link = "link", self.link
         if not self.mass > 0:
-            return f"link {self.link!r} had no mass, and was given {self.new_mass:g} kg"
-        return (
-            f"the inertia of link {self.link!r} was repaired: principal moments "
-            f"{_listed(self.new_moments)} kg m^2, where no body has {_listed(self.moments)}"
-        )
+            return diagnose("mass-given", subject=link, mass=Quantity(self.new_mass, "kg"))
+        moments, before = self.new_moments, self.moments
+        return diagnose("inertia-repaired", subject=link, moments=moments, before=before)
 
 
 def mend_inertials(
     urdf: UrdfFile, worldbody: etree._Element, *, repair: bool
-) -> tuple[list[str], list[Repair]]:
+) -> tuple[list[Diagnostic], list[Repair]]:
     """Makes inertials such that MuJoCo takes them.
 
     One that no body can have is moved to a body that it is fixed to, however many links are between
@@ -85,12 +88,12 @@ def mend_inertials(
             without any mass is given a gram.
 
     Returns:
-        What was moved, in words; and what was repaired.
+        What was moved, and what was repaired.
 
     Raises:
         ModelError: If one would have to be repaired, and shall not be.
     """
-    moved: list[str] = []
+    moved: list[Diagnostic] = []
     repairs: list[Repair] = []
     for body in list(worldbody.iter("body")):
         inertial = body.find("inertial")
@@ -168,10 +171,10 @@ def nearest_moments(moments: Array, mass: float) -> Array:
     return np.maximum(result, 10 * _LEAST)
 
 
-def _moved(body: etree._Element) -> str | None:
+def _moved(body: etree._Element) -> Diagnostic | None:
     """Gives what a body cannot have to one that it is fixed to; says which, or None."""
     inertia, name = inertia_of(body.find("inertial")), str(body.get("name"))
-    why = f"MuJoCo refuses the inertia of link {name!r} ({_why(inertia)})"
+    mass, moments = Quantity(inertia.mass, "kg"), _moments(inertia)
     group = list(_fixed_together(body))
     for other, placement in group[1:]:
         there = other.find("inertial")
@@ -179,7 +182,10 @@ def _moved(body: etree._Element) -> str | None:
         if there is not None and is_possible(inertia_of(there) + total):
             add_to(other, total)
             body.remove(body.find("inertial"))
-            return f"{why}: it is part of {other.get('name')!r}, to which the link is fixed"
+            carrier = str(other.get("name"))
+            return diagnose(
+                "inertia-moved", subject=("link", name), mass=mass, moments=moments, to=carrier
+            )
     heavy = [(other, placement) for other, placement in group if other.find("inertial") is not None]
     total = pin.Inertia.Zero()
     for other, placement in heavy:
@@ -189,8 +195,10 @@ def _moved(body: etree._Element) -> str | None:
     for other, _ in heavy:
         other.remove(other.find("inertial"))
     put_inertia(body, total)
-    names = ", ".join(str(other.get("name")) for other, _ in heavy[1:])
-    return f"{why}: it has the inertias of all that is fixed to it, {names}"
+    names = [str(other.get("name")) for other, _ in heavy[1:]]
+    return diagnose(
+        "inertias-joined", subject=("link", name), mass=mass, moments=moments, links=names
+    )
 
 
 def _fixed_together(body: etree._Element) -> Iterator[tuple[etree._Element, pin.SE3]]:
@@ -248,31 +256,19 @@ def _repaired(body: etree._Element) -> Repair:
 
 def _refusal(urdf: UrdfFile, body: etree._Element) -> ModelError:
     name, inertia = str(body.get("name")), inertia_of(body.find("inertial"))
-    place = urdf.place("link", name, "inertial/inertia")
-    return ModelError(
-        f"{place.file}:{place.line}" if place.line else str(place.file),
-        f"MuJoCo refuses the inertia of link {name!r}: {_why(inertia)}, which no body has; mend it "
-        "(pupper-analysis audit says more), or add --repair-inertia (repair_inertia=True)",
-    )
+    mass, moments = Quantity(inertia.mass, "kg"), _moments(inertia)
+    problem = diagnose("inertia-refused", subject=("link", name), mass=mass, moments=moments)
+    return refusal(urdf.place("link", name, "inertial/inertia"), problem)
 
 
 def _weightless(urdf: UrdfFile, body: etree._Element, joint: etree._Element) -> ModelError:
-    place = urdf.place("link", str(body.get("name")))
-    which = f"joint {joint.get('name')!r} moves" if joint.tag == "joint" else "is the base"
-    return ModelError(
-        f"{place.file}:{place.line}" if place.line else str(place.file),
-        f"link {body.get('name')!r}, which {which}, has no mass, and MuJoCo refuses such bodies; "
-        "give it an <inertial>, or add --repair-inertia (repair_inertia=True)",
-    )
+    link, mover = "link", joint.get("name") if joint.tag == "joint" else None
+    problem = diagnose("link-without-mass", subject=(link, str(body.get("name"))), joint=mover)
+    return refusal(urdf.place(link, str(body.get("name"))), problem)
 
 
-def _why(inertia: pin.Inertia) -> str:
-    moments = np.linalg.eigvalsh(np.array(inertia.inertia))
-    return f"mass {inertia.mass:g} kg, principal moments {_listed(_three(moments))} kg m^2"
-
-
-def _listed(moments: tuple[float, float, float]) -> str:
-    return ", ".join(f"{moment:.3g}" for moment in moments)
+def _moments(inertia: pin.Inertia) -> tuple[float, float, float]:
+    return _three(np.linalg.eigvalsh(np.array(inertia.inertia)))
 
 
 def _three(values: Array) -> tuple[float, float, float]:

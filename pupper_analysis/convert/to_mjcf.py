@@ -24,9 +24,11 @@ from pupper_analysis.convert.repair import mend_inertials, repaired_urdf
 from pupper_analysis.convert.servo_gains import held_gains, stand_gains
 from pupper_analysis.convert.tidy import put_defaults, to_text
 from pupper_analysis.convert.xml_text import element, words
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError, PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.prepare.drives import span
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.robot import Robot
@@ -38,14 +40,20 @@ _LIMBS = 2
 """A base that carries so many limbs or more is free, as in ``load_robot``."""
 
 
-_MOUNTED = "; an arm, a hand or a torso that is mounted: --fixed-base"
-
 _READ = ("link", "joint", "material")
 """What is read of a <robot>: <transmission>, <gazebo>, <mujoco> ... are other programs'."""
 
 
 class _LeglessError(Exception):
-    """A robot has fewer feet than legs make; the message says what was found."""
+    """A robot has fewer feet than legs make.
+
+    Attributes:
+        reason: What was found.
+    """
+
+    def __init__(self, reason: Diagnostic) -> None:
+        self.reason = reason
+        super().__init__(str(reason))
 
 
 @dataclass(frozen=True)
@@ -89,17 +97,14 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     except _LeglessError as error:
         # Nothing said that it is free but its number of limbs: a hand or a torso has as many.
         held = _made(urdf, output, replace(options, fixed_base=True))
-        said = (
-            f"its base has several limbs, but it does not stand on them ({error}): it is fixed in "
-            "the world, as in the URDF; --free-base frees it, --foot names its feet"
-        )
-        return replace(held, notes=(*held.notes, said))
+        told = diagnose("base-fixed-as-it-does-not-stand", why=error.reason)
+        return replace(held, notes=(*held.notes, told))
 
 
 def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     """Makes the MJCF of a URDF, whose base may turn out to have no legs."""
     if all(joint.get("type") in ("fixed", "floating") for joint in urdf.root.findall("joint")):
-        raise ModelError(urdf.path, "it has no joint that moves; give a robot with one or more")
+        raise ModelError(urdf.path, diagnose("no-joint-moves"))
     meshes = Meshes(urdf, output, copied=options.copy_meshes)
     bodies = UrdfBodies(urdf, meshes, dict(options.armature or {}))
     free = _is_free(urdf, bodies) if options.fixed_base is None else not options.fixed_base
@@ -108,38 +113,31 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     bodies.add(worldbody, free=free)
     moved, repairs = mend_inertials(urdf, worldbody, repair=options.repair_inertia)
     mended = repaired_urdf(urdf, worldbody, repairs)
-    notes = [*map(str, urdf.notes), *moved, *map(str, repairs)]
+    notes = [*urdf.notes, *moved, *(repair.diagnostic for repair in repairs)]
     left = [*bodies.notes, *meshes.notes, *_unsaid(urdf)]
     if options.merge_fixed:
         merged = merge_fixed(worldbody)
         if merged:
-            notes.append(f"{len(merged)} links on fixed joints are sites: {', '.join(merged)}")
+            notes.append(diagnose("fixed-links-are-sites", links=merged))
     carried = carry_shapes(worldbody)
     if carried:
-        notes.append(
-            f"collision shapes of links without mass are those of the body that carries them: "
-            f"{', '.join(carried)}"
-        )
+        notes.append(diagnose("shapes-carried", links=carried))
     asset = root.find("asset")
     for name, rgba in bodies.materials.items():
         element(asset, "material", name=name, rgba=rgba)
     if free:
         equip.add_scene(root)
-        notes.append("a floor and a free joint were added")
-        notes.append(
-            "contacts hold by an elliptic cone and an impratio of 100: by MuJoCo's defaults, feet "
-            "creep on slopes"
-        )
+        notes += [diagnose("floor-and-free-joint-added"), diagnose("contacts-made-to-hold")]
     equip.add_mimics(root, bodies)
     failure = None
     if free:
         found, failure = _put_stand(root, mended, meshes, bodies, options)
-        notes += [note for note in found if note not in notes]
-        notes.append(equip.add_imu(root, bodies))
+        notes = [*dict.fromkeys((*notes, *found)), equip.add_imu(root, bodies)]
     else:
-        notes.append("the base is fixed in the world")
+        notes.append(diagnose("base-fixed-in-the-world"))
         notes += _put_held(root, _trial(root, urdf, meshes), bodies, options)
-    notes += [*_unstated(root), *filter(None, [meshes.elsewhere])]
+    elsewhere = meshes.elsewhere
+    notes += [*_unstated(root), *([elsewhere] if elsewhere else [])]
     meshes.write(asset)
     _leave_out_empty(root)
     put_defaults(root)
@@ -170,8 +168,8 @@ def _skeleton(name: str) -> etree._Element:
     return root
 
 
-def _unsaid(urdf: UrdfFile) -> list[str]:
-    """Says what else no MJCF, or none of this package's, has from the URDF."""
+def _unsaid(urdf: UrdfFile) -> list[Diagnostic]:
+    """Tells what else no MJCF, or none of this package's, has from the URDF."""
     some = []
     speeds = [
         float(limit.get("velocity"))
@@ -179,15 +177,14 @@ def _unsaid(urdf: UrdfFile) -> list[str]:
         if limit.getparent().get("type") != "fixed" and float(limit.get("velocity")) != 0
     ]
     if speeds:
-        some.append(
-            f"velocity limits of {len(speeds)} joints ({min(speeds):g} to {max(speeds):g}): an "
-            "MJCF has none"
-        )
+        limits = span(speeds, "rad/s")
+        some.append(diagnose("velocity-limits-left", count=len(speeds), limits=limits))
     textured = len(list(urdf.root.iter("texture")))
     if textured:
-        some.append(f"{textured} textures")
+        some.append(diagnose("textures-left", count=textured))
     others = Counter(str(node.tag) for node in urdf.root if node.tag not in _READ)
-    return some + [f"{count} <{tag}>" for tag, count in others.items()]
+    left = [diagnose("elements-left", tag=tag, count=count) for tag, count in others.items()]
+    return some + left
 
 
 def _is_free(urdf: UrdfFile, bodies: UrdfBodies) -> bool:
@@ -213,7 +210,7 @@ def _put_stand(
     meshes: Meshes,
     bodies: UrdfBodies,
     options: MjcfOptions,
-) -> tuple[list[str], str | None]:
+) -> tuple[list[Diagnostic], Diagnostic | None]:
     """Adds what `load_robot` finds out: feet, servos, start pose.
 
     Returns:
@@ -227,17 +224,17 @@ def _put_stand(
     except ModelError as error:
         if options.feet is not None:
             raise
-        problem = _first(meshes.missing, error.problem)
+        problem = error.cause
         model = _trial(root, urdf, meshes)
         if not (meshes.missing or sure or _has_bare_legs(model, bodies.root)):
             raise _LeglessError(problem) from error
         _put_held(root, model, bodies, options)
         equip.lift_base(root, bodies, model)
-        return [], f"{problem}{_MOUNTED}"
+        return [], diagnose("does-not-stand", missing=meshes.missing, problem=problem)
     if len(robot.feet) < _LIMBS and not sure:
-        raise _LeglessError(f"its limbs' ends that are lowest: {', '.join(robot.feet) or 'none'}")
+        raise _LeglessError(diagnose("lowest-limbs", limbs=robot.feet))
     told = [note for note in robot.notes if note.code != "armature-from-mjcf"]
-    failure, more = None, list[str]()
+    failure = None
     try:
         equip.add_contacts(root, robot)
         stand = sunk_stand(robot)
@@ -245,17 +242,18 @@ def _put_stand(
         equip.add_home(root, bodies, robot, stand, kp)
         if options.sag is not None or options.damping_ratio is not None:
             told = [note for note in told if note.code != "servos-added"]
-            more.append(_said(kp, kd))
+            told.append(_servos(kp, kd))
     except PupperAnalysisError as error:
         if not (sure or meshes.missing) and _reaches_no_ground(robot, error):
-            raise _LeglessError(f"{', '.join(robot.feet)} reach no level ground") from error
-        failure = f"{_first(meshes.missing, str(error))}{_MOUNTED}"
+            raise _LeglessError(diagnose("feet-reach-no-ground", feet=robot.feet)) from error
+        problem = error.diagnostic
+        failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
         kp, kd = held_gains(robot.mj_model, options.sag, options.damping_ratio)
     equip.lift_base(root, bodies, robot.mj_model)
     _put_option(root, timestep=words(robot.mj_model.opt.timestep))
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
     equip.add_servos(root, bodies, dict(zip(robot.joint_names, gains, strict=True)))
-    return [*map(str, told), *more], failure
+    return told, failure
 
 
 def _reaches_no_ground(robot: Robot, error: PupperAnalysisError) -> bool:
@@ -267,11 +265,6 @@ def _reaches_no_ground(robot: Robot, error: PupperAnalysisError) -> bool:
         isinstance(error, StanceUnreachableError)
         and max(error.shortfall.values(), default=0.0) > robot.stand_height
     )
-
-
-def _first(cause: str | None, problem: str) -> str:
-    """Says what is behind a problem before the problem."""
-    return f"{cause}; {problem}" if cause else problem
 
 
 def _has_bare_legs(model: mujoco.MjModel, base: str) -> bool:
@@ -296,17 +289,17 @@ def _has_bare_legs(model: mujoco.MjModel, base: str) -> bool:
 
 def _put_held(
     root: etree._Element, model: mujoco.MjModel, bodies: UrdfBodies, options: MjcfOptions
-) -> list[str]:
-    """Adds the servos of a robot that is held; returns what was added, in words."""
+) -> list[Diagnostic]:
+    """Adds the servos of a robot that is held; returns what was added."""
     _put_option(root)
     moving = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE.value)
     if not len(moving):
-        return ["it has no joints that move"]
+        return [diagnose("nothing-moves")]
     kp, kd = held_gains(model, options.sag, options.damping_ratio)
     names = [str(model.joint(int(index)).name) for index in moving]
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
     equip.add_servos(root, bodies, dict(zip(names, gains, strict=True)))
-    return [_said(kp, kd)]
+    return [_servos(kp, kd)]
 
 
 def _put_option(root: etree._Element, **attributes: str) -> None:
@@ -318,26 +311,19 @@ def _put_option(root: etree._Element, **attributes: str) -> None:
     option.attrib.update({**attributes, "integrator": "implicitfast", **option.attrib})
 
 
-def _unstated(root: etree._Element) -> list[str]:
-    """Says which joints have neither armature nor damping: a URDF states no armature."""
+def _unstated(root: etree._Element) -> list[Diagnostic]:
+    """Tells which joints have neither armature nor damping: a URDF states no armature."""
     joints = list(root.iter("joint"))
     joints = [joint for joint in joints if joint.get("name") and joint.getparent().tag == "body"]
-    some = []
-    for word, why in (
-        ("armature", "no URDF states one; real rotors have some: --armature"),
-        ("damping", "the URDF states none"),
-    ):
-        bare = [joint for joint in joints if joint.get(word) is None]
-        if bare:
-            some.append(f"{word} is 0 at {len(bare)} of {len(joints)} joints: {why}")
-    return some
+    still, undamped = (sum(j.get(word) is None for j in joints) for word in ("armature", "damping"))
+    told = [diagnose("armature-unstated", count=still, joints=len(joints))] if still else []
+    if undamped:
+        told.append(diagnose("damping-unstated", count=undamped, joints=len(joints)))
+    return told
 
 
-def _said(kp: Array, kd: Array) -> str:
-    return (
-        f"position servos were added, with kp {kp.min():g} to {kp.max():g} and kd {kd.min():g} to "
-        f"{kd.max():g}"
-    )
+def _servos(kp: Array, kd: Array) -> Diagnostic:
+    return diagnose("servos-made", kp=span(kp, "N m/rad"), kd=span(kd, "N m s/rad"))
 
 
 def _loaded(root: etree._Element, urdf: UrdfFile, meshes: Meshes, feet: Feet | None) -> Robot:
@@ -372,7 +358,7 @@ def _draft(root: etree._Element, urdf: UrdfFile, meshes: Meshes) -> Iterator[Pat
             yield path
         except ModelError as error:
             if str(path) in error.source:
-                raise ModelError(urdf.path, error.problem) from error
+                raise ModelError(urdf.path, error.cause) from error
             raise
 
 

@@ -18,6 +18,7 @@ from pupper_analysis.convert.tidy import to_text
 from pupper_analysis.convert.unsaid import others, surroundings
 from pupper_analysis.convert.urdf_shapes import Shapes, put_placement
 from pupper_analysis.convert.xml_text import element, free_name, words
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.free_base import join_free_base
@@ -47,14 +48,14 @@ class UrdfLinks:
         file: The MJCF.
         model: What MuJoCo compiles it to.
         shapes: Makes its shapes.
-        left: What a URDF cannot say, in words.
+        left: What a URDF cannot say.
         links: {body: (its link, where the body's frame is in the link's)}.
     """
 
     file: MjcfFile
     model: mujoco.MjModel
     shapes: Shapes
-    left: list[str] = field(default_factory=list)
+    left: list[Diagnostic] = field(default_factory=list)
     links: dict[int, tuple[str, pin.SE3]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -120,11 +121,9 @@ class UrdfLinks:
             child = name if last else self._free(f"{name}_{joint - first + 1}")
             kind = int(model.jnt_type[joint])
             if kind in (_FREE, _BALL):
-                what = "a ball joint" if kind == _BALL else "a free joint that is not the base's"
-                raise ModelError(
-                    self.file.path,
-                    f"body {model.body(body).name!r} has {what}, which a URDF cannot say",
-                )
+                moved = "body", model.body(body).name
+                problem = diagnose("joint-not-in-urdf", subject=moved, ball=kind == _BALL)
+                raise ModelError(self.file.path, problem)
             anchor, axis = np.array(model.jnt_pos[joint]), np.array(model.jnt_axis[joint])
             rest = float(model.qpos0[model.jnt_qposadr[joint]])
             turn = pin.exp3(-rest * axis) if kind == _HINGE else np.eye(3)
@@ -160,10 +159,8 @@ class UrdfLinks:
         elif kind == "prismatic":
             limit.set("lower", words(-ENDLESS_SLIDE))
             limit.set("upper", words(ENDLESS_SLIDE))
-            self.left.append(
-                f"joint {name!r} slides without limits; a URDF's must have some: "
-                f"{ENDLESS_SLIDE:g} m"
-            )
+            most = Quantity(ENDLESS_SLIDE, "m")
+            self.left.append(diagnose("slide-without-limits", subject=("joint", name), limit=most))
         dof = int(model.jnt_dofadr[joint])
         damping, friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
         if damping or friction:
@@ -199,7 +196,7 @@ class UrdfLinks:
             if not name or body not in self.links:
                 continue
             if name in self._names:
-                self.left.append(f"site {name!r}: a link has this name")
+                self.left.append(diagnose("site-named-like-link", subject=("site", name)))
                 continue
             self._names.add(name)
             link, inside = self.links[body]
@@ -231,7 +228,7 @@ def urdf_draft(file: MjcfFile, output: Path) -> Draft:
     """
     spec = file.spec.copy()
     joined = join_free_base(spec, file.path)
-    notes = list(map(str, [*file.notes, *([joined] if joined else [])]))
+    notes = [*file.notes, *([joined] if joined else [])]
     model = compile_spec(spec, file.path) if joined else file.compile()
     base = _base(file, model)
     root = etree.Element("robot", {"name": _robot_name(file)})
@@ -242,11 +239,11 @@ def urdf_draft(file: MjcfFile, output: Path) -> Draft:
     left = [*links.left, *shapes.left, *_couplings(root, model), *others(model)]
     left += surroundings(model, set(links.links))
     if links.unlimited:
-        left.append(f"{links.unlimited} joints have no effort limit; in a URDF that is 0")
+        left.append(diagnose("joints-without-effort-limit", count=links.unlimited))
     _add_transmissions(root, model)
     floating = bool((model.jnt_type == _FREE).any())
     if floating:
-        notes.append("the base is free, which a URDF leaves to whoever loads it")
+        notes.append(diagnose("free-base-not-in-urdf"))
     header = f"Converted from {file.path.name} by pupper-analysis."
     return Draft(to_text(root, header), {}, tuple(notes), tuple(left))
 
@@ -263,21 +260,20 @@ def _base(file: MjcfFile, model: mujoco.MjModel) -> int:
     moved = np.delete(model.body_rootid[model.jnt_bodyid], free)
     robots = [body for body in bodies if body in moved]  # others are balls and boxes to play with
     if len(free) > 1 and len(robots) != 1:
-        raise ModelError(file.path, "it has several free bodies; give a file with one robot")
+        raise ModelError(file.path, diagnose("several-free-bodies"))
     if len(free):
         return (robots or bodies)[0]
     if not tops:
-        raise ModelError(file.path, "it has no joints; give a file with one robot")
+        raise ModelError(file.path, diagnose("no-joints"))
     if len(tops) > 1:
         roots = [int(model.body_rootid[body]) for body in model.jnt_bodyid]
-        some = ", ".join(
-            f"{str(model.body(top).name)!r} with {roots.count(top)} joints" for top in sorted(tops)
-        )
-        raise ModelError(
-            file.path,
-            f"it has several robots that stand in the world, each a URDF of its own: {some}; give "
-            "a file with one of them, or one body around them all",
-        )
+        some = [
+            diagnose(
+                "robot-of-several", subject=("body", model.body(top).name), joints=roots.count(top)
+            )
+            for top in sorted(tops)
+        ]
+        raise ModelError(file.path, diagnose("several-robots", robots=some))
     return tops.pop()
 
 
@@ -303,7 +299,7 @@ def _joint(
     return node
 
 
-def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[str]:
+def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[Diagnostic]:
     """Writes joints that follow others as <mimic>; returns what no URDF can say."""
     left = []
     joints = {str(node.get("name")): node for node in root.findall("joint")}
@@ -331,7 +327,7 @@ def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[str]:
                     offset=words(offset),
                 )
                 continue
-        left.append(f"equality constraint {index + 1} ({name})")
+        left.append(diagnose("equality-not-in-urdf", number=index + 1, kind=Term(name)))
     return left
 
 

@@ -1,14 +1,13 @@
-"""What an MJCF has and no URDF can say, in words."""
+"""What an MJCF has and no URDF can say."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.transmission import is_at_one_joint
-
-_NAMED = 3
-"""Names in a row that are listed."""
+from pupper_analysis.prepare.drives import span
 
 _GRAVITY = (0.0, 0.0, -9.81)
 """That of Pinocchio, and whoever else loads a URDF (m/s^2)."""
@@ -16,14 +15,14 @@ _GRAVITY = (0.0, 0.0, -9.81)
 _FREE = mujoco.mjtJoint.mjJNT_FREE.value
 
 
-def others(model: mujoco.MjModel) -> list[str]:
-    """Says what else a URDF cannot say."""
+def others(model: mujoco.MjModel) -> list[Diagnostic]:
+    """Tells what else a URDF cannot say."""
     moving = model.jnt_type != _FREE
     dofs = model.jnt_dofadr[moving]
-    some = []
+    some: list[Diagnostic] = []
     if model.dof_armature[dofs].any():
-        low, high = (float(f(model.dof_armature[dofs])) for f in (np.min, np.max))
-        some.append(f"armature ({low:g} to {high:g} kg m^2): crosscheck takes it from the MJCF")
+        values = span(model.dof_armature[dofs], "kg m^2")
+        some.append(diagnose("armature-not-in-urdf", armature=values))
     fixed = np.setdiff1d(np.arange(model.nv), dofs)
     for values, what, unit in (
         (model.dof_damping, "damping", "N s/m"),
@@ -31,11 +30,14 @@ def others(model: mujoco.MjModel) -> list[str]:
         (model.dof_armature, "armature", "kg"),
     ):
         if values[fixed].any():
-            some.append(f"{what} of the free joint ({float(values[fixed].max()):g} {unit})")
+            most = Quantity(values[fixed].max(), unit)
+            some.append(diagnose("property-of-free-joint", what=Term(what), value=most))
     if model.jnt_stiffness[moving].any():
-        some.append(f"springs of {int((model.jnt_stiffness[moving] != 0).sum())} joints")
+        count = int((model.jnt_stiffness[moving] != 0).sum())
+        some.append(diagnose("springs-not-in-urdf", count=count))
     if model.body_gravcomp.any():
-        some.append(f"gravity compensation of {int((model.body_gravcomp != 0).sum())} bodies")
+        count = int((model.body_gravcomp != 0).sum())
+        some.append(diagnose("gravity-compensation-not-in-urdf", count=count))
     elsewhere = sum(not is_at_one_joint(model, number) for number in range(model.nactuator))
     for count, what in (
         (model.ntendon, "tendons"),
@@ -46,16 +48,16 @@ def others(model: mujoco.MjModel) -> list[str]:
         (elsewhere, "actuators that are not at a joint"),
     ):
         if count:
-            some.append(f"{what}: {count}")
+            some.append(diagnose("not-in-urdf", what=Term(what), count=count))
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     servos = int((model.actuator_biastype == affine).sum())
     if servos:
-        some.append(f"the gains of {servos} servos; their joints have transmissions")
+        some.append(diagnose("gains-not-in-urdf", count=servos))
     return some
 
 
-def surroundings(model: mujoco.MjModel, robot: set[int]) -> list[str]:
-    """Says what is around the robot, and on it, that no URDF has.
+def surroundings(model: mujoco.MjModel, robot: set[int]) -> list[Diagnostic]:
+    """Tells what is around the robot, and on it, that no URDF has.
 
     Args:
         model: The model.
@@ -66,8 +68,7 @@ def surroundings(model: mujoco.MjModel, robot: set[int]) -> list[str]:
     some = []
     if others:
         names = [model.body(body).name or f"{body}" for body in others]
-        shown = ", ".join(map(repr, names[:_NAMED])) + (", ..." if len(names) > _NAMED else "")
-        some.append(f"{len(others)} bodies that the robot does not carry: {shown}")
+        some.append(diagnose("bodies-not-carried", bodies=names))
     for count, what in (
         (int(np.isin(model.geom_bodyid, away).sum()), "geoms of the world and of such bodies"),
         (int(np.isin(model.site_bodyid, away).sum()), "sites there"),
@@ -75,10 +76,10 @@ def surroundings(model: mujoco.MjModel, robot: set[int]) -> list[str]:
         (model.nlight, "lights"),
     ):
         if count:
-            some.append(f"{what}: {count}")
+            some.append(diagnose("not-in-urdf", what=Term(what), count=count))
     gravity = model.opt.gravity
     if not np.allclose(gravity, _GRAVITY):
-        some.append(f"gravity ({', '.join(f'{value:g}' for value in gravity)}) m/s^2")
+        some.append(diagnose("gravity-not-in-urdf", gravity=gravity))
     if model.opt.density or model.opt.viscosity:
-        some.append("the fluid around the robot")
+        some.append(diagnose("fluid-not-in-urdf"))
     return some

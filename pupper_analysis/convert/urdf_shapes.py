@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.convert.xml_text import ANGLE_DIGITS, element, free_name, is_zero, words
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
 
 Array = NDArray[np.float64]
@@ -26,7 +27,7 @@ class Shapes:
     """Makes the shapes of links.
 
     Attributes:
-        left: What was left out, in words.
+        left: What was left out.
     """
 
     def __init__(self, file: MjcfFile, model: mujoco.MjModel, folder: Path) -> None:
@@ -37,7 +38,7 @@ class Shapes:
             model: What MuJoCo compiles it to.
             folder: Where the URDF shall be.
         """
-        self.model, self.left = model, list[str]()
+        self.model, self.left = model, list[Diagnostic]()
         self._materials: dict[tuple[float, ...], str] = {}
         self._names: set[str] = set()
         self._files: dict[str, str] = {}
@@ -100,8 +101,8 @@ class Shapes:
         if kind == mujoco.mjtGeom.mjGEOM_MESH:
             return self._mesh(geom, placed)
         name = model.geom(geom).name or f"{geom}"
-        what = kind.name.removeprefix("mjGEOM_").lower()
-        self.left.append(f"geom {name!r}: a URDF has no {what}")
+        what = Term(kind.name.removeprefix("mjGEOM_").lower())
+        self.left.append(diagnose("shape-not-in-urdf", subject=("geom", name), kind=what))
         return []
 
     def _mesh(self, geom: int, placed: pin.SE3) -> list[Geometry]:
@@ -109,10 +110,8 @@ class Shapes:
         mesh = int(model.geom_dataid[geom])
         name = str(model.mesh(mesh).name)
         if name not in self._files:
-            why = "it is in no file that other programs could read"
-            if name in self._lost:  # MuJoCo does not tell the folder of an <attach>ed model
-                why = f"its file {self._lost[name]!r} is not in the MJCF's folder for meshes"
-            self.left.append(f"mesh {name!r}: {why}")
+            lost = self._lost.get(name)  # MuJoCo does not tell the folder of an <attach>ed model
+            self.left.append(diagnose("mesh-without-file", subject=("mesh", name), file=lost))
             return []
         # MuJoCo moves a mesh to its com and principal axes, and the geom along.
         own = pin.SE3(
@@ -126,7 +125,7 @@ class Shapes:
         moved = self._moved[name]
         turned = not np.allclose(moved.rotation, np.eye(3))
         if turned and not np.allclose(scale, scale[0]):
-            self.left.append(f"mesh {name!r}: it is turned before it is scaled unevenly")
+            self.left.append(diagnose("mesh-turned-and-scaled", subject=("mesh", name)))
             return []
         moved = pin.SE3(moved.rotation, scale * moved.translation)
         where = placed * own.inverse() * moved.inverse()
