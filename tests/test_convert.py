@@ -101,7 +101,7 @@ def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
     assert found.passed, found.failures
     assert found.agree
     assert found.comparison.differences == ()
-    assert all(text.startswith("velocity limits of ") for text in found.left)
+    assert all(text.startswith("velocity limits of ") for text in map(str, found.left))
     assert found.verification is not None
     assert found.verification.duration == 12.0
     assert found.verification.torque_error < 1e-5
@@ -261,7 +261,7 @@ def test_joints_that_follow_others_are_coupled(tmp_path: Path) -> None:
         "-0.5",
         "0.1",
     )
-    assert again.left == ("the gains of 2 servos; their joints have transmissions",)
+    assert [left.code for left in again.left] == ["gains-not-in-urdf"]
 
 
 def test_an_inertia_that_mujoco_refuses_goes_to_what_it_is_fixed_to(tmp_path: Path) -> None:
@@ -310,7 +310,7 @@ def test_shapes_are_where_the_urdf_has_them(tmp_path: Path) -> None:
     urdf.write_text(text)
     mjcf, found = converted(urdf, "arm.xml")
     assert found.passed, found.failures
-    assert all(text.startswith("velocity limits of ") for text in found.left)
+    assert all(text.startswith("velocity limits of ") for text in map(str, found.left))
     assert (tmp_path / "arm_meshes" / "part.obj").is_file()
     assert found.written[-1] == str(mjcf)
     back, _ = converted(mjcf, "back.urdf")
@@ -344,8 +344,8 @@ def test_meshes_that_are_not_there_are_left_out_and_said(tmp_path: Path) -> None
     _, found = converted(tmp_path / "arm.urdf", "arm.xml")
     assert found.passed
     assert len(found.left) == 2
-    assert "2 mesh file(s)" in found.left[0]
-    assert "package://none/gone.stl, far.stl" in found.left[0]
+    assert str(found.left[0]).startswith("mesh files left out, ")
+    assert "package://none/gone.stl, far.stl" in str(found.left[0])
 
 
 @pytest.mark.slow
@@ -388,8 +388,8 @@ def test_one_that_cannot_stand_is_converted_all_the_same(tmp_path: Path) -> None
     assert found.agree
     assert not found.passed
     assert found.verification is None
-    assert found.failures[0].startswith("it does not stand: ")
-    assert "no feet were found" in found.failures[0]
+    assert str(found.failures[0]).startswith("it does not stand: ")
+    assert "no feet were found" in str(found.failures[0])
     assert same_dynamics(urdf, mjcf) < 1e-9
 
 
@@ -403,7 +403,7 @@ def test_our_own_mjcfs_become_urdfs_that_agree(name: str, tmp_path: Path) -> Non
     output = tmp_path / f"{name}.urdf"
     found = pa.convert_model(source, output)
     assert found.passed, found.failures
-    assert any(text.startswith("armature") for text in found.left)
+    assert any(text.startswith("armature") for text in map(str, found.left))
     robot = pa.load_robot(urdf=output, mjcf=source)
     assert pa.cross_check(robot).passed
     ours = pa.compare_models(ROOT / "urdf" / f"{name}.urdf", source)
@@ -433,8 +433,8 @@ def test_anchors_zeros_and_several_joints_of_a_body(tmp_path: Path) -> None:
           </body></body></body></worldbody></mujoco>""")
     urdf, found = converted(mjcf, "odd.urdf")
     assert found.passed, found.failures
-    assert "geom 'egg': a URDF has no ellipsoid" in found.left
-    assert "3 joints have no effort limit; in a URDF that is 0" in found.left
+    assert "geom 'egg': a URDF has no ellipsoid" in map(str, found.left)
+    assert "3 joints have no effort limit; in a URDF that is 0" in map(str, found.left)
     assert same_dynamics(urdf, mjcf) < 1e-9
     model, reference = compiled(mjcf), pin.buildModelFromUrdf(str(urdf))
     data, work = mujoco.MjData(model), reference.createData()
@@ -582,7 +582,7 @@ def test_a_failure_is_exit_status_1_and_said(tmp_path: Path) -> None:
     (tmp_path / "machine.urdf").write_text(urdf_text(quadruped(), ()))
     done = run(tmp_path, "machine.urdf", "-o", "machine.xml")
     assert done.returncode == 1
-    assert "failed: it does not stand: " in done.stdout
+    assert ": it does not stand: " in done.stdout
     assert (tmp_path / "machine.xml").is_file()
 
 

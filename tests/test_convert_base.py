@@ -108,7 +108,7 @@ def test_missing_meshes_are_the_cause_that_is_told(tmp_path: Path) -> None:
     found = pa.convert_model(path, tmp_path / "lost.xml")
     assert not found.passed
     assert is_free(compiled(tmp_path / "lost.xml"))
-    assert found.failures[0].index("missing") < found.failures[0].index("no feet")
+    assert str(found.failures[0]).index("missing") < str(found.failures[0]).index("no feet")
 
 
 def test_legs_whose_feet_have_no_shapes_are_no_hand(tmp_path: Path) -> None:
