@@ -123,6 +123,21 @@ def test_a_decimal_point_in_links_that_are_folded(inertia: bool, folder: Path) -
     assert lines(comparison)[0] == f"DISAGREE: {message}"
 
 
+@pytest.mark.parametrize(("mass", "other", "told"), [(0.3, 3.0, True), (4.0, 2.5, False)])
+def test_a_decimal_point_in_the_masses_of_two_links_is_told(
+    mass: float, other: float, told: bool, folder: Path
+) -> None:
+    """Nothing else of them differs: by another factor, each difference says all that is known."""
+    names = ("thigh0", "thigh1")
+    urdf, mjcf = (
+        {n: replace(p, mass=value) if n in names else p for n, p in quadruped().items()}
+        for value in (mass, other)
+    )
+    comparison = compared(write(folder, urdf_text(urdf), mjcf_text(mjcf)))
+    assert [kind for kind, _ in found(comparison)] == ["mass", "mass"]
+    assert ("scaled links" in {cause.kind for cause in comparison.causes}) == told
+
+
 def test_products_that_are_dropped_where_the_base_is_a_fold(folder: Path) -> None:
     """The fold of the base has products of its own, as its links have places."""
     mjcf = {

@@ -21,17 +21,24 @@ from pupper_analysis.live.scene import Scene
 from pupper_analysis.live.state import State
 from pupper_analysis.pupper.derive_mjcf import derive
 from pupper_analysis.pupper.live import Variants
-from pupper_analysis.report.html import plots, sources
-from pupper_analysis.report.study import duration
+from pupper_analysis.report.documents import sources
+from pupper_analysis.report.documents.estimate import duration
+from pupper_analysis.report.html import plots
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import UP
-from pupper_analysis.robot.floor import floor_of
+from pupper_analysis.robot.floor import floor_of, level_ground
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.simulation import tracking
 from pupper_analysis.simulation.payload import _start
 from pupper_analysis.simulation.push import tipping_impulses
+from pupper_analysis.simulation.push_bench import bench_of
+from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.stance.branches import _unwound
 from pupper_analysis.stance.payload.servo_limit import Command, Failure
+from pupper_analysis.statics.cone_program import ForceBounds
+from pupper_analysis.statics.contacts import contacts_of
+from pupper_analysis.statics.equilibrium import equilibrium
 from pupper_analysis.statics.inverse_dynamics import rolling_levers
 
 GRAVITY = 9.81
@@ -173,6 +180,19 @@ def test_angles_are_unwound_by_whole_turns() -> None:
     assert np.abs(found - home).max() <= math.pi + 1e-12
 
 
+def test_feet_that_cannot_press_as_wanted_are_named() -> None:
+    """One is to bear ten times the weight, and no other is wrong."""
+    robot = load("v3")
+    config = pa.Configuration(robot, stand_of("v3").qpos)
+    carrying = contacts_of(robot, None, None, None, None)
+    least = np.where(np.array(carrying.feet) == "RL", 10 * robot.total_mass * GRAVITY, 0.0)
+    bounds = ForceBounds(least, np.full(4, np.inf), np.full(robot.nu, np.inf))
+    with pytest.raises(pa.StaticsInfeasibleError) as refused:
+        equilibrium(config, config.load(), config.center_of_mass(), carrying, bounds=bounds)
+    assert refused.value.reason is pa.Infeasibility.PULL
+    assert list(refused.value.feet) == ["RL"]
+
+
 def test_a_foot_that_spins_is_held_by_its_spinning_friction_alone() -> None:
     robot, stand = load("v3"), stand_of("v3")
     qvel = np.zeros(robot.nv)
@@ -184,6 +204,18 @@ def test_a_foot_that_spins_is_held_by_its_spinning_friction_alone() -> None:
         spin, roll = robot.contacts[foot].friction[2:4]
         assert roll > 0
         np.testing.assert_allclose(lever, (0.0, 0.0, -spin), atol=1e-2 * spin)
+
+
+def test_scenery_is_named_by_itself_or_its_body() -> None:
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><worldbody><geom type="plane" size="0 0 1"/><geom type="box" size="1 1 1"/>'
+        '<body name="table"><geom type="box" size="1 1 1"/><geom name="leg" size="1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    (left_out,) = level_ground(spec)
+    nameless, *names = left_out.values["names"]
+    assert nameless.code == "geom-without-name"
+    assert names == ["table", "leg"]
 
 
 # ----------------------------------------------------------------------------------- simulation
@@ -220,6 +252,55 @@ def test_joints_that_miss_their_prediction_by_milliradians_do_not_verify_it() ->
     assert found.force_error < 0.01
     assert 1e-3 < found.joint_error < 1e-2
     assert not found.passed
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_motor_saturates_at_either_end_of_its_range(sign: float) -> None:
+    """At -1 N m and 2 N m: a servo that is told to go far gives that, and no more."""
+    stand, motor = stand_of("v3"), int(load("v3").mj_convention.actuator_index[4])
+
+    def weaker(model: mujoco.MjModel) -> None:
+        model.actuator_forcerange[motor] = (-1.0, 2.0)
+
+    robot = changed(load("v3"), weaker)
+    drive = servos(robot)
+    model = drive.model
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, stand.qpos, np.zeros(robot.nv))
+    start = full_state(model, data)
+    goal = stand.joint_positions(robot).copy()
+    goal[4] += sign * 10 / drive.kp[4]
+    given = np.zeros((3, robot.nu))
+    given[:, 4] = 2.0 if sign > 0 else -1.0
+    plan = SimpleNamespace(
+        drive=drive,
+        robot=robot,
+        start=start,
+        ctrl=np.tile(drive.command(robot, goal), (3, 1)),
+        time=np.array([0.1, 0.2, 0.3]),
+        torques=given,
+        path=SimpleNamespace(torques=given),
+    )
+    (event,), error = tracking._torques(plan, np.tile(start, (3, 1)))  # type: ignore[arg-type]
+    assert robot.joint_names[4] in event
+    assert error < 1e-9
+
+
+@pytest.mark.parametrize("word", ["leans", "is low"])
+def test_a_push_is_judged_by_where_it_ends(word: str) -> None:
+    """Half a second in which it stands, and a last state in which it does not."""
+    options = {"duration": 1.0, "kp": None, "kd": None, "feedforward": True, "integrator": None}
+    known = SimpleNamespace(stays=True, failures=())
+    robot, stand = load("v3"), stand_of("v3")
+    bench = bench_of(robot, stand, np.zeros(1), **options, verification=known)  # type: ignore[arg-type]
+    ends = np.tile(bench.start, (200, 1))
+    assert bench._unsettled(ends) == []
+    place = 1 + robot.mj_convention.qpos_index
+    if word == "leans":
+        ends[-1, place[3:7]] = (math.cos(0.5), math.sin(0.5), 0.0, 0.0)
+    else:
+        ends[-1, place[2]] = 0.02
+    assert bench._unsettled(ends)
 
 
 def test_a_load_beyond_the_motors_begins_with_its_own_command() -> None:

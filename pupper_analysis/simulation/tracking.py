@@ -184,11 +184,11 @@ def _torques(plan: PathCommands, states: Array) -> tuple[list[str], float]:
     velocity = (states if drive.implicit else before)[:, dofs]
     asked = drive.kp * (target - position) - drive.kd * velocity
     limited = model.actuator_forcelimited[public.actuator_index].astype(bool)
-    limits = np.abs(model.actuator_forcerange[public.actuator_index] * drive.gear[:, None])
-    limit = np.where(limited, limits.min(axis=1), np.inf)
-    given = np.clip(asked, -limit, limit)
+    ranges = model.actuator_forcerange[public.actuator_index] * drive.gear[:, None]
+    ranges = np.where(limited[:, None], ranges, [-np.inf, np.inf])
+    given = np.clip(asked, ranges.min(axis=1), ranges.max(axis=1))
     events = []
-    over = np.abs(asked) > limit
+    over = given != asked
     for column in np.flatnonzero(over.any(axis=0)):
         moment = plan.time[int(np.argmax(over[:, column]))]
         name = robot.joint_names[int(column)]
