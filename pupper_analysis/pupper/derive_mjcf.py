@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.pupper.variants import BASES, Box, VariantSpec
 
@@ -92,9 +93,7 @@ def _stretch_geom(
     if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
         local = rotation.T @ stretch @ rotation
         if not np.allclose(local, np.diag(np.diag(local)), atol=1e-9):
-            raise ModelError(
-                geom.meshname, f"the mesh must have an axis along the link {axis} to be stretched"
-            )
+            raise ModelError(geom.meshname, diagnose("mesh-without-axis", along=axis))
         meshes[geom.meshname] = np.diag(local).copy()
     elif not math.isnan(ends[0]):
         spans = bool(abs(_unit(ends[3:] - ends[:3]) @ axis) > 1 - 1e-9)

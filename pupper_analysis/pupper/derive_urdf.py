@@ -10,7 +10,8 @@ import numpy as np
 import yourdfpy
 from numpy.typing import NDArray
 
-from pupper_analysis.errors import ModelError
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.pupper.variants import BASES, Box, VariantSpec
 
 Array = NDArray[np.float64]
@@ -44,7 +45,7 @@ def derive(text: str, variant: VariantSpec, *, source: Path) -> str:
     parent_joint = {joint.child: joint for joint in robot.joints}
     for frame in base.feet.values():
         if frame not in parent_joint:
-            raise ModelError(source, f"no link {frame!r} for a foot")
+            raise UnknownNameError(source, "link (for a foot)", frame, links)
         foot = parent_joint[frame]
         knee = parent_joint[foot.parent]
         axis = np.asarray(knee.axis, dtype=float)
@@ -87,9 +88,7 @@ def _stretch(
         if mesh is not None:
             stretched = rotation.T @ matrix @ rotation
             if np.abs(stretched - np.diag(np.diag(stretched))).max() > 1e-9:
-                raise ModelError(
-                    mesh.filename, f"the mesh must have an axis along {link.name} to be stretched"
-                )
+                raise ModelError(mesh.filename, diagnose("mesh-without-axis", along=link.name))
             mesh.scale = np.diag(stretched) * (1.0 if mesh.scale is None else mesh.scale)
     inertial = link.inertial
     rotation = _origin(inertial)[:3, :3]

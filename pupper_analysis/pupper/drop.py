@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.pupper.variants import VariantSpec
@@ -146,9 +147,8 @@ def check_seconds(seconds: float) -> None:
     """
     low, high = SECONDS
     if not (math.isfinite(seconds) and low <= seconds <= high):
-        raise ConfigurationError(
-            "seconds", f"{seconds:g} s is not valid; it must be from {low:g} to {high:g} s"
-        )
+        problem = diagnose("duration-not-valid", seconds=seconds, low=low, high=high)
+        raise ConfigurationError("seconds", problem)
 
 
 def at_home(variant: str | VariantSpec, *, fixed: bool = False) -> tuple[Robot, mujoco.MjData]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.pupper.scaled import Scaled
 from pupper_analysis.pupper.variant_files import describe
@@ -49,7 +50,7 @@ class Study(study.Study):
             known = [field.name for field in fields(VariantSpec)]
             unknown = [name for name in robot if name not in known]
             if unknown:
-                problem = f"a variant has {', '.join(known)}, and no {unknown[0]!r}"
+                problem = diagnose("variant-has-no-field", known=known, unknown=unknown[0])
                 raise ConfigurationError("robot", problem)
             return Variants(VariantSpec(**robot))
         return super()._source(robot)

@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 
 from pupper_analysis.arguments import check_type
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError, VariantError
 from pupper_analysis.files import whole_file
 from pupper_analysis.models import mjcf
@@ -78,7 +79,7 @@ def _derived(
             raise VariantError(
                 "leg_scale, torso_mass_scale",
                 f"{scales[0]:g} and {scales[1]:g}",
-                f"no robot can be made so ({one_line(error)}); try scales nearer to 1",
+                diagnose("scales-make-no-robot", message=one_line(error)),
             ) from error
     return urdf_text, mjcf_spec
 

@@ -79,13 +79,11 @@ BASES: Mapping[str, Base] = MappingProxyType(
 def _check_name(name: object) -> None:
     """Refuses a name that is no file's, as it would be written into other folders."""
     if not isinstance(name, str):
-        raise VariantError("name", name, "it must be a text")
+        raise VariantError("name", name, diagnose("name-is-no-text"))
     if name.startswith(".") or set(name) & set("/\\:") or not name.isprintable():
-        raise VariantError(
-            "name", name, "it names files: no '/', '\\' or ':' in it, no '.' at its beginning"
-        )
+        raise VariantError("name", name, diagnose("name-of-no-file"))
     if len(name.encode()) > _LONGEST_NAME:
-        raise VariantError("name", name, f"it names files: at most {_LONGEST_NAME} bytes")
+        raise VariantError("name", name, diagnose("name-too-long", most=_LONGEST_NAME))
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,7 @@ class VariantSpec:
 
     def __post_init__(self) -> None:
         if not isinstance(self.base, str) or self.base not in BASES:
-            raise VariantError("base", self.base, f"valid: {', '.join(BASES)}")
+            raise VariantError("base", self.base, diagnose("valid-bases", bases=BASES))
         for what in ("leg_scale", "torso_mass_scale"):
             value = getattr(self, what)
             try:
@@ -118,9 +116,9 @@ class VariantSpec:
             except ConfigurationError:
                 number = 0.0
             if number <= 0:
-                raise VariantError(what, value, "it must be a finite number greater than 0")
+                raise VariantError(what, value, diagnose("scale-not-positive"))
             if number > LARGEST_SCALE:
-                raise VariantError(what, value, f"it must be at most {LARGEST_SCALE:g}")
+                raise VariantError(what, value, diagnose("scale-too-large", most=LARGEST_SCALE))
             object.__setattr__(self, what, number)
         _check_name(self.name)
         if not self.name:
@@ -160,7 +158,7 @@ def variant_spec(variant: str | VariantSpec) -> VariantSpec:
     if isinstance(variant, VariantSpec):
         return variant
     if not isinstance(variant, str) or variant not in VARIANTS:
-        raise VariantError("name", variant, f"known variants: {', '.join(VARIANTS)}")
+        raise VariantError("name", variant, diagnose("known-variants", variants=VARIANTS))
     return VARIANTS[variant]
 
 
@@ -177,4 +175,4 @@ def model_folder(kind: str) -> Path:
     for folder in (here / kind, here.parents[1] / kind):
         if folder.is_dir():
             return folder
-    raise ModelError(here, f"the package's {kind}/ folder is missing; install the package again")
+    raise ModelError(here, diagnose("package-folder-missing", kind=kind))

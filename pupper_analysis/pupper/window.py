@@ -16,6 +16,7 @@ from typing import Any
 
 import mujoco
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import PupperAnalysisError
 
 _FRAME = 1 / 60  # s between two pictures
@@ -31,18 +32,17 @@ def check_display() -> None:
     Raises:
         DisplayError: If not.
     """
-    instead = "use --headless for the same in words"
     no_screen = not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     if sys.platform.startswith("linux") and no_screen:
-        raise DisplayError(f"no display: neither DISPLAY nor WAYLAND_DISPLAY is set; {instead}")
+        raise DisplayError(diagnose("no-display"))
     try:
         from mujoco import viewer
     except (ImportError, RuntimeError) as error:
-        raise DisplayError(f"the viewer is not available ({error}); {instead}") from error
+        raise DisplayError(diagnose("viewer-not-available", message=str(error))) from error
     if sys.platform == "darwin":
         if viewer._MJPYTHON is None:
             command = shlex.join(["mjpython", *sys.argv])
-            raise DisplayError(f"macOS needs MuJoCo's launcher for a window: {command}; {instead}")
+            raise DisplayError(diagnose("launcher-needed", command=command))
         return
     glfw = viewer.glfw
     with warnings.catch_warnings(record=True) as caught:  # how glfw reports errors
@@ -53,8 +53,8 @@ def check_display() -> None:
             window = glfw.create_window(16, 16, "", None, None)
             glfw.default_window_hints()
     if not window:
-        reason = str(caught[-1].message) if caught else "it gives no window with OpenGL"
-        raise DisplayError(f"the display cannot be used ({reason}); {instead}")
+        message = str(caught[-1].message) if caught else None
+        raise DisplayError(diagnose("display-not-usable", message=message))
     glfw.destroy_window(window)
 
 
