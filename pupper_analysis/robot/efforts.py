@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import pinocchio as pin
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.models.efforts import EffortLimit, EffortStatement, effort_of
+from pupper_analysis.models.efforts import EffortLimit, effort_of
 from pupper_analysis.robot.coordinates import PinocchioConvention
 
 _SAME = 1e-6
@@ -84,18 +84,6 @@ def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
     if uneven:
         notes.append(diagnose("motors-uneven", joints=uneven))
     return notes
-
-
-def origins_in_words(origins: Iterable[EffortStatement | None]) -> str:
-    """Says where limits are from, those of most joints first."""
-    counts: dict[str, int] = {}
-    for origin in origins:
-        words = "no limit" if origin is None else f"{origin.attribute} in the {origin.file}"
-        counts[words] = counts.get(words, 0) + 1
-    if len(counts) == 1:
-        return next(iter(counts))
-    listed = sorted(counts.items(), key=lambda one: -one[1])
-    return ", ".join(f"{words} ({count})" for words, count in listed)
 
 
 def _alike(one: float, other: float) -> bool:
