@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from pupper_analysis.checks.differences import Difference
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 SIDES: Final = ("urdf", "mjcf")
@@ -71,9 +72,7 @@ def chosen(differences: Sequence[Difference], take: str | Iterable[str]) -> tupl
         side, colon, which = text.partition(":")
         side, which = side.strip().lower(), which.strip().strip("\"'").strip()
         if side not in SIDES or (colon and not which):
-            raise ConfigurationError(
-                "take", f"{text!r} is not of the form urdf, mjcf, urdf:WHICH or mjcf:WHICH"
-            )
+            raise ConfigurationError("take", diagnose("take-not-valid", given=text))
         for index, weight in _meant(differences, which):
             if weight >= rank[index]:
                 result[index], rank[index] = side, weight
@@ -99,20 +98,19 @@ def _meant(differences: Sequence[Difference], which: str) -> Iterator[tuple[int,
             found = True
             yield index, ranks[of_one.index(which)]
     if not found:
-        known = "; ".join(dict.fromkeys(of_one[0] for of_one in names)) or "no difference"
-        raise ConfigurationError("take", f"no difference is called {which!r}; there are: {known}")
+        known = dict.fromkeys(of_one[0] for of_one in names)
+        raise ConfigurationError("take", diagnose("no-such-difference", given=which, known=known))
 
 
 def _numbers(text: str, most: int) -> Iterator[int]:
     for part in text.split(","):
         found = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
         if found is None:
-            raise ConfigurationError("take", f"{text!r} is no list of numbers such as 1,4-6")
+            raise ConfigurationError("take", diagnose("no-list-of-numbers", given=text))
         first, last = int(found[1]), int(found[2] or found[1])
         if not 1 <= first <= last <= most:
-            raise ConfigurationError(
-                "take", f"{part.strip()!r}: the differences are numbered from 1 to {most}"
-            )
+            told = diagnose("no-such-number", given=part.strip(), most=most)
+            raise ConfigurationError("take", told)
         yield from range(first, last + 1)
 
 

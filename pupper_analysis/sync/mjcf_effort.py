@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.transmission import actuator_gear, drives_of
 from pupper_analysis.sync.digits import SAME
@@ -31,7 +32,7 @@ def write_effort(side: MjcfSide, key: Key) -> None:
     drives = drives_of(model, joint)
     motors = side.elements.drives(name)
     if element is None or len(motors) != len(drives):
-        side.left[key] = "its actuators stand in no elements of their own (replicate, attach)"
+        side.left[key] = diagnose("actuators-are-copies")
         return
     bounds = _Bounds(side, key, element, motors, drives)
     if not 0 < wanted < math.inf:  # a URDF's effort of 0 is none
@@ -47,7 +48,7 @@ def write_effort(side: MjcfSide, key: Key) -> None:
     if len(drives) == 1:
         bounds.write_motor(wanted, now)
     elif drives and now < wanted and bounds.of_joint != now:
-        side.left[key] = "several actuators share it, and the sum can be made up in many ways"
+        side.left[key] = diagnose("actuators-share-it")
     elif bounds.of_joint is None:
         bounds.write_joint(wanted)
 
@@ -75,7 +76,7 @@ class _Bounds:
                 motor.set("forcelimited", "false")
             if model.actuator_ctrllimited[model.actuator_ctrladr[index]] and self._gain(index):
                 motor.set("ctrllimited", "false")
-        self.side.notes[self.key] = "the URDF states no limit, so that of the MJCF was switched off"
+        self.side.notes[self.key] = diagnose("limit-switched-off")
 
     def _gain(self, index: int) -> float:
         """Returns the torque at the joint per unit of control of a plain motor; 0 of others."""
@@ -101,7 +102,7 @@ class _Bounds:
         motor = self.motors[0]
         gear = abs(float(actuator_gear(model, index)[0]))
         if gear == 0:
-            self.side.left[self.key] = "the gear of its actuator is 0"
+            self.side.left[self.key] = diagnose("gear-is-zero")
             return
         gain = self._gain(index)
         stated = []

@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import inertia_entries, rotation_from_quaternion
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.sync.digits import Digits
 from pupper_analysis.sync.frames import Key, mass_of
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 _MANY = 100
 """What a new <inertial> counts, in attributes: any change of what is there goes before it."""
 
-_Plan = tuple[int, Element, dict[str, str], str]
+_Plan = tuple[int, Element, dict[str, str], Diagnostic | None]
 """How many attributes change, of which element, which, and what to say."""
 
 
@@ -38,7 +39,7 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     model = side.model
     if side.file.spec.compiler.settotalmass > 0:
         for key in keys:
-            side.left[key] = "settotalmass of the MJCF's compiler scales all masses"
+            side.left[key] = diagnose("masses-scaled-to-total")
         return
     wanted = mass_of(side.wanted.bodies[mover]).moved(side.sides.mjcf_frames[mover].inverse())
     top = model.body(side.sides.matched.mjcf_body[mover]).id
@@ -61,25 +62,18 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
         inside = left.moved(_pose(side, body).inverse())
         plans += _plans(side, body, element, inside)
     if not plans:
-        reason = _COPIED if copied else _NOT_PHYSICAL
+        reason = diagnose("body-is-a-copy" if copied else "no-body-to-change")
         side.left.update(dict.fromkeys(keys, reason))
         return
-    _, element, changes, said = min(plans, key=lambda plan: plan[0])
+    _, element, changes, how = min(plans, key=lambda plan: plan[0])
     if element.start < 0 and element.parent is not None:
         element.parent.children.insert(0, element)
     for attribute, text in changes.items():
         element.rename_or_set("zaxis", attribute, text)
     if len(heavy) > 1:
-        said += f"; of the {len(heavy)} bodies that weigh here, one was changed"
-    if said:
-        side.notes.update(dict.fromkeys(keys, said.removeprefix("; ")))
-
-
-_COPIED = "it stands in no element of its own: the body is a copy of another (replicate, attach)"
-
-_NOT_PHYSICAL = (
-    "none of its bodies can be changed so that the sum is right and it still is a body that can be"
-)
+        how = diagnose("one-body-changed", how=how, bodies=len(heavy))
+    if how is not None:
+        side.notes.update(dict.fromkeys(keys, how))
 
 
 def _pose(side: MjcfSide, body: int) -> pin.SE3:
@@ -100,7 +94,7 @@ def _plans(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_P
     if inertial is not None and not ignored:
         now = _mass(side.model, body)
         changes = inertial_changes(inertial, now, wanted, side.elements.units, side.digits)
-        return [(len(changes), inertial, changes, "")]
+        return [(len(changes), inertial, changes, None)]
     plans = list(_by_a_geom(side, body, element, wanted))
     if plans or ignored:
         return plans
@@ -113,8 +107,7 @@ def _plans(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_P
         "fullinertia": side.digits.words([], inertia_entries(wanted.inertia)),
     }
     stated = {name: text for name, text in words.items() if text is not None}
-    said = "its mass comes from its shapes, so an <inertial> was put in that says otherwise"
-    return [(_MANY, new, stated, said)]
+    return [(_MANY, new, stated, diagnose("inertial-put-in"))]
 
 
 def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_Plan]:
@@ -141,8 +134,9 @@ def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: Mass) -> lis
         except (ValueError, RuntimeError):
             continue
         if same(_mass(model, model.body(name).id), wanted, 1e-10):
-            said = "" if "mass" in there.attributes else "the mass of its class stays as it is"
-            plans.append((1, there, {"mass": text}, said))
+            own = "mass" in there.attributes
+            how = None if own else diagnose("mass-of-class-stays")
+            plans.append((1, there, {"mass": text}, how))
     return plans
 
 

@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.diagnostics import Source, diagnose
 from pupper_analysis.models.conversion import joint_damping
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.sync.digits import SAME
@@ -26,7 +27,7 @@ from pupper_analysis.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
 
-COPIED = "it stands in no element of its own: the body is a copy of another (replicate, attach)"
+COPIED = diagnose("body-is-a-copy")
 
 
 @dataclass(eq=False, kw_only=True)
@@ -79,9 +80,11 @@ class MjcfSide(Side):
         name = element.get("name") or element.get("joint")
         place = None if name is None else self.file.stated(kind, name, [attribute])
         if place is not None:
-            self.notes[key] = (
-                f"{attribute} is stated in a default class ({place}), which stays as it is for "
-                "the others"
+            self.notes[key] = diagnose(
+                "class-stays",
+                attribute=attribute,
+                place=str(place),
+                sources=Source(str(place.file), place.line),
             )
 
     def _frame(self, key: Key) -> None:
@@ -134,7 +137,7 @@ class MjcfSide(Side):
             self.left[key] = COPIED
             return
         if self.model.joint(name).id != first:
-            self.left[key] = "it is the second joint of its body, which has one place for all"
+            self.left[key] = diagnose("joint-shares-its-place")
             return
         parent = self.sides.own.joints[name].parent
         before = self.sides.mjcf_frames[parent].inverse()
@@ -201,7 +204,7 @@ class MjcfSide(Side):
             element.set("limited", "false")
             return
         if not all(finite):
-            self.left[key] = "an MJCF has no joint with one limit"
+            self.left[key] = diagnose("mjcf-one-limit-unwritten")
             return
         factor = 1.0 if joint.slides else self.elements.units.factor
         values = [joint.lower / factor, joint.upper / factor]
@@ -226,11 +229,11 @@ class MjcfSide(Side):
         of_joint = float(self.model.dof_damping[dof])
         of_motors = float(joint_damping(self.model)[dof]) - of_joint
         if self.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER.value:
-            self.left[key] = "damping is switched off in the MJCF, by a flag of its option"
+            self.left[key] = diagnose("damping-switched-off")
             return
         wanted = self.wanted.joints[name].damping - of_motors
         if wanted < 0:
-            self.left[key] = "its motors alone have more damping than that"
+            self.left[key] = diagnose("motors-damp-more")
             return
         element = self.joint_in_file(name)
         stated = ([] if element is None else (element.get("damping") or "").split())[1:]

@@ -10,6 +10,7 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.mjcf import quiet
@@ -37,7 +38,7 @@ class Left(Result):
     """
 
     difference: str
-    reason: str
+    reason: Diagnostic
     cause: Cause
 
 
@@ -63,7 +64,7 @@ class Sync(Result):
     taken: dict[str, str]
     edits: tuple[Edit, ...]
     left: tuple[Left, ...]
-    notes: dict[str, str]
+    notes: dict[str, Diagnostic]
     diff: str
     written: tuple[str, ...]
     backups: tuple[str, ...]
@@ -174,13 +175,15 @@ def _tried(
     What was planned is written beside the files, and compared. What still differs then is left as
     it was, and so is what an engine refuses to read.
     """
-    refused: dict[Key, str] = {}
+    refused: dict[Key, Diagnostic] = {}
     while True:
         waiting = {key: side for key, side in keys.items() if key not in refused}
         plan = made(files, tolerances, waiting, absent=absent)
         plan.left.update(refused)
         if not plan.edits():
-            silent = dict.fromkeys(keys.keys() - plan.left.keys(), _SILENT)
+            silent = dict.fromkeys(
+                keys.keys() - plan.left.keys(), diagnose("no-attribute-states-it")
+            )
             plan.left.update(silent)
             return plan, comparison
         try:
@@ -188,7 +191,7 @@ def _tried(
         except ModelError as error:
             new = _refused(files, tolerances, [key for key in keys if key not in plan.left], keys)
             refused |= new or {
-                key: f"with it, the file is refused: {as_given(error.problem)}"
+                key: diagnose("file-refused-with-it", problem=as_given(error.problem))
                 for key in keys
                 if key not in plan.left
             }
@@ -196,10 +199,7 @@ def _tried(
         still = {(d.kind, d.element) for d in after.differences} & (keys.keys() - plan.left.keys())
         if not still:
             return plan, after
-        refused |= dict.fromkeys(still, "what was tried does not mend it: it was not written")
-
-
-_SILENT = "no attribute was found that states it"
+        refused |= dict.fromkeys(still, diagnose("change-mends-nothing"))
 
 
 def _after(plan: Plan, tolerances: Tolerances) -> Comparison:
@@ -209,13 +209,13 @@ def _after(plan: Plan, tolerances: Tolerances) -> Comparison:
 
 def _refused(
     files: Files, tolerances: Tolerances, tried: list[Key], keys: Mapping[Key, str]
-) -> dict[Key, str]:
+) -> dict[Key, Diagnostic]:
     """Returns what cannot be read with one change alone; mass, com and inertia are one."""
     groups: dict[Key, list[Key]] = {}
     for kind, element in tried:
         group = "body" if kind in ("mass", "com", "inertia") else kind
         groups.setdefault((group, element), []).append((kind, element))
-    refused: dict[Key, str] = {}
+    refused: dict[Key, Diagnostic] = {}
     for members in groups.values():
         plan = made(files, tolerances, {key: keys[key] for key in members})
         try:
@@ -224,7 +224,7 @@ def _refused(
                 read_mjcf(mjcf)
         except ModelError as error:
             refused |= dict.fromkeys(
-                members, f"with it, the file is refused: {as_given(error.problem)}"
+                members, diagnose("file-refused-with-it", problem=as_given(error.problem))
             )
     return refused
 
@@ -253,20 +253,20 @@ def _left(
         if key in plan.left:
             yield Left(name, plan.left[key], plan.cause(key))
         elif key not in keys and key in still:
-            yield Left(name, "nothing was chosen for it", Cause.NOT_CHOSEN)
+            yield Left(name, diagnose("nothing-chosen"), Cause.NOT_CHOSEN)
     for key, difference in still.items():
         if key not in labels:
-            reason = f"it is there since: {difference.message}"
+            reason = diagnose("there-since", difference=difference.diagnostic)
             yield Left(label(difference), reason, Cause.NEW)
     for part in before.parts:
-        yield Left("part", f"{part}; a part is no number to write", Cause.NO_WORDS)
+        yield Left("part", diagnose("part-unwritten", part=part), Cause.NO_WORDS)
     for joints, there, other in (
         (before.only_urdf, "URDF", "MJCF"),
         (before.only_mjcf, "MJCF", "URDF"),
     ):
         for joint in joints:
-            reason = f"the {there} alone has it, not the {other}"
+            reason = diagnose("one-file-alone-has-it", one=there, other=other)
             yield Left(f"joint {joint}", reason, Cause.NO_WORDS)
     if not after.differences:
         for objection in after.objections:
-            yield Left("agreement", str(objection), Cause.NO_WORDS)
+            yield Left("agreement", objection, Cause.NO_WORDS)

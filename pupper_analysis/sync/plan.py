@@ -11,6 +11,7 @@ from pupper_analysis.checks.attribution import align
 from pupper_analysis.checks.differences import LIMITS, OF_BODIES_AND_PLACES
 from pupper_analysis.checks.matching import match
 from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.results import Result
@@ -26,14 +27,14 @@ _WRITTEN = (*OF_BODIES_AND_PLACES, *LIMITS, "damping", "friction", "zero")
 """Kinds of differences that are numbers of both formats."""
 
 _REASONS = {
-    "type": "another type of joint is another robot: change it by hand",
-    "parent": "another parent is another tree: change it by hand",
-    "name": "a name is no number: give --map, or rename it",
-    "base frame": "the base's frame is a convention: all that is on the base would have to move",
-    "gravity": "a URDF states no gravity",
-    "velocity": "an MJCF has no limit of velocity",
-    "armature": "a URDF has no armature",
-    "mimic": "a joint that follows another is no number: add an equality to the MJCF by hand",
+    "type": diagnose("joint-type-unwritten"),
+    "parent": diagnose("parent-unwritten"),
+    "name": diagnose("name-unwritten"),
+    "base frame": diagnose("base-frame-unwritten"),
+    "gravity": diagnose("urdf-without-gravity"),
+    "velocity": diagnose("mjcf-without-velocity"),
+    "armature": diagnose("urdf-without-armature"),
+    "mimic": diagnose("mimic-unwritten"),
 }
 
 
@@ -99,9 +100,9 @@ class Plan:
     files: Files
     urdf: dict[Path, Document]
     mjcf: dict[Path, Document]
-    left: dict[Key, str] = field(default_factory=dict)
+    left: dict[Key, Diagnostic] = field(default_factory=dict)
     causes: dict[Key, Cause] = field(default_factory=dict)
-    notes: dict[Key, str] = field(default_factory=dict)
+    notes: dict[Key, Diagnostic] = field(default_factory=dict)
 
     def cause(self, key: Key) -> Cause:
         """Returns why a difference is not written."""
@@ -168,27 +169,25 @@ def made(
     return plan
 
 
-def _reason(key: Key, whose: str, both: Sides) -> str | None:
+def _reason(key: Key, whose: str, both: Sides) -> Diagnostic | None:
     """Says why a difference is nothing to write; None if it is."""
     kind, name = key
     if kind not in _WRITTEN:
         if kind in _REASONS:
             return _REASONS[kind]
         if whose == "mjcf":
-            return "a URDF has no words for it"
-        return "the MJCF alone has it: take it out of that by hand"
+            return diagnose("urdf-without-words")
+        return diagnose("mjcf-alone-states-it")
     if kind in ("position", "rotation"):
         one, two = both.urdf.joints[name], both.mjcf.joints[name]
         if one.parent != two.parent:
-            return "its parent is another: change that by hand"
+            return diagnose("parent-is-another")
     return None
 
 
-def _unstated(whose: str) -> str:
+def _unstated(whose: str) -> Diagnostic:
     one, two = ("URDF", "MJCF") if whose == "urdf" else ("MJCF", "URDF")
-    return (
-        f"the {one} states none, which overwrites nothing: take the {two}'s, or add --take-absent"
-    )
+    return diagnose("stated-in-one-file", lacking=one, stating=two)
 
 
 def _edits(element: Element) -> Iterator[Edit]:

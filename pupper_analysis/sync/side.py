@@ -3,6 +3,7 @@
 # Annotations are types, not texts: who inherits the fields has them in a signature elsewhere.
 from dataclasses import dataclass, field
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.sync.digits import Digits
 from pupper_analysis.sync.frames import Key, Sides
@@ -23,13 +24,13 @@ class Side:
     sides: Sides
     wanted: Parameters
     digits: Digits
-    left: dict[Key, str] = field(default_factory=dict)
-    notes: dict[Key, str] = field(default_factory=dict)
+    left: dict[Key, Diagnostic] = field(default_factory=dict)
+    notes: dict[Key, Diagnostic] = field(default_factory=dict)
 
     def on_same_body(self, key: Key) -> bool:
         """Says whether a frame is on one body in both files; notes why it is left, if not."""
         name = key[1]
         same = bool(self.sides.urdf.frames[name][0] == self.sides.mjcf.frames[name][0])
         if not same:
-            self.left[key] = "it is on another body, which is no number to write"
+            self.left[key] = diagnose("frame-on-other-body-unwritten")
         return same

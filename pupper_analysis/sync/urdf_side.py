@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
+from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.models.parameters import Joint
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.sync.digits import SAME, Digits
@@ -134,14 +135,14 @@ class UrdfSide(Side):
             return
         if not all(finite):
             if any(finite) or joint.slides:
-                self.left[key] = "a URDF has no joint with one limit, or a slide without"
+                self.left[key] = diagnose("urdf-limits-unwritten")
             else:
                 element.set("type", "continuous")
-                self.notes[key] = "a joint without limits is continuous in a URDF"
+                self.notes[key] = diagnose("joint-made-continuous")
             return
         if element.get("type") == "continuous":
             element.set("type", "revolute")
-            self.notes[key] = "a joint with limits is revolute in a URDF"
+            self.notes[key] = diagnose("joint-made-revolute")
         for word, value in (("lower", joint.lower), ("upper", joint.upper)):
             self._write(element, "limit", word, value, 1.0)
         self._complete(key, element)
@@ -149,12 +150,12 @@ class UrdfSide(Side):
     def _number(self, key: Key) -> None:
         kind, name = key
         if name not in self.wanted.joints:
-            self.left[key] = "a URDF cannot state it: its base has no joint"
+            self.left[key] = diagnose("base-without-joint")
             return
         joint: Joint = self.wanted.joints[name]
         value = float(getattr(joint, kind))
         if not math.isfinite(value):
-            self.left[key] = f"a URDF cannot state an unlimited {kind}"
+            self.left[key] = diagnose("urdf-number-unlimited", kind=Term(kind))
             return
         self._write(self._joint(name), *_NUMBERS[kind], value, 0.0)
         if kind == "effort":
@@ -168,9 +169,8 @@ class UrdfSide(Side):
         for word, value in _UNKNOWN.items():
             if limit.get(word) is None:
                 limit.set(word, value)
-                self.notes[key] = (
-                    f"a <limit> must state a {word}, which neither file does: {value} was written"
-                )
+                told = diagnose("limit-completed", attribute=word, value=value)
+                self.notes[key] = told
 
     def _write(
         self, element: Element, tag: str, attribute: str, value: float, floor: float
@@ -215,21 +215,15 @@ class UrdfSide(Side):
             found.append((link, inertial_changes(self._links[link], inside, self.digits)))
         if not found:
             for key in keys:
-                self.left[key] = _NOT_PHYSICAL
+                self.left[key] = diagnose("no-link-to-change")
             return
         link, changes = min(found, key=lambda one: len(one[1]))
         for (path, attribute), text in changes.items():
             element = self._links[link].ensure("inertial")
             (element.ensure(path)).set(attribute, text)
         if len(heavy) > 1:
-            said = f"of the {len(heavy)} links of this body, link {link} was changed"
-            self.notes.update(dict.fromkeys(keys, said))
-
-
-_NOT_PHYSICAL = (
-    "several links make this body, and none of them can be changed so that the sum is right and "
-    "it still is a body that can be"
-)
+            told = diagnose("one-link-changed", links=len(heavy), link=link)
+            self.notes.update(dict.fromkeys(keys, told))
 
 
 def _end(joint: Element, tag: str) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import OutputError
 from pupper_analysis.sync.xml_bytes import Document
 
@@ -64,9 +65,8 @@ def _write_trial(place: Path, data: bytes, path: Path) -> None:
     try:
         place.write_bytes(data)
     except OSError as error:
-        raise OutputError(
-            path, f"nothing can be tried in its folder: {error.strerror or error}"
-        ) from error
+        told = diagnose("nothing-to-be-tried", problem=error.strerror or str(error))
+        raise OutputError(path, told) from error
 
 
 def _with_includes(document: Document, main: Path, places: Mapping[Path, Path]) -> bytes:
