@@ -36,7 +36,7 @@ class PupperAnalysisError(Exception):
 
     def at(self, where: Problem) -> Self:
         """Returns the same error, with all it carries, whose message begins with where it was."""
-        told = diagnose("error-at", where=where, what=self.diagnostic)
+        told = diagnose("error-at", where=where, what=vars(self).get("diagnostic", str(self)))
         error = _restore(type(self), (str(told),), vars(self))
         error.diagnostic = told
         error.where = str(where)

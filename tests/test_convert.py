@@ -582,7 +582,7 @@ def test_a_failure_is_exit_status_1_and_said(tmp_path: Path) -> None:
     (tmp_path / "machine.urdf").write_text(urdf_text(quadruped(), ()))
     done = run(tmp_path, "machine.urdf", "-o", "machine.xml")
     assert done.returncode == 1
-    assert ": it does not stand: " in done.stdout
+    assert done.stdout.startswith("FAILED machine.urdf and machine.xml: it does not stand: ")
     assert (tmp_path / "machine.xml").is_file()
 
 

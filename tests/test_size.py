@@ -165,7 +165,7 @@ def test_of_a_very_large_robot_less_is_compared_and_said(written: Written) -> No
     kept = some_of(large, frames)  # type: ignore[arg-type]
     assert len(kept) == 100
     assert {"0", "499"} <= set(kept)
-    notes = list(size_notes(large, 20, frames))  # type: ignore[arg-type]
+    notes = list(map(str, size_notes(large, 20, frames)))  # type: ignore[arg-type]
     assert "258.3 GB" in notes[0]
     assert "2 of 20 states" in notes[1]
     assert "100 of 500 frames" in notes[2]

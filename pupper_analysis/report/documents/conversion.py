@@ -24,11 +24,17 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
         text("{old} and {new}", old=_name(conversion.source), new=_name(conversion.output)),
         tuple(blocks),
         passed=conversion.passed,
-        verdict=text("AGREE") if conversion.agree else text("DISAGREE"),
+        verdict=text(_verdict(conversion)),
         failures=tuple(map(doc.Said, conversion.failures)),
         told=tuple(_proof(conversion)),
         notes=tuple(map(doc.Said, conversion.notes)),
     )
+
+
+def _verdict(conversion: Conversion) -> str:
+    if not conversion.agree:
+        return "DISAGREE"
+    return "AGREE" if conversion.passed else "FAILED"
 
 
 def _name(path: str) -> doc.Name:
