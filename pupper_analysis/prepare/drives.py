@@ -19,7 +19,6 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servos
 from pupper_analysis.simulation.causes import too_stiff
-from pupper_analysis.simulation.monitor import DIVERGED
 from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.verify import (
     ANOTHER_ROBOT,
@@ -197,7 +196,7 @@ def _stays(seen: StandVerification) -> bool:
 
 def _falls(seen: StandVerification) -> bool:
     """Tells whether a robot does not stay up; MuJoCo begins anew where a simulation diverges."""
-    return seen.tilt > _UPRIGHT or any(text.startswith(DIVERGED) for text in seen.failures)
+    return seen.tilt > _UPRIGHT or seen.collapses
 
 
 def _as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
