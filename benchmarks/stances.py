@@ -24,6 +24,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.servos import servos
@@ -479,18 +480,18 @@ def height_after(robot: pa.Robot, stand: pa.Stand, qpos: np.ndarray, seconds: fl
     return float(np.mean(heights))
 
 
-def reason(failures: tuple[str, ...]) -> str:
+def reason(failures: tuple[Diagnostic, ...]) -> str:
     """What went wrong in a simulation, in short."""
     kinds = {
-        "diverged": "diverged",
-        "touches the ground": "touches ground",
-        "fell over": "fell",
-        "carries nothing": "foot lifts off",
-        "settled": "creeps",
+        "simulation-diverged": "diverged",
+        "body-touches-ground": "touches ground",
+        "fell-over": "fell",
+        "foot-idle": "foot lifts off",
+        "height-drifts": "creeps",
     }
     return next(
-        (short for kind, short in kinds.items() if any(kind in text for text in failures)),
-        "off: " + ", ".join(sorted({text.split()[1] for text in failures})),
+        (short for code, short in kinds.items() if any(code == one.code for one in failures)),
+        ", ".join(sorted({one.code for one in failures})),
     )
 
 

@@ -58,7 +58,7 @@ def test_a_robot_on_its_back_touches_with_its_base_and_has_fallen() -> None:
     assert "base_link" in watcher.touching(state)
     assert watcher.look(state, np.zeros(robot.nu)).bodies == watcher.touching(state)
     assert monitor.lean(robot, np.eye(3), state) == pytest.approx(math.pi)
-    assert "tilt 180 deg, height 0.020 m" in monitor.fall(math.pi, 0.02)
+    assert "tilt 180 deg, height 0.020 m" in str(monitor.fall(math.pi, 0.02))
 
 
 @pytest.mark.parametrize(

@@ -124,6 +124,7 @@ def joint(name: str, shift: float) -> Stub:
     return Stub(
         name=name,
         motion="oblique",
+        oblique=True,
         axis=np.array([0.11, 0.22, -0.33]) + shift,
         lower=-1.51 + shift,
         upper=2.52 + shift,

@@ -197,7 +197,7 @@ def test_too_weak_motors_stand_no_push() -> None:
     result = push_recovery(changed("v3", weaken), stand_of("v3"), **COARSE)  # type: ignore[arg-type]
     assert (result.impulses == 0).all()
     assert result.weakest_impulse == 0
-    assert result.weakest_failure.startswith("without a push: ")
+    assert result.weakest_failure.code == "without-a-push"
     assert "touches the ground" in result.weakest_failure
     assert result.unpushed
     assert result.rollouts == 0
@@ -354,8 +354,8 @@ def test_what_does_not_stand_withstands_no_push_and_what_stands_does(
     assert found.unpushed == alone.failures
     assert (found.weakest_impulse > 0) == stands
     if not stands:
-        assert all(reason in found.weakest_failure for reason in alone.failures)
-        assert all(reason in trial.failure for reason in alone.failures)
+        assert found.weakest_failure.values["failures"] == alone.failures
+        assert trial.failure == found.weakest_failure
 
 
 @pytest.mark.slow

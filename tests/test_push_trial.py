@@ -20,7 +20,7 @@ def test_what_survives_and_what_does_not_is_as_the_search_says() -> None:
         good = pa.push_trial(robot, stand, float(impulse), float(direction), duration=2.0)
         bad = pa.push_trial(robot, stand, float(impulse) + 0.1, float(direction), duration=2.0)
         assert good.recovered
-        assert good.failure == ""
+        assert good.failure is None
         assert not bad.recovered
         assert bad.failure
     assert good.velocity_step == pytest.approx(good.impulse / robot.total_mass)

@@ -25,7 +25,7 @@ def outcome(seed: int, folder: Path) -> str:
     if run.passed:
         assert run.torque_error < 1e-3
         return "holds"
-    return " ".join([*run.failures, *map(str, robot.notes)])
+    return " ".join(map(str, [*run.failures, *robot.notes]))
 
 
 def check(seed: int, folder: Path) -> None:

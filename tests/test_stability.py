@@ -220,7 +220,7 @@ def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
     mode = found.stability.leaving()[0]
     assert mode.shakes
     assert set(mode.joints) <= set(robot.joint_names)
-    assert any("it shakes at 250 Hz" in reason for reason in found.failures)
+    assert any("it shakes at 250 Hz" in str(reason) for reason in found.failures)
     finer = pa.verify_stand(robot, stand, kp=40.0, kd=4.0, integrator="implicitfast")
     assert finer.stability.lasts()
 

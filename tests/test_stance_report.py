@@ -154,7 +154,7 @@ def test_motors_too_weak_are_said_so() -> None:
     assert "OVERLOADED" in printed(result)
     there = study_path(robot, StandTask(yaw=0.1), 2.0)
     assert not there.passed
-    assert any("of its limit" in failure for failure in there.tracking.failures)
+    assert any("of its limit" in str(failure) for failure in there.tracking.failures)
     assert not study_stance(load_variant("v3"), StandTask()).overloaded
 
 

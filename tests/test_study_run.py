@@ -99,7 +99,7 @@ def test_what_does_not_stand_is_told_as_zero_and_has_no_sag(
     heavy = table.loc[(2.5, 0.19)]
     assert (heavy["failure"], heavy["failed_measure"]) == ("does not stay up", "stands")
     pose = pa.steady_state(*standing(1.4, 2.5, 0.19))
-    assert heavy["reason"] == "; ".join(pose.failures)
+    assert heavy["reason"] == "; ".join(map(str, pose.failures))
     assert heavy["stiffness"] == pytest.approx(pose.stiffness, rel=1e-6)  # told as it is
     assert heavy["peak_utilisation"] > 0
     assert (table["verified"].xs(0.9, level="height") == 0).all()

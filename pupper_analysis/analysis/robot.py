@@ -14,7 +14,7 @@ from pupper_analysis.analysis.stance import verdict_of
 from pupper_analysis.arguments import checked
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks.engines import CrossCheck, cross_check
-from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -34,6 +34,10 @@ from pupper_analysis.statics.equilibrium import (
 )
 
 Array = NDArray[np.float64]
+
+
+_OBLIQUE = ("oblique", "oblique slide")
+"""What a joint does whose axis is along none of the base's: turns, or slides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +71,11 @@ class JointSummary(Result):
     damping: float
     friction: float
     effort_origin: EffortStatement | None
+
+    @property
+    def oblique(self) -> bool:
+        """Whether its axis is along none of the base's."""
+        return self.motion in _OBLIQUE
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +154,7 @@ class Analysis(Result):
     sweep: GainSweep
     check: CrossCheck
     verified: bool
-    failures: tuple[str, ...]
+    failures: tuple[Diagnostic, ...]
 
 
 @checked
@@ -181,8 +190,13 @@ def analyze_variant(
         sagging, sweep = sinking.result(), sweeping.result()
     failures = list(verification.failures)
     failures += [
-        f"cross-check: {quantity.name} deviate by {quantity.relative:.1e} ({quantity.whose}; "
-        f"{quantity.where})"
+        diagnose(
+            "models-deviate",
+            quantity=Term(quantity.name),
+            relative=quantity.relative,
+            whose=Term(quantity.whose),
+            where=quantity.where,
+        )
         for quantity in check.quantities
         if not quantity.passed
     ]
@@ -253,8 +267,8 @@ def _motion(axis: Array, *, slides: bool) -> str:
     direction = int(np.argmax(np.abs(axis)))
     aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
     if slides:
-        return f"along {'xyz'[direction]}" if aligned else "oblique slide"
-    return ("roll", "pitch", "yaw")[direction] if aligned else "oblique"
+        return f"along {'xyz'[direction]}" if aligned else _OBLIQUE[1]
+    return ("roll", "pitch", "yaw")[direction] if aligned else _OBLIQUE[0]
 
 
 def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:

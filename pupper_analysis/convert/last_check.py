@@ -7,6 +7,7 @@ from pathlib import Path
 
 import mujoco
 
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.results import Result
 from pupper_analysis.robot.stability import LASTING, Stability, step_stability
 from pupper_analysis.simulation.causes import unstable
@@ -28,7 +29,7 @@ class KeyframeRun(Result):
     keyframe: str
     stability: Stability
     nudge: Nudge
-    failures: tuple[str, ...]
+    failures: tuple[Diagnostic, ...]
 
 
 def keyframe_run(path: Path, duration: float = LASTING) -> KeyframeRun | None:

@@ -124,7 +124,7 @@ def convert_model(
         failures.append(draft.failure)
     elif draft.stands:
         verification = _stood(draft.urdf or read_urdf(urdf), mjcf, feet)
-        failures += map(diagnosed, verification.failures)
+        failures += verification.failures
         if mjcf == output:
             kept = keyframe_run(mjcf)
             why = [] if kept is None else kept.failures

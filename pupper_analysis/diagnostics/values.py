@@ -8,6 +8,7 @@ from dataclasses import dataclass
 _SHOWN_IN = {
     ("m", "mm"): 1e3,
     ("m", "um"): 1e6,
+    ("m/s", "mm/s"): 1e3,
     ("rad", "deg"): math.degrees(1.0),
     ("rad", "degrees"): math.degrees(1.0),
     ("rad/s", "deg/s"): math.degrees(1.0),

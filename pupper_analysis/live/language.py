@@ -12,7 +12,6 @@ from pupper_analysis.report.document import Text
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.html import sentences
 from pupper_analysis.report.html.words import text
-from pupper_analysis.report.verdict import Clause
 from pupper_analysis.stance.task import StandTask
 
 NAMES = {"en": "English", "zh": "中文"}
@@ -66,11 +65,6 @@ class Language:
     def either(self, choices: Iterable[str]) -> str:
         """Returns choices with the word for *or* between them."""
         return self(" or ").join(choices)
-
-    def clause(self, clause: Clause) -> str:
-        """Returns a part of a verdict."""
-        values = {name: sentences.said(value) for name, value in clause.values.items()}
-        return self._of(text(clause.sentence, **values))
 
     def _of(self, words: Text) -> str:
         return words.zh if self.code == "zh" else words.en

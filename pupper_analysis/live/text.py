@@ -110,7 +110,7 @@ def verdict(say: Language, answer: Answer, judged: Verdict | None) -> str:
 def ruling(say: Language, judged: Verdict, more: str = "") -> str:
     """Returns a verdict as a remark."""
     good = judged.passed or judged.code is VerdictCode.IN_BALANCE
-    told = [say.clause(clause) for clause in clauses(judged)]
+    told = [say.sentence(clause.told) for clause in clauses(judged)]
     return box("good" if good else "bad", "; ".join([*told, *([more] if more else [])]))
 
 
@@ -326,7 +326,7 @@ def push(say: Language, trial: PushTrial) -> str:
     parts = [
         headed(title),
         box("good", say("it recovers"))
-        if trial.recovered
+        if trial.failure is None
         else box("bad", say.sentence(trial.failure)),
         rows([(say("change of velocity"), f"{trial.velocity_step:.2f} m/s")]),
         line(say("Orange: as simulated.")),

@@ -1,11 +1,14 @@
-"""Why a simulation does not come to rest: what grows, stiff servos, feet that creep, in words."""
+"""Why a simulation does not come to rest: what grows, stiff servos, feet that creep."""
 
 from __future__ import annotations
+
+import math
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servo_stability import servo_stability
@@ -28,7 +31,7 @@ _CREEPING = 1e-3
 """Feet that creep faster are said to (m/s): 5 mm in the 5 s of a simulation."""
 
 
-def too_stiff(robot: Robot, stand: Stand, drive: Servos) -> list[str]:
+def too_stiff(robot: Robot, stand: Stand, drive: Servos) -> list[Diagnostic]:
     """Says whether the servos alone are too stiff for the time step, and which would do.
 
     Args:
@@ -46,11 +49,16 @@ def too_stiff(robot: Robot, stand: Stand, drive: Servos) -> list[str]:
     if found is None or found.ratio <= 1:
         return []
     worst = robot.joint_names[int(np.argmax(found.shares[dofs]))]
-    other = "" if drive.implicit else ", or the integrator implicitfast"
     return [
-        f"the servos are {found.ratio:.3g} times beyond the limit of stability "
-        f"({drive.integrator}, {1e3 * model.opt.timestep:g} ms), most of all at {worst}: a time "
-        f"step of {1e3 * found.timestep:.2g} ms is stable{other}, or less kp and kd"
+        diagnose(
+            "servos-too-stiff",
+            ratio=found.ratio,
+            integrator=drive.integrator,
+            timestep=Quantity(model.opt.timestep, "s"),
+            joint=worst,
+            stable=Quantity(found.timestep, "s"),
+            explicit=not drive.implicit,
+        )
     ]
 
 
@@ -59,7 +67,7 @@ _NOISE = 0.2
 and PGS, as MuJoCo sets them, a robot at rest moves by 0.02 to 0.12 of it for ever, and stays."""
 
 
-def unstable(stability: Stability, nudge: Nudge | None) -> list[str]:
+def unstable(stability: Stability, nudge: Nudge | None) -> list[Diagnostic]:
     """Says so if a stand would not last, or a nudge did not decay.
 
     Args:
@@ -67,34 +75,35 @@ def unstable(stability: Stability, nudge: Nudge | None) -> list[str]:
         nudge: What became of the nudge, if it was given.
     """
     leaving = stability.leaving() if stability.at_rest else ()
-    said = [growing(mode) for mode in leaving[:1]]
+    told = [growing(mode) for mode in leaving[:1]]
     quiet = nudge is not None and nudge.left <= _NOISE * nudge.speed
-    if nudge is not None and not nudge.decayed and not quiet and not said:
-        said.append(
-            f"a nudge of {nudge.speed:g} m/s and rad/s does not decay: after "
-            f"{nudge.duration:.3g} s {nudge.left:.1g} is left of it"
+    if nudge is not None and not nudge.decayed and not quiet and not told:
+        after = Quantity(nudge.duration, "s")
+        told.append(
+            diagnose("nudge-does-not-decay", speed=nudge.speed, after=after, left=nudge.left)
         )
     if nudge is not None and not nudge.moved < LEFT:
-        after = f"{nudge.duration:.3g} s after a nudge"
-        said.append(f"{after} a joint is {nudge.moved:.1g} rad from where it was")
+        after, moved = Quantity(nudge.duration, "s"), Quantity(nudge.moved, "rad")
+        told.append(diagnose("joint-left-by-nudge", after=after, moved=moved))
     elif nudge is not None and not nudge.stays:
-        who = nudge.farthest_joint or "a joint"
-        said.append(
-            f"{nudge.farthest_time:.2g} s after a nudge {who} is {nudge.farthest:.1g} rad from "
-            "where it was, and comes back"
-        )
-    return said
+        after, way = Quantity(nudge.farthest_time, "s"), Quantity(nudge.farthest, "rad")
+        joint = nudge.farthest_joint
+        told.append(diagnose("joint-left-and-came-back", after=after, way=way, joint=joint))
+    return told
 
 
-def growing(mode: Mode) -> str:
+def growing(mode: Mode) -> Diagnostic:
     """Says how a mode grows."""
-    where = f", most of all at {', '.join(mode.joints)}" if mode.joints else ""
-    how = f"it shakes at {mode.frequency:.3g} Hz" if mode.shakes else "it buckles"
-    how += " once dry friction is overcome" if mode.freed else ""
-    return f"{how}{where}: a deviation doubles every {mode.doubling_time:.2g} s"
+    return diagnose(
+        "mode-shakes" if mode.shakes else "mode-buckles",
+        frequency=Quantity(mode.frequency, "Hz"),
+        freed=mode.freed,
+        joints=mode.joints,
+        doubling_time=Quantity(mode.doubling_time or math.inf, "s"),
+    )
 
 
-def rattling(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[str]:
+def rattling(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[Diagnostic]:
     """Says so if the ground pushes by jolts, from step to step, where it should push evenly.
 
     MuJoCo's solver meets the edges of pyramidal cones with an ``impratio`` above 1 only so far, and
@@ -116,14 +125,11 @@ def rattling(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[st
         return []
     option = drive.model.opt
     pyramidal = option.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value
-    mend = "try a longer solref of the feet's geoms, or a shorter time step"
-    if pyramidal and option.impratio > 1:
-        mend = f"the MJCF's impratio of {option.impratio:g}"
-        mend += ' is meant for cone="elliptic": try it, or 1'
-    return [f"contacts rattle: the ground's forces vary by {share:.0%} from step to step; {mend}"]
+    impratio = option.impratio if pyramidal and option.impratio > 1 else None
+    return [diagnose("contacts-rattle", share=share, impratio=impratio)]
 
 
-def creeping(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[str]:
+def creeping(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
     """Says so if feet creep, as MuJoCo's friction, which is viscous, lets them.
 
     Args:
@@ -140,8 +146,5 @@ def creeping(robot: Robot, stand: Stand, prediction: GravityCompensation) -> lis
     foot = max(speeds, key=speeds.__getitem__)
     if not speeds[foot] > _CREEPING:
         return []
-    return [
-        f"MuJoCo's friction gives way to any force, so that {foot} creeps by "
-        f"{1e3 * speeds[foot]:.1f} mm/s: a greater impratio, or noslip_iterations, in the MJCF's "
-        "<option> makes it stick"
-    ]
+    speed = Quantity(speeds[foot], "m/s")
+    return [diagnose("foot-creeps", subject=("foot", foot), speed=speed)]

@@ -1,10 +1,11 @@
-"""Flat soles on legs that cannot lay them flat, in words: MuJoCo has more contacts than one."""
+"""Flat soles on legs that cannot lay them flat: MuJoCo has more contacts than one."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 
@@ -12,7 +13,7 @@ _APART = 1e-3
 """Contacts of a round foot are at one place (m)."""
 
 
-def several_contacts(robot: Robot, stand: Stand) -> str | None:
+def several_contacts(robot: Robot, stand: Stand) -> Diagnostic | None:
     """Says so if a foot that is one point in the prediction touches at several places in MuJoCo."""
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
@@ -34,8 +35,9 @@ def several_contacts(robot: Robot, stand: Stand) -> str | None:
     foot = max(spread, key=spread.__getitem__, default=None)
     if foot is None or spread[foot] < _APART:
         return None
-    return (
-        f"foot {foot} touches at {len(places[foot])} places, {1e3 * spread[foot]:.3g} mm apart, "
-        "and was taken for one point: its sole is flat, its leg cannot lay it flat, and the ground "
-        "is soft; a sphere as its collision geom would touch at one"
+    return diagnose(
+        "foot-touches-at-several-places",
+        subject=("foot", foot),
+        count=len(places[foot]),
+        spread=Quantity(spread[foot], "m"),
     )

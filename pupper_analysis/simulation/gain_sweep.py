@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.fall import FALLEN_TILT
@@ -133,14 +134,14 @@ def sweep_gains(
     """
     check_stand(robot, stand, duration)
     if not (math.isfinite(amplitude) and math.isfinite(frequency)):
-        raise ConfigurationError("amplitude, frequency", "they must be finite")
+        raise ConfigurationError("amplitude, frequency", diagnose("must-be-finite"))
     own = None if kp is not None and kd is not None else servos(robot)
     axes = [
         _values(given, None if own is None else getattr(own, name))
         for name, given in (("kp", kp), ("kd", kd))
     ]
     if not all(axes):
-        raise ConfigurationError("kp, kd", "give at least one value of each")
+        raise ConfigurationError("kp, kd", diagnose("gain-values-missing"))
     trial = _Trial(robot, stand, integrator, amplitude, frequency, duration, progress)
     trial.run(axes)
     return trial.result(axes)

@@ -1,10 +1,11 @@
-"""Closed loops and couplings of an MJCF, in words: what they do that is not as predicted."""
+"""Closed loops and couplings of an MJCF: what they do that is not as predicted."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.sunk import loops_give
@@ -13,21 +14,17 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 _OPEN = 1e-5  # m or rad: what gives way by less is not why something is off
 
 
-def give_way(robot: Robot, stand: Stand, prediction: GravityCompensation) -> str | None:
+def give_way(robot: Robot, stand: Stand, prediction: GravityCompensation) -> Diagnostic | None:
     """Says by how much loops and couplings open under a load, if a stand has them closed."""
     if robot.closure is None:
         return None
     most = float(np.abs(loops_give(robot, stand, prediction.contact_forces)).max(initial=0.0))
     if robot.closure.open_by(stand.qpos) > most / 2 or most < _OPEN:
         return None
-    bonds = ", ".join(robot.closure.bonds)
-    return (
-        f"the MJCF's loops and couplings ({bonds}) are soft, and open by up to "
-        f"{most:.2g} m or rad: sunk_stand allows for that"
-    )
+    return diagnose("loops-are-soft", bonds=robot.closure.bonds, most=most)
 
 
-def closed_loops(robot: Robot, stand: Stand, least: float) -> str | None:
+def closed_loops(robot: Robot, stand: Stand, least: float) -> Diagnostic | None:
     """Says what equality constraints do in a stand, if it is more than a force (N or N m).
 
     Those that are not predicted: what holds the robot in the world, say.
@@ -48,7 +45,10 @@ def closed_loops(robot: Robot, stand: Stand, least: float) -> str | None:
     kind = mujoco.mjtEq(int(model.eq_type[strongest])).name.removeprefix("mjEQ_").lower()
     name = model.equality(strongest).name or f"#{strongest}"
     joint = model.joint(int(model.dof_jntid[most])).name
-    return (
-        f"the MJCF has equality constraints that are not predicted: {kind} {name} and others push "
-        f"by up to {abs(pushed[most]):.3g} N or N m, at joint {joint!r}"
+    return diagnose(
+        "constraints-not-predicted",
+        subject=("equality", name),
+        kind=kind,
+        force=abs(pushed[most]),
+        joint=joint,
     )

@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.fall import FALLEN_TILT, lean_between
 from pupper_analysis.robot.robot import Robot
@@ -104,9 +105,6 @@ def lean(robot: Robot, rotation: Array, state: Array) -> float:
     return lean_between(rotation, rotation_from_quaternion(quaternion))
 
 
-DIVERGED = "the simulation diverged"
-
-
 def diverged(states: Array, timestep: float) -> bool:
     """Tells whether a rollout broke down: MuJoCo resets the state, and so the time, if it does."""
     times = states[..., 0]
@@ -115,9 +113,10 @@ def diverged(states: Array, timestep: float) -> bool:
     return not bool(finite and (times[..., 1:] - times[..., :-1] > timestep / 2).all())
 
 
-def divergence(integrator: str, timestep: float) -> str:
+def divergence(integrator: str, timestep: float) -> Diagnostic:
     """Says that a rollout broke down."""
-    return f"{DIVERGED} ({integrator}, {1e3 * timestep:g} ms)"
+    step = Quantity(timestep, "s")
+    return diagnose("simulation-diverged", integrator=integrator, timestep=step)
 
 
 def has_fallen(leaning: float, height: float, upright: float) -> bool:
@@ -131,9 +130,10 @@ def has_fallen(leaning: float, height: float, upright: float) -> bool:
     return leaning > FALLEN_TILT or height < FALLEN_HEIGHT * upright
 
 
-def fall(leaning: float, height: float) -> str:
+def fall(leaning: float, height: float) -> Diagnostic:
     """Says that a robot has fallen over."""
-    return f"it fell over: tilt {math.degrees(leaning):.0f} deg, height {height:.3f} m"
+    tilt, left = Quantity(leaning, "rad"), Quantity(height, "m")
+    return diagnose("fell-over", tilt=tilt, height=left, time=None)
 
 
 def base_speed(robot: Robot, model: mujoco.MjModel, states: Array, lever: float) -> float:

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -86,7 +87,7 @@ def path_commands(
     from scipy.interpolate import CubicSpline
 
     if path.joint_names != robot.joint_names or path.qpos.shape[1] != robot.nq:
-        raise ConfigurationError("path", f"it is not a path of {robot.name}")
+        raise ConfigurationError("path", diagnose("path-of-another-robot", robot=robot.name))
     first = path.stances[0]
     robot = on_ground(robot, first.task.ground, first.foot_targets)
     drive = drive_of(robot)
@@ -143,7 +144,9 @@ def _timestep(model: mujoco.MjModel, given: float | None) -> float:
     value: object = given
     number = float(value) if isinstance(value, Real) else math.nan
     if isinstance(value, bool) or not 0 < number < math.inf:
-        raise ConfigurationError("timestep", f"{given!r} is not a finite number above 0")
+        problem = diagnose("timestep-not-positive", given=repr(given))
+        raise ConfigurationError("timestep", problem)
     if not 1e-6 <= number <= 1.0:
-        raise ConfigurationError("timestep", f"{given!r} s is not from 1e-6 to 1 s")
+        problem = diagnose("timestep-not-valid", given=repr(given))
+        raise ConfigurationError("timestep", problem)
     return number

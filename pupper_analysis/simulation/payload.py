@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.payload import point_on_base, with_payload
@@ -266,7 +267,8 @@ def _start(
     if none(found):
         found = pose(first_failing(lambda tried: none(pose(tried)), mass / 8, mass))
     if isinstance(found, Bound):
-        raise NoEquilibriumError(None, f"there is none without payload: {found.failure.value}")
+        failure = Term(found.failure.value)
+        raise NoEquilibriumError(None, diagnose("no-equilibrium-unloaded", failure=failure))
     return found
 
 

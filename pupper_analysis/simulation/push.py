@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -53,16 +54,16 @@ class PushRecovery(Pushed, Tabular):
     directions: Array
     impulses: Array
     velocity_steps: Array
-    failures: tuple[str, ...]
+    failures: tuple[Diagnostic, ...]
     bisected: Array
     tipping_estimate: Array
     weakest_direction: float
     weakest_impulse: float
-    weakest_failure: str
+    weakest_failure: Diagnostic
     mass: float
     resolution: float
     rollouts: int
-    unpushed: tuple[str, ...]
+    unpushed: tuple[Diagnostic, ...]
 
     def _columns(self) -> dict[str, ArrayLike]:
         names = ("direction", "impulse", "velocity_step", "failure", "tipping_estimate")
@@ -70,7 +71,7 @@ class PushRecovery(Pushed, Tabular):
             self.directions,
             self.impulses,
             self.velocity_steps,
-            self.failures,
+            [str(failure) for failure in self.failures],
             self.tipping_estimate,
         )
         return dict(zip(names, values, strict=True))
@@ -139,13 +140,18 @@ def push_recovery(
     """
     check_stand(robot, stand, duration)
     if isinstance(directions, bool) or not isinstance(directions, int | np.integer):
-        raise ConfigurationError("directions", f"{directions!r} is not a whole number")
+        problem = diagnose("whole-number-needed", given=repr(directions))
+        raise ConfigurationError("directions", problem)
     if not 3 <= directions <= 360:
-        raise ConfigurationError("directions", f"{directions} is not between 3 and 360")
+        problem = diagnose("not-between", given=directions, low=3, high=360)
+        raise ConfigurationError("directions", problem)
     if not (math.isfinite(resolution) and resolution > 0):
-        raise ConfigurationError("resolution", f"{resolution} N s is not positive and finite")
+        problem = diagnose("resolution-not-positive", given=f"{resolution} N s")
+        raise ConfigurationError("resolution", problem)
     if resolution < FINEST:
-        raise ConfigurationError("resolution", f"{resolution:g} N s is finer than {FINEST:g} N s")
+        given, finest = Quantity(resolution, "N s"), Quantity(FINEST, "N s")
+        problem = diagnose("resolution-too-fine", given=given, finest=finest)
+        raise ConfigurationError("resolution", problem)
     angles = 2 * math.pi * np.arange(directions) / directions
     bench = bench_of(
         robot,
@@ -238,13 +244,13 @@ def tipping_impulses(
 
 def _limits(
     bench: Bench, estimate: Array, resolution: float
-) -> tuple[Array, Array, tuple[str, ...]]:
+) -> tuple[Array, Array, tuple[Diagnostic, ...]]:
     """Returns the limits, those before the check of smaller pushes, and how it fails."""
     count = len(bench.axes)
     if bench.unpushed:
-        idle = "without a push: " + "; ".join(bench.unpushed)
+        idle = diagnose("without-a-push", failures=bench.unpushed)
         return np.zeros(count), np.zeros(count), (idle,) * count
-    search = _Search(bench, np.zeros(count), np.full(count, np.inf), [""] * count)
+    search = _Search(bench, np.zeros(count), np.full(count, np.inf), {})
     first = np.where(np.isfinite(estimate), estimate, 1.0).clip(resolution)
     search.bisect(first, resolution)
     bisected = search.survived.copy()
@@ -260,7 +266,7 @@ def _limits(
                 search.failures[index] = failure
     search.bisect(first, resolution)
     search.prove(first, resolution)
-    return search.survived, bisected, tuple(search.failures)
+    return search.survived, bisected, tuple(search.failures[index] for index in range(count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +276,7 @@ class _Search:
     bench: Bench
     survived: Array
     failed: Array
-    failures: list[str]
+    failures: dict[int, Diagnostic]
 
     def prove(self, first: Array, resolution: float) -> None:
         """Simulates what is survived to the end; where it is not, the limit is below."""

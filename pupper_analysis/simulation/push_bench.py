@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation import monitor
@@ -84,7 +85,7 @@ class Bench:
     axes: Array
     duration: float
     feedforward: bool
-    unpushed: tuple[str, ...]
+    unpushed: tuple[Diagnostic, ...]
     rollouts: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
@@ -104,18 +105,18 @@ class Bench:
         (states,) = self.simulate(np.zeros(1, dtype=np.int64), np.zeros(1))
         return self._last_speed(states)
 
-    def whole(self, directions: NDArray[np.int64], impulses: Array) -> list[str | None]:
+    def whole(self, directions: NDArray[np.int64], impulses: Array) -> list[Diagnostic | None]:
         """Simulates pushes to the end, and says of each how the robot fails, or None."""
         return [self.failure(run) for run in self.simulate(directions, impulses)]
 
-    def push(self, directions: NDArray[np.int64], impulses: Array) -> list[str | None]:
+    def push(self, directions: NDArray[np.int64], impulses: Array) -> list[Diagnostic | None]:
         """Says the same, but ends each simulation once its result is known.
 
         That is where something else than feet touches the ground, and where it is at rest with no
         mode that grows.
         """
         count = len(directions)
-        found: list[str | None] = [None] * count
+        found: list[Diagnostic | None] = [None] * count
         tails = [np.empty((0, len(self.start)))] * count
         going, starts = list(range(count)), np.tile(self.start, (count, 1))
         forces = self._forces(directions, impulses)
@@ -130,7 +131,7 @@ class Bench:
                 tails[index] = np.concatenate([tails[index], states])[-self._resting :]
                 sure = self._broken(states)
                 if sure is None and last:
-                    sure = "; ".join(self._unsettled(tails[index])) or None
+                    sure = _together(self._unsettled(tails[index]))
                     ended.append(index)
                 elif sure is not None or self._rests(states):
                     ended.append(index)
@@ -170,24 +171,25 @@ class Bench:
             first = starts[begin : begin + size]
             yield from roll_out(model, workers, first, control, control_spec=FORCED)
 
-    def failure(self, states: Array) -> str | None:
+    def failure(self, states: Array) -> Diagnostic | None:
         """Returns why a run is no recovery, or None if it is one."""
         broken = self._broken(states)
         if broken is not None and monitor.diverged(states, self.timestep):
             return broken
         failures = [] if broken is None else [broken]
-        return "; ".join(failures + self._unsettled(states)) or None
+        return _together(failures + self._unsettled(states))
 
-    def _broken(self, states: Array) -> str | None:
+    def _broken(self, states: Array) -> Diagnostic | None:
         """Says so if some states cannot be part of a recovery, whatever comes next."""
         if monitor.diverged(states, self.timestep):
             return monitor.divergence(self.drive.integrator, self.timestep)
         for state in states[:: max(1, round(_SAMPLE / self.timestep))]:
             if touching := sorted(self.watcher.touching(state)):
-                return f"{touching[0]} touches the ground at {self.watcher.data.time:.2f} s"
+                moment = Quantity(self.watcher.data.time, "s")
+                return diagnose("body-touches-ground", subject=("body", touching[0]), time=moment)
         return None
 
-    def _unsettled(self, states: Array) -> list[str]:
+    def _unsettled(self, states: Array) -> list[Diagnostic]:
         """Says how it does not stand at the end of some states, of half a second or more."""
         failures = []
         upright = float(self.stand.qpos[2])
@@ -197,7 +199,7 @@ class Bench:
             failures.append(monitor.fall(leaning, height))
         speed = self._last_speed(states)
         if speed > REST_SPEED and speed > REST_SPEED + self.creep:
-            failures.append(f"it has not come to rest: {1e3 * speed:.0f} mm/s at the end")
+            failures.append(diagnose("not-at-rest", speed=Quantity(speed, "m/s")))
         return failures
 
     @property
@@ -242,6 +244,13 @@ class Bench:
             "point": self.point(),
             "pulse": self.pulse_steps * self.timestep,
         }
+
+
+def _together(failures: list[Diagnostic]) -> Diagnostic | None:
+    """Returns failures of one push as one; None if there are none."""
+    if len(failures) < 2:
+        return failures[0] if failures else None
+    return diagnose("failures-together", failures=failures)
 
 
 def bench_of(

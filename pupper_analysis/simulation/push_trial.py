@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked, finite
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.push_bench import Pushed, bench_of
@@ -29,7 +30,7 @@ class PushTrial(Pushed):
 
     Attributes:
         recovered: Whether it recovers, as ``push_recovery`` judges it.
-        failure: If not, why; else empty.
+        failure: If not, why; else None.
         impulse: N s.
         direction: Where to, about the vertical (rad): 0 is the base's forward, pi/2 its left.
         velocity_step: impulse / mass (m/s).
@@ -38,7 +39,7 @@ class PushTrial(Pushed):
     """
 
     recovered: bool
-    failure: str
+    failure: Diagnostic | None
     impulse: float
     direction: float
     velocity_step: float
@@ -86,9 +87,10 @@ def push_trial(
     check_stand(robot, stand, duration)
     impulse, direction = finite("impulse", impulse), finite("direction", direction)
     if not 0 <= impulse <= _HARDEST:
-        raise ConfigurationError("impulse", f"{impulse:g} N s is not from 0 to {_HARDEST:g}")
+        problem = diagnose("impulse-not-valid", given=Quantity(impulse, "N s"), most=_HARDEST)
+        raise ConfigurationError("impulse", problem)
     if abs(direction) > 2 * math.pi:
-        problem = f"{direction:g} rad is not between -2 pi and 2 pi"
+        problem = diagnose("direction-not-valid", given=Quantity(direction, "rad"))
         raise ConfigurationError("direction", problem)
     bench = bench_of(
         robot,
@@ -103,13 +105,13 @@ def push_trial(
     (states,) = bench.simulate(np.zeros(1, dtype=np.int64), np.array([impulse]))
     failure = bench.failure(states)
     if bench.unpushed:
-        failure = "without a push: " + "; ".join(bench.unpushed)
+        failure = diagnose("without-a-push", failures=bench.unpushed)
     # What a run was before it broke down can still be looked at.
     shown = states[:: max(1, round(_FRAME / bench.timestep))]
     shown = shown[np.isfinite(shown).all(axis=1)]
     return PushTrial(
         recovered=failure is None,
-        failure=failure or "",
+        failure=failure,
         impulse=impulse,
         direction=direction,
         velocity_step=impulse / robot.total_mass,

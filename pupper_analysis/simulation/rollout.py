@@ -11,6 +11,7 @@ import mujoco.rollout
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.robot.robot import Robot
@@ -262,7 +263,8 @@ def check_stand(robot: Robot, stand: Stand, duration: float) -> None:
     """
     check_standing(robot, stand)
     if not math.isfinite(duration) or not 2.0 <= duration <= 600.0:
-        raise ConfigurationError("duration", f"{duration} s is not between 2 and 600 s")
+        problem = diagnose("not-between", given=f"{duration} s", low=2, high=Quantity(600, "s"))
+        raise ConfigurationError("duration", problem)
 
 
 def check_standing(robot: Robot, stand: Stand) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.frozen import FrozenDict
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -64,7 +66,7 @@ class PathTracking(Tabular):
     """
 
     passed: bool
-    failures: tuple[str, ...]
+    failures: tuple[Diagnostic, ...]
     integrator: str
     timestep: float
     kp: Array
@@ -138,17 +140,17 @@ def track_path(
         saturated, torque_error = _torques(plan, states)
         failures += saturated
     if path.infeasible.any():
-        moment = path.time[int(np.argmax(path.infeasible))]
-        failures.append(f"no contact forces do from {moment:.2f} s on")
+        moment = Quantity(path.time[int(np.argmax(path.infeasible))], "s")
+        failures.append(diagnose("no-contact-forces-on-path", time=moment))
     if path.peak_utilisation > 1:
-        failures.append(f"a motor would have to give {path.peak_utilisation:.0%} of its limit")
+        failures.append(diagnose("motor-overloaded-on-path", share=path.peak_utilisation))
     if path.peak_speed_utilisation > 1:
-        share = f"{path.peak_speed_utilisation:.0%} of its velocity limit"
-        failures.append(f"joint {path.fastest_joint} would have to turn at {share}")
+        fastest, share = ("joint", path.fastest_joint), path.peak_speed_utilisation
+        failures.append(diagnose("joint-too-fast", subject=fastest, share=share))
     if not torque_error <= TORQUE_TOLERANCE:
-        failures.append(f"a motor's torque is off by {torque_error:.1%} of the path's largest")
+        failures.append(diagnose("motor-torque-off-path", error=torque_error))
     if not joint_error < TRACKING_TOLERANCE:
-        failures.append(f"a joint is off by {joint_error:.2f} rad")
+        failures.append(diagnose("joint-off-path", error=Quantity(joint_error, "rad")))
     return PathTracking(
         passed=not failures,
         failures=tuple(failures),
@@ -168,7 +170,7 @@ def track_path(
     )
 
 
-def _torques(plan: PathCommands, states: Array) -> tuple[list[str], float]:
+def _torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic], float]:
     """Returns which motors are at their limits, and the largest relative error of a torque.
 
     By the servos' law, with the velocity that the integrator has it act on: an implicit one's at a
@@ -190,33 +192,36 @@ def _torques(plan: PathCommands, states: Array) -> tuple[list[str], float]:
     events = []
     over = given != asked
     for column in np.flatnonzero(over.any(axis=0)):
-        moment = plan.time[int(np.argmax(over[:, column]))]
-        name = robot.joint_names[int(column)]
-        events.append(f"the motor of {name} is at its limit at {moment:.2f} s")
+        moment = Quantity(plan.time[int(np.argmax(over[:, column]))], "s")
+        motor = "joint", robot.joint_names[int(column)]
+        events.append(diagnose("motor-at-limit", subject=motor, time=moment))
     largest = float(np.abs(plan.path.torques).max())
     return events, float(np.abs(given - plan.torques).max()) / largest
 
 
 def _watch(
     plan: PathCommands, states: Array, looks: NDArray[np.int64]
-) -> tuple[list[str], float, dict[str, float]]:
+) -> tuple[list[Diagnostic], float, dict[str, float]]:
     """Looks at states; returns failures, tilt (rad) and the feet's slip (m)."""
     path, robot = plan.path, plan.robot
     watcher = monitor.Watcher(robot, plan.drive.model)
-    events: dict[str, float] = {}
+    events: dict[Diagnostic, float] = {}
     slip = dict.fromkeys(path.feet, 0.0)
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     tilt = 0.0
     for index in looks:
         sight = watcher.look(states[index], plan.ctrl[min(index + 1, len(plan.ctrl) - 1)])
-        seen = [f"{body} touches the ground" for body in sorted(sight.bodies)]
+        seen = [
+            diagnose("body-touches-ground", subject=("body", body), time=None)
+            for body in sorted(sight.bodies)
+        ]
         goal = plan.qpos[index]
         rotation = rotation_from_quaternion(goal[3:7] / np.linalg.norm(goal[3:7]))
         base = watcher.data.qpos[robot.mj_convention.qpos_index[:7]]
         turn = rotation.T @ rotation_from_quaternion(base[3:])
         tilt = max(tilt, float(np.linalg.norm(pin.log3(turn))))
         if monitor.has_fallen(monitor.lean(robot, rotation, states[index]), base[2], goal[2]):
-            seen.append("it fell over")
+            seen.append(diagnose("fell-over", tilt=None, height=None, time=None))
         centres, targets = watcher.foot_centres(), Configuration(robot, goal).foot_positions()
         idle = sight.idle(robot.soles)
         sample = int(np.abs(path.time - sight.time).argmin())
@@ -224,13 +229,16 @@ def _watch(
             load, own = path.loads[sample, column] / weight, robot.foot_of(foot)
             # A load below zero is that of a foot which would have to be held to the ground.
             if (load > LOADED or load < 0) and own in idle:
-                seen.append(f"foot {foot} carries nothing")
+                seen.append(diagnose("foot-idle", subject=("foot", foot), time=None))
             if path.clearance[sample, column] > LIFT_CLEARANCE and own in sight.forces:
-                seen.append(f"foot {foot} is lifted, and touches the ground")
+                seen.append(diagnose("lifted-foot-touches", subject=("foot", foot), time=None))
             if path.stance_feet[sample, column]:
                 away = float(np.linalg.norm((centres[foot] - targets[foot])[:2]))
                 slip[foot] = max(slip[foot], away)
         for event in seen:
             events.setdefault(event, sight.time)
-    failures = [f"{event} at {moment:.2f} s" for event, moment in events.items()]
+    failures = [
+        replace(event, values=FrozenDict({**event.values, "time": Quantity(moment, "s")}))
+        for event, moment in events.items()
+    ]
     return failures, tilt, slip

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.results import Result
 from pupper_analysis.robot.as_published import OwnRun, Published, ServosUsed
 from pupper_analysis.robot.stability import Stability
@@ -82,8 +83,8 @@ class Verdict(Result):
     commands_alone: Ending | None
     torque_error: float
     force_error: float
-    failures: tuple[str, ...]
-    failures_alone: tuple[str, ...]
+    failures: tuple[Diagnostic, ...]
+    failures_alone: tuple[Diagnostic, ...]
     overloaded: tuple[str, ...]
     servos: ServosUsed
     own: OwnRun | None

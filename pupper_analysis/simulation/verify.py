@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.fall import has_collapsed, travelled
@@ -102,7 +103,7 @@ class StandVerification(Held, Tabular):
     """
 
     passed: bool
-    failures: tuple[str, ...]
+    failures: tuple[Diagnostic, ...]
     stays: bool
     collapses: bool
     base_height: float
@@ -224,7 +225,8 @@ def _time_after(duration: float, nudged: float | None) -> float:
     if nudged is None:
         return min(_NUDGED * duration, most)
     if not 0 <= nudged <= most:
-        raise ConfigurationError("nudged", f"{nudged} s is not between 0 and {most:g} s")
+        problem = diagnose("not-between", given=f"{nudged} s", low=0, high=Quantity(most, "s"))
+        raise ConfigurationError("nudged", problem)
     return nudged
 
 
@@ -326,7 +328,7 @@ def _collapses(robot: Robot, stand: Stand, states: Array, timestep: float) -> bo
 
 def _failures(
     robot: Robot, stand: Stand, states: Array, watch: Watch, found: StandVerification
-) -> list[str]:
+) -> list[Diagnostic]:
     """Says why the robot does not stand still on its feet, if it does not."""
     leaning = monitor.lean(robot, stand.task.rotation(), states[-1])
     failures = list(watch.failures)
@@ -336,13 +338,11 @@ def _failures(
     if monitor.has_fallen(leaning, height, float(stand.qpos[2])):
         failures.insert(0, monitor.fall(leaning, height))
     if not found.height_deviation < STABLE_DEVIATION:
-        failures.append(
-            f"the height deviates by {1e3 * found.height_deviation:.2f} mm in the last second"
-        )
+        deviation = Quantity(found.height_deviation, "m")
+        failures.append(diagnose("height-deviates", deviation=deviation))
     if not abs(found.height_drift) < SETTLED_DRIFT:
-        failures.append(
-            f"it has not settled: the height changes by {1e3 * found.height_drift:+.2f} mm/s"
-        )
+        drift = Quantity(found.height_drift, "m/s")
+        failures.append(diagnose("height-drifts", drift=drift))
     return failures
 
 
@@ -354,22 +354,24 @@ def _deviations(
     prediction: GravityCompensation,
     *,
     alone: bool,
-) -> list[str]:
+) -> list[Diagnostic]:
     """Says what is not as predicted; soft ground may be why, if that ``alone`` is wrong."""
     off = []
     if not found.joint_error < JOINT_TOLERANCE:
-        off.append(f"a joint is off by {found.joint_error:.1e} rad")
+        off.append(diagnose("joint-off", error=Quantity(found.joint_error, "rad")))
     if not found.torque_error < FORCE_TOLERANCE:
-        off.append(f"a motor torque is off by {found.torque_error:.1%} of the largest")
+        off.append(diagnose("motor-torque-off", error=found.torque_error))
     if not found.force_error < FORCE_TOLERANCE:
-        off.append(f"a vertical foot force is off by {found.force_error:.1%}")
+        off.append(diagnose("foot-force-off", error=found.force_error))
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     if off and found.mujoco_residual > ANOTHER_ROBOT * weight:
-        masses = robot.total_mass, float(robot.mj_model.body_subtreemass[0])
         off.append(
-            "the two files are not of one robot: MuJoCo's balance of the MJCF "
-            f"({masses[1]:.3f} kg) is off by {found.mujoco_residual:.2g} N or N m with the forces "
-            f"of the URDF ({masses[0]:.3f} kg); crosscheck tells the differences"
+            diagnose(
+                "files-of-two-robots",
+                mjcf=Quantity(robot.mj_model.body_subtreemass[0], "kg"),
+                residual=found.mujoco_residual,
+                urdf=Quantity(robot.total_mass, "kg"),
+            )
         )
         return off
     if off and (acts := closed_loops(robot, stand, ANOTHER_ROBOT * weight)):
@@ -380,5 +382,5 @@ def _deviations(
         return [*off, edges]
     deepest = max(float(drop @ stand.normals[foot]) for foot, drop in watch.drops(stand).items())
     if off and alone and deepest > SOFT and not any(stand.depths.values()):
-        off.append(f"the feet sink by up to {1e3 * deepest:.1f} mm: sunk_stand allows for that")
+        off.append(diagnose("feet-sink", depth=Quantity(deepest, "m")))
     return off

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation import monitor
 from pupper_analysis.stance.stand import Stand
@@ -25,7 +26,7 @@ LAST = 1.0
 class Watch:
     """What a close look at some states of a rollout shows."""
 
-    failures: tuple[str, ...]
+    failures: tuple[Diagnostic, ...]
     torques: Array
     forces: dict[str, Array]
     feet_settled: dict[str, Array]
@@ -74,10 +75,12 @@ def watched(
             for foot, centre in watcher.foot_centres().items():
                 feet[foot] += centre
     failures = [
-        f"{body} touches the ground at {moment:.2f} s" for body, moment in sorted(touched.items())
+        diagnose("body-touches-ground", subject=("body", body), time=Quantity(moment, "s"))
+        for body, moment in sorted(touched.items())
     ]
     failures += [
-        f"foot {foot} carries nothing at {moment:.2f} s" for foot, moment in sorted(lost.items())
+        diagnose("foot-idle", subject=("foot", foot), time=Quantity(moment, "s"))
+        for foot, moment in sorted(lost.items())
     ]
     return Watch(
         failures=tuple(failures),

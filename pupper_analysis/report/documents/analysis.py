@@ -164,7 +164,7 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
         cells: list[doc.Cell] = [
             doc.Name(joint.name),
             word(joint.motion),
-            doc.vector(joint.axis, "+.2f" if joint.motion.startswith("oblique") else "+.0f"),
+            doc.vector(joint.axis, "+.2f" if joint.oblique else "+.0f"),
             doc.number(joint.lower, "+.2f"),
             doc.number(joint.upper, "+.2f"),
             *(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -51,15 +52,16 @@ class SteadyStateBand(Result):
         return None if self.lowest is None else self.highest.base_height - self.lowest.base_height
 
     @property
-    def failures(self) -> tuple[str, ...]:
+    def failures(self) -> tuple[Diagnostic, ...]:
         """What is wrong somewhere in the band; empty if the robot stands in all of it."""
         places = {"highest": self.highest, "frictionless": self.frictionless, "lowest": self.lowest}
         found = []
         for place, pose in places.items():
-            problems = ("no equilibrium",) if pose is None else pose.failures
-            found += [f"{place}: {problem}" for problem in problems]
+            none = diagnose("no-equilibrium-there")
+            problems = (none,) if pose is None else pose.failures
+            found += [diagnose("in-band", place=Term(place), what=one) for one in problems]
         if self.friction < 1:
-            found.append(f"highest: found with {self.friction:.0%} of friction; it may be higher")
+            found.append(diagnose("highest-with-less-friction", share=self.friction))
         return tuple(found)
 
 
@@ -113,8 +115,6 @@ def steady_state_band(
     for share in _SHARES:
         way = way or begin(share)
     if way is None:
-        raise NoEquilibriumError(
-            None, "none that is stable continues the stand, not even with friction"
-        )
+        raise NoEquilibriumError(None, diagnose("no-stable-equilibrium"))
     share = way.rub(1.0)
     return SteadyStateBand(pose_at(way, release_margin(way)), share, frictionless, lowest)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
@@ -103,7 +104,7 @@ class SteadyState(Result):
     release_margin: float
     sliding_feet: tuple[str, ...]
     lasts: float
-    failures: tuple[str, ...]
+    failures: tuple[Diagnostic, ...]
 
 
 @checked
@@ -163,7 +164,9 @@ def steady_state(
     lasts = _lasts(way, seconds)
     if math.isinf(lasts):
         return pose
-    return replace(pose, lasts=lasts, failures=(f"after {lasts:.1f} s the feet's creep ends it",))
+    return replace(
+        pose, lasts=lasts, failures=(diagnose("creep-ends-it", after=Quantity(lasts, "s")),)
+    )
 
 
 def _lasts(way: Way, begun: float) -> float:
@@ -190,20 +193,19 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
         UnknownNameError: If the stand is another robot's, with other feet.
     """
     if not robot.floating or not robot.contacts or stand.qpos.shape != (robot.nq,):
-        raise ConfigurationError("robot", f"{robot.name} cannot stand on its feet like that")
+        raise ConfigurationError("robot", diagnose("robot-cannot-stand", robot=robot.name))
     for foot in stand.foot_targets:
         robot.check_foot(foot)
     if feet not in ("pinned", "sliding"):
-        raise ConfigurationError("feet", f"{feet!r} is neither 'pinned' nor 'sliding'")
+        raise ConfigurationError("feet", diagnose("feet-not-valid", given=str(feet)))
     if not 0 <= seconds <= LONGEST or (seconds and feet == "sliding"):
-        raise ConfigurationError("seconds", f"{seconds} s: feet that are pinned creep for >= 0 s")
+        problem = diagnose("creep-not-valid", given=f"{seconds} s")
+        raise ConfigurationError("seconds", problem)
     if feet == "sliding" and stand.task.ground.slope:
-        raise ConfigurationError("feet", "on a slope only friction holds a robot: they are pinned")
+        raise ConfigurationError("feet", diagnose("sliding-on-slope"))
     slippery = [foot for foot in robot.feet if robot.contacts[foot].sliding_friction <= 0]
     if feet == "pinned" and slippery:
-        raise ConfigurationError(
-            "feet", f"{', '.join(slippery)} have no friction on the ground: they are 'sliding'"
-        )
+        raise ConfigurationError("feet", diagnose("feet-without-friction", feet=slippery))
 
 
 def settle(way: Way, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
@@ -264,21 +266,24 @@ def minimum_stiffness(
         NoStiffnessError: If it does not stand with any kp up to ``HIGHEST_KP``; says why.
     """
     if not 0 < tolerance < 1:
-        raise ConfigurationError("tolerance", f"{tolerance} is not between 0 and 1")
+        refused = diagnose("not-between", given=tolerance, low=0, high=1)
+        raise ConfigurationError("tolerance", refused)
     check_request(robot, stand, feet, 0.0)
 
-    def obstacle(kp: float) -> str:
+    def obstacle(kp: float) -> Diagnostic | None:
         try:
             pose = steady_state(robot, stand, kp=kp, feet=feet)
         except NoEquilibriumError as error:
-            return str(error)
+            return error.diagnostic
         if pose.base_height <= 0.5 * float(stand.qpos[2]):
-            return f"the base sags to {pose.base_height:.3f} m"
-        return "; ".join(pose.failures)
+            return diagnose("base-sags", height=Quantity(pose.base_height, "m"))
+        if len(pose.failures) > 1:
+            return diagnose("failures-together", failures=pose.failures)
+        return pose.failures[0] if pose.failures else None
 
     unit = Units.of(robot, stand).stiffness
     low, high = 0.0, unit / 4
-    while problem := obstacle(high):
+    while (problem := obstacle(high)) is not None:
         low, high = high, 2 * high
         if high > HIGHEST_KP * unit:
             raise NoStiffnessError(robot.name, low, problem)
@@ -337,23 +342,36 @@ def _data_of(robot: Robot, _thread: int) -> mujoco.MjData:
     return mujoco.MjData(robot.mj_model)
 
 
-def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tuple[str, ...]:
+def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tuple[Diagnostic, ...]:
     robot, stand = system.robot, system.stand
-    failures = [] if stiffness > 0 else [f"the equilibrium is not stable ({stiffness:.3g} 1/s^2)"]
+    failures = []
+    if not stiffness > 0:
+        failures.append(diagnose("equilibrium-not-stable", stiffness=Quantity(stiffness, "1/s^2")))
     for foot, force in solution.forces.items():
         if foot not in stand.stance_feet:
-            failures.append(f"foot {foot}, lifted, touches the ground, with {force[2]:.2f} N")
+            force_up = Quantity(force[2], "N")
+            told = diagnose("lifted-foot-presses", subject=("foot", foot), force=force_up)
+            failures.append(told)
     touching = {foot for foot, force in solution.forces.items() if force[2] > 0}
-    failures += [f"foot {foot} slides" for foot in sliding(system, solution)]
+    failures += [
+        diagnose("foot-slides", subject=("foot", foot)) for foot in sliding(system, solution)
+    ]
     idle = [f for f in robot.feet_with(stand.stance_feet) if touching.isdisjoint(robot.soles[f])]
-    failures += [f"foot {foot} carries nothing" for foot in idle]
+    failures += [diagnose("foot-idle", subject=("foot", foot), time=None) for foot in idle]
     qpos = solution.qpos
     beyond = (qpos[7:] < robot.lower_limits) | (qpos[7:] > robot.upper_limits)
-    failures += [f"joint {robot.joint_names[i]} is at its limit" for i in np.flatnonzero(beyond)]
+    failures += [
+        diagnose("joint-beyond-limit", subject=("joint", robot.joint_names[i]))
+        for i in np.flatnonzero(beyond)
+    ]
     data = _data_of(robot, threading.get_ident())
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_kinematics(robot.mj_model, data)
     mujoco.mj_comPos(robot.mj_model, data)
     mujoco.mj_collision(robot.mj_model, data)
     others = contact.bodies_on_ground(robot.mj_model, data, robot.foot_geoms)
-    return (*failures, *(f"{body} touches the ground" for body in sorted(others)))
+    failures += [
+        diagnose("body-touches-ground", subject=("body", body), time=None)
+        for body in sorted(others)
+    ]
+    return tuple(failures)
