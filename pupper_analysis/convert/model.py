@@ -16,7 +16,7 @@ from pupper_analysis.convert.repair import Repair
 from pupper_analysis.convert.to_mjcf import MjcfOptions, mjcf_draft
 from pupper_analysis.convert.to_urdf import urdf_draft
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ConfigurationError, OutputError, diagnosed
+from pupper_analysis.errors import ConfigurationError, OutputError
 from pupper_analysis.files import check_writable
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import quiet
