@@ -271,5 +271,5 @@ def test_what_leaves_and_comes_back_has_left() -> None:
     assert not found.stays
     stability = pa.step_stability(model, mujoco.MjData(model))
     (said,) = unstable(stability, found)
-    assert "swing is 0.03 rad from where it was, and comes back" in said
+    assert "swing is 0.03 rad from where it was, and comes back" in str(said)
     assert not unstable(stability, replace(found, farthest=9e-3))
