@@ -198,7 +198,7 @@ def test_too_weak_motors_stand_no_push() -> None:
     assert (result.impulses == 0).all()
     assert result.weakest_impulse == 0
     assert result.weakest_failure.code == "without-a-push"
-    assert "touches the ground" in result.weakest_failure
+    assert "touches the ground" in str(result.weakest_failure)
     assert result.unpushed
     assert result.rollouts == 0
 
