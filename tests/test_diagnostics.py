@@ -161,6 +161,11 @@ def test_no_program_reads_its_own_prose() -> None:
         ("{gap:mm:.1f}", {"gap": Quantity(0.01234, "m")}, "12.3 mm"),
         ("{turn:deg:.1f}", {"turn": Quantity(np.pi / 6, "rad")}, "30.0 deg"),
         ("{share:%:.0f}", {"share": Quantity(0.25, "1")}, "25 %"),
+        (
+            "{mass:g} {time:g}",
+            {"mass": Quantity(2, "kg"), "time": Quantity(0.5, "s")},
+            "2000 g 0.5 s",
+        ),
         ("{share:.2f}", {"share": Quantity(0.25, "1")}, "0.25"),
         ("{x:.2f} {x}", {"x": 2 / 3}, "0.67 0.6666666666666666"),
         ("{name!r}", {"name": "a b"}, "'a b'"),

@@ -44,10 +44,10 @@ class Quantity:
         shown, colon, digits = spec.rpartition(":")
         if colon and not shown:
             return format(self.value, digits)
-        if not colon and not digits[:1].isalpha() and digits != "%":
-            shown = self.unit
-        elif not colon:
+        if not colon and (self.unit, digits) in _SHOWN_IN:
             shown, digits = digits, ""
+        elif not colon:  # so that "g" are grams of a mass, and Python's format of all else
+            shown = self.unit
         factor = 1.0 if shown == self.unit else _SHOWN_IN[self.unit, shown]
         number = format(factor * self.value, digits or ".4g")
         return number if shown == "1" else f"{number} {shown}"
