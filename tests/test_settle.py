@@ -434,7 +434,7 @@ def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
     with pytest.raises(pa.NoStiffnessError, match="foot RR, lifted, touches the ground") as caught:
         minimum_stiffness(robot, lifted("v3", "RR", 0.0005))  # the others sink deeper than that
     assert caught.value.kp > 5e3
-    assert "RR" in caught.value.problem
+    assert "RR" in str(caught.value.problem)
 
 
 # ------------------------------------------------------------------------------------- stability

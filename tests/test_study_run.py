@@ -562,7 +562,8 @@ def test_the_command(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert not folder.exists()
     status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--workers", "1")
     assert status == 0
-    assert "4 designs; failed: 2 no equilibrium" in out
+    assert "legs: 4 designs, of which 2 failed: " in out
+    assert "2 no equilibrium" in out
     table = pa.read_study(folder)
     _, unit, *line = next(row for row in out.splitlines() if row.startswith("servo_sag")).split()
     assert unit == "(m)"
@@ -575,7 +576,8 @@ def test_the_command(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arguments = ("study", str(file), "-o", str(folder), "--figures", "--json", str(written))
     status, out, _ = run_command(capfd, *arguments)
     assert status == 0
-    drawn = {line.rpartition("/")[2] for line in out.splitlines() if line.startswith("drawn: ")}
+    written_files = [line for line in out.splitlines() if line.startswith("written: ")]
+    drawn = {line.rpartition("/")[2] for line in written_files if line.endswith(".png")}
     assert drawn == {path.name for path in folder.glob("*.png")}
     assert {"failures.png", "parallel.png", "map_servo_sag.png"} <= drawn
     columns = json.loads(written.read_text())

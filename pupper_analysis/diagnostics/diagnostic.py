@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from pupper_analysis.diagnostics.catalogue import entry
 from pupper_analysis.diagnostics.templates import fill
-from pupper_analysis.diagnostics.values import Quantity, Term, Vector
+from pupper_analysis.diagnostics.values import Quantity, Term, Vector, readable
 from pupper_analysis.frozen import FrozenDict
 
 __all__ = [
@@ -70,6 +70,9 @@ class Subject:
     kind: str
     name: str
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", readable(self.name))
+
 
 @dataclass(frozen=True)
 class Source:
@@ -86,6 +89,9 @@ class Source:
     line: int | None = None
     element: str = ""
     attribute: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "file", readable(self.file))
 
 
 @dataclass(frozen=True)
@@ -204,10 +210,8 @@ def _plain(value: Any) -> Any:
         value, bool | int | float | Quantity | Vector | Diagnostic | Term
     ):
         return value
-    if isinstance(value, str):
-        return str(value)
-    if isinstance(value, PathLike):
-        return str(value)
+    if isinstance(value, str | PathLike):
+        return readable(str(value))
     if isinstance(value, Iterable):
         return tuple(_plain(one) for one in value)
     raise TypeError(f"{type(value).__name__} is no value of a diagnostic")

@@ -104,7 +104,7 @@ def dropped_coms(words: str, one: Parameters, keys: Sequence[Key]) -> Found:
     if len(names) >= _MANY:
         yield Finding(
             "coms",
-            diagnose("coms-dropped", file=words, bodies=names),
+            diagnose("coms-dropped", file=words, count=len(names), bodies=names),
             {("com", name) for name in names},
         )
 

@@ -31,7 +31,7 @@ def other_inertials(case: Case) -> Found:
     if len(others) >= _MANY:
         yield Finding(
             "inertial",
-            diagnose("inertials-of-another-robot", bodies=others),
+            diagnose("inertials-of-another-robot", count=len(others), bodies=others),
             {(kind, name) for kind in kinds for name in others},
         )
         return
