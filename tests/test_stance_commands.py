@@ -34,7 +34,7 @@ THREE_LEGS = ("--swing", "RR=0.01", "--com", "inside", "--com-margin", "0.01")
 OURS = ("stand", "workspace", "payload", "best", "path", "push")
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_workspace(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path, figure = tmp_path / "all.json", tmp_path / "workspace.png"
     output = ("--json", str(path), "--figure", str(figure))
@@ -138,7 +138,7 @@ def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path)
     np.testing.assert_allclose(arrays["qpos"][0], solve_stand(robot).qpos, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_fastest_path(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = tmp_path / "all.json"
     arguments = ("original", "--height", "0.14", "--fastest", "--json", str(file))

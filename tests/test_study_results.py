@@ -520,7 +520,7 @@ def test_a_search_finds_what_a_grid_finds(tmp_path: Path, thread: Executor) -> N
     assert len(pa.read_study(tmp_path / "search", everything=True)) == 48
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_search_of_two_measures_gives_a_front(tmp_path: Path, thread: Executor) -> None:
     found = optimise(
         searched(),

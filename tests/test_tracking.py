@@ -32,7 +32,7 @@ BOUNDS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "kind"), BOUNDS)
+@pytest.mark.parametrize(("name", "kind"), some(list(BOUNDS), 3))
 def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
     tracking = track_path(load(name), path_of(name, kind))
     assert tracking.passed, tracking.failures
