@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.joint_drives import MadeServo
@@ -15,8 +16,14 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Ending, Verdict, VerdictCode
 
 
-class Clause(NamedTuple):
-    """A part of a verdict: what it says, and whether that speaks for it."""
+@dataclass(frozen=True)
+class Clause:
+    """A part of a verdict.
+
+    Attributes:
+        good: Whether it speaks for the stand.
+        told: What it says.
+    """
 
     good: bool
     told: Diagnostic
