@@ -12,6 +12,10 @@ _VALUES = 6
 """Different values that are listed; of more, the least and the greatest."""
 
 
+_NAMED = 3
+"""Joints that are named; more are counted."""
+
+
 def unstated_notes(matched: Match, explanation: Explanation) -> Iterator[Diagnostic]:
     """Yields what the damping and the dry friction do that the URDF does not state."""
     model = matched.robot.pin_model
@@ -50,6 +54,12 @@ def _by_value(values: Mapping[str, float], unit: str) -> list[Diagnostic]:
         least, greatest = (Quantity(f(values.values()), unit) for f in (min, max))
         return [diagnose("values-of-joints", least=least, greatest=greatest, count=len(values))]
     return [
-        diagnose("value-of-joints", value=Quantity(values[names[0]], unit), joints=names)
+        diagnose(
+            "value-of-joints",
+            value=Quantity(values[names[0]], unit),
+            joints=names,
+            count=len(names),
+            few=len(names) <= _NAMED,
+        )
         for names in found.values()
     ]
