@@ -133,7 +133,8 @@ def advice(robot: Robot, stand: Stand) -> Diagnostic | None:
 
     They are the robot's, and so they stay as they are.
     """
-    if not _falls(verify_stand(robot, stand)):
+    fallen = verify_stand(robot, stand)
+    if not _falls(fallen):
         return None
     own = np.array(list(own_servos(robot).values()))  # of those that have a motor
     torques = stand_statics(robot, stand).joint_torques
@@ -149,7 +150,7 @@ def advice(robot: Robot, stand: Stand) -> Diagnostic | None:
                 integrator=drive.integrator,
                 timestep=step,
             )
-    for sag in _SAGS:
+    for sag in () if _another(robot, fallen) else _SAGS:
         kp, kd = (
             np.full(robot.nu, gains.min()) for gains in _gains(robot, stand.qpos, torques, sag, 1)
         )
@@ -200,15 +201,17 @@ def _falls(seen: StandVerification) -> bool:
 
 
 def _as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
-    """Tells whether a robot holds a stand on its servos as it is computed, as far as gains matter.
-
-    If the two files are not of one robot, no gains make them.
-    """
+    """Tells whether a robot holds a stand on its servos as it is computed, as far as gains matter."""
     with contextlib.suppress(PupperAnalysisError):
         stand = sunk_stand(robot, stand, explain=False)
     seen = verify_stand(robot, stand, kp=kp, kd=kd)
+    return seen.passed or _another(robot, seen)
+
+
+def _another(robot: Robot, seen: StandVerification) -> bool:
+    """Tells whether the two files are not of one robot: then no gains make them stand alike."""
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
-    return seen.passed or seen.mujoco_residual > ANOTHER_ROBOT * weight
+    return seen.mujoco_residual > ANOTHER_ROBOT * weight
 
 
 def _gains(

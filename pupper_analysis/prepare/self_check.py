@@ -10,7 +10,7 @@ import contextlib
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import mujoco
 import numpy as np
@@ -39,13 +39,8 @@ from pupper_analysis.robot.as_published import (
     ServosUsed,
 )
 from pupper_analysis.robot.fall import (
-    LONGER,
-    OWN_SECONDS,
-    has_collapsed,
-    height_of_keyframe,
-    lean_between,
-    still_moves,
-    travelled,
+    base_motion,
+    base_moved,
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
@@ -149,7 +144,6 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
     key, data = names[name], mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, key)
     mujoco.mj_kinematics(model, data)
-    place, up = data.xpos[bare.base].copy(), data.xmat[bare.base].reshape(3, 3).copy()
     places = [int(model.jnt_qposadr[model.joint(joint).id]) for joint in robot.joint_names]
     pose = data.qpos[places].copy()
     hold = hold_of(bare, robot, data, None, pose)
@@ -160,28 +154,16 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
         nothing = np.zeros(0)
         outside = (nothing.astype(int), nothing, nothing, nothing, nothing)
         hold = Hold(model.key_ctrl[key].copy(), model.key_act[key].copy(), outside, {})
-    before, seconds = copy.copy(data), OWN_SECONDS
-    before.ctrl[:], before.act[:] = hold.ctrl, hold.act
-    roll(bare, data, hold, seconds)
-    if still_moves(model, data, bare.base):
-        roll(bare, data, hold, (LONGER - 1) * seconds)
-        seconds *= LONGER
-    start = height_of_keyframe(model, before, data, bare.base)
-    end = float(data.xpos[bare.base][2])
-    lean = lean_between(up, data.xmat[bare.base].reshape(3, 3))
-    height, away = start - (bare.ground or 0.0), travelled(place, data.xpos[bare.base])
-    diverged = _diverged(model, data, float(model.key_time[key]), seconds)
+    data.ctrl[:], data.act[:] = hold.ctrl, hold.act
+    motion, end = base_motion(
+        model, data, bare.base, bare.ground or 0.0, lambda run, time: roll(bare, run, hold, time)
+    )
     return OwnRun(
         keyframe=name,
         own_ctrl=own_ctrl,
-        duration=seconds,
-        height=height,
-        end_height=end - (bare.ground or 0.0),
-        lean=lean,
-        away=away,
-        diverged=diverged,
-        collapses=diverged or has_collapsed(lean, height, height + end - start, away),
-        joint_error=float(np.abs(data.qpos[places] - pose).max()),
+        **asdict(motion),
+        collapses=motion.collapses,
+        joint_error=float(np.abs(end.qpos[places] - pose).max()),
     )
 
 
@@ -223,11 +205,6 @@ def _of_the_pair(robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Ca
     if computed is None or abs(computed.torque_error - run.torque_error) > SAME:
         return ()
     return (Cause("pair", ()),)
-
-
-def _diverged(model: mujoco.MjModel, data: mujoco.MjData, since: float, seconds: float) -> bool:
-    """Tells whether MuJoCo began anew, as it does where numbers are no longer any."""
-    return not data.time - since > seconds - 1.5 * model.opt.timestep
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +255,7 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     if data is None:
         return None
     mujoco.mj_kinematics(model, data)
-    place, up = data.xpos[bare.base].copy(), data.xmat[bare.base].reshape(3, 3).copy()
+    start = copy.copy(data)
     ahead = wanted.torques if wanted.feedforward else None
     hold = hold_of(bare, robot, data, ahead, wanted.targets)
     given = roll(bare, data, hold, SECONDS)
@@ -287,23 +264,19 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     driven = robot.mj_convention.actuator_index >= 0
     off = np.abs(given[dofs] - wanted.torques)[driven]
     largest = float(np.abs(wanted.torques).max())
-    lost = float(place[2] - data.xpos[bare.base][2])
-    lean = lean_between(up, data.xmat[bare.base].reshape(3, 3))
+    motion = base_moved(model, start, data, bare.base, bare.ground or 0.0, SECONDS)
+    lost = motion.height - motion.end_height
     moved = data.qpos[places] - qpos[robot.nq - robot.nu :]
-    height = float(place[2]) - (bare.ground or 0.0)
     torque = float(off.max(initial=0.0)) / largest if largest else 0.0
-    collapses = _diverged(model, data, 0.0, SECONDS)
-    away = travelled(place, data.xpos[bare.base])
-    collapses = collapses or has_collapsed(lean, height, height - lost, away)
-    differs = not (abs(lost) <= SAME_HEIGHT * height and torque <= SAME)
+    differs = not (abs(lost) <= SAME_HEIGHT * motion.height and torque <= SAME)
     return PublishedRun(
         feedforward=wanted.feedforward,
         duration=SECONDS,
         torque_error=torque,
         height_error=-lost,
         joint_error=float(np.abs(moved).max()),
-        collapses=collapses,
-        differs=collapses or differs,
+        collapses=motion.collapses,
+        differs=motion.collapses or differs,
     )
 
 

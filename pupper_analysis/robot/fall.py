@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -41,6 +43,92 @@ has no force gave way at 2e-2, and took the robot down in the second after."""
 
 _DROP = 1.0
 """s in which what hangs in the air has touched the ground: 5 m."""
+
+
+@dataclass(frozen=True)
+class BaseMotion:
+    """What became of a base that was to stay where it was.
+
+    Attributes:
+        duration: Of the simulation (s).
+        height: Which it was to keep, above the ground (m).
+        end_height: Which it has at the end (m).
+        lean: Angle between its verticals at both ends (rad).
+        away: How far it has travelled, as seen from above (m).
+        diverged: Whether MuJoCo began anew, as it does where numbers are no longer any.
+    """
+
+    duration: float
+    height: float
+    end_height: float
+    lean: float
+    away: float
+    diverged: bool
+
+    @property
+    def collapses(self) -> bool:
+        """Whether it has fallen, sunk, left its place or diverged."""
+        return self.diverged or has_collapsed(self.lean, self.height, self.end_height, self.away)
+
+
+def base_motion(
+    model: mujoco.MjModel,
+    start: mujoco.MjData,
+    base: int,
+    ground: float,
+    advance: Callable[[mujoco.MjData, float], object],
+) -> tuple[BaseMotion, mujoco.MjData]:
+    """Simulates a keyframe until its base has come to rest, or for ``LONGER * OWN_SECONDS``.
+
+    Args:
+        model: MuJoCo's model.
+        start: The keyframe with its commands, after ``mj_kinematics``; it stays as it is.
+        base: The base's body.
+        ground: Height of the ground (m).
+        advance: Simulates data for some seconds, in place.
+
+    Returns:
+        What became of the base, and the data at the end.
+    """
+    data, seconds = copy.copy(start), OWN_SECONDS
+    advance(data, seconds)
+    if still_moves(model, data, base):
+        advance(data, (LONGER - 1) * seconds)
+        seconds *= LONGER
+    height = height_of_keyframe(model, start, data, base)
+    return base_moved(model, start, data, base, ground, seconds, height), data
+
+
+def base_moved(
+    model: mujoco.MjModel,
+    start: mujoco.MjData,
+    end: mujoco.MjData,
+    base: int,
+    ground: float,
+    seconds: float,
+    height: float | None = None,
+) -> BaseMotion:
+    """Returns what became of a base in a simulation.
+
+    Args:
+        model: MuJoCo's model.
+        start: Of the simulation.
+        end: Of the simulation.
+        base: The base's body.
+        ground: Height of the ground (m).
+        seconds: How long it was to take.
+        height: Of the base (m) that it was to keep; that of the start by default.
+    """
+    height = float(start.xpos[base][2]) if height is None else height
+    return BaseMotion(
+        duration=seconds,
+        height=height - ground,
+        end_height=float(end.xpos[base][2]) - ground,
+        lean=lean_between(start.xmat[base].reshape(3, 3), end.xmat[base].reshape(3, 3)),
+        away=travelled(start.xpos[base], end.xpos[base]),
+        # MuJoCo begins anew where numbers are no longer any.
+        diverged=not end.time - start.time > seconds - 1.5 * model.opt.timestep,
+    )
 
 
 def height_of_keyframe(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -18,15 +18,7 @@ from pupper_analysis.checks.audit.view import MjcfView, View
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.robot.contact import ground_geom
-from pupper_analysis.robot.fall import (
-    LONGER,
-    OWN_SECONDS,
-    has_collapsed,
-    height_of_keyframe,
-    lean_between,
-    still_moves,
-    travelled,
-)
+from pupper_analysis.robot.fall import base_motion
 
 FLOOR_DEPTH = 5e-3
 """How deep a start may be in the floor (m): a standing robot sinks a few mm into soft contacts."""
@@ -180,26 +172,18 @@ def keyframe_falls(view: MjcfView) -> Iterator[Found]:
     if ground is None or (not model.key_ctrl[key].any() and not _held(view, before)):
         return
     mujoco.mj_kinematics(model, before)
-    data, seconds = copy.copy(before), OWN_SECONDS
-    _run(model, data, seconds)
-    if still_moves(model, data, base):
-        _run(model, data, (LONGER - 1) * seconds)
-        seconds *= LONGER
-    floor, end = float(before.geom_xpos[ground][2]), float(data.xpos[base][2])
-    start = height_of_keyframe(model, before, data, base)
-    lean = lean_between(before.xmat[base].reshape(3, 3), data.xmat[base].reshape(3, 3))
-    away = travelled(before.xpos[base], data.xpos[base])
-    began_anew = data.time - before.time < seconds - 1.5 * step
-    if began_anew:
+    floor = float(before.geom_xpos[ground][2])
+    motion, _ = base_motion(model, before, base, floor, partial(_run, model))
+    if motion.diverged:
         told = diagnose("keyframe-diverges")
-    elif has_collapsed(lean, start - floor, end - floor, away):
+    elif motion.collapses:
         told = diagnose(
             "keyframe-falls",
-            time=Quantity(seconds, "s"),
-            end=_rounded(end - floor, "m"),
-            start=_rounded(start - floor, "m"),
-            away=_rounded(away, "m"),
-            lean=_rounded(lean, "rad"),
+            time=Quantity(motion.duration, "s"),
+            end=_rounded(motion.end_height, "m"),
+            start=_rounded(motion.height, "m"),
+            away=_rounded(motion.away, "m"),
+            lean=_rounded(motion.lean, "rad"),
         )
     else:
         return
