@@ -201,7 +201,7 @@ def _falls(seen: StandVerification) -> bool:
 
 
 def _as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
-    """Tells whether a robot holds a stand on its servos as it is computed, as far as gains matter."""
+    """Tells whether a robot holds a stand on its servos as computed, as far as gains matter."""
     with contextlib.suppress(PupperAnalysisError):
         stand = sunk_stand(robot, stand, explain=False)
     seen = verify_stand(robot, stand, kp=kp, kd=kd)

@@ -108,8 +108,9 @@ def lean(robot: Robot, rotation: Array, state: Array) -> float:
 def diverged(states: Array, timestep: float) -> bool:
     """Tells whether a rollout broke down: MuJoCo resets the state, and so the time, if it does."""
     times = states[..., 0]
-    # Quicker than to look at each; where the sum overflows, each is looked at.
-    finite = math.isfinite(states.sum()) or np.isfinite(states).all()
+    with np.errstate(invalid="ignore", over="ignore"):  # a sum of infinities is no number
+        # Quicker than to look at each; where the sum overflows, each is looked at.
+        finite = math.isfinite(states.sum()) or np.isfinite(states).all()
     return not bool(finite and (times[..., 1:] - times[..., :-1] > timestep / 2).all())
 
 
