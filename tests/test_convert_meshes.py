@@ -103,6 +103,53 @@ def test_instances_of_a_mesh_count_each(tmp_path: Path, monkeypatch: pytest.Monk
         obj_of(tmp_path / "many.glb")
 
 
+def test_what_takes_minutes_to_compile_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An OBJ of two million vertices took 100 s and 2 GB; what is touched with is less detailed."""
+    BOX.export(tmp_path / "box.obj")
+    (tmp_path / "fan.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + " 1 2 3" * 10 + "\n")
+    monkeypatch.setattr(mesh_files, "MOST_TRIANGLES", 20)
+    monkeypatch.setattr(mesh_files, "MOST_TOUCHING", 7)
+    kinds = {"visual": "box.obj", "collision": "box.obj"}
+    shapes = [_shape(kind, f'<mesh filename="{name}"/>', "0 0 0") for kind, name in kinds.items()]
+    shapes.append(_shape("visual", '<mesh filename="fan.obj"/>', "0 0 0"))
+    (tmp_path / "arm.urdf").write_text(
+        urdf_text(arm(), ()).replace("</link>", "".join(shapes) + "</link>", 1)
+    )
+    found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
+    reasons = {
+        (file, told.values["why"].code)
+        for told in found.left
+        if told.code == "meshes-left"
+        for file in told.values["files"]
+    }
+    assert reasons == {
+        ("box.obj", "mesh-has-too-many-vertices"),
+        ("fan.obj", "mesh-has-too-many-triangles"),
+    }
+    assert compiled(tmp_path / "arm.xml").nmesh == 1  # the box that is looked at
+    (lost,) = found.failures
+    assert (lost.code, lost.values["files"]) == ("collision-meshes-lost", ("box.obj",))
+
+
+def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:
+    """An STL that claims more triangles than it has was left out, and the conversion agreed."""
+    whole = BOX.export(file_type="stl")
+    for claimed, passes in ((len(BOX.faces), True), (len(BOX.faces) + 5, False), (10**9, False)):
+        content = whole[:80] + struct.pack("<I", claimed) + whole[84:]
+        file = f"{claimed}.stl"  # MuJoCo keeps what it has read of a name in this second
+        (tmp_path / file).write_bytes(content)
+        shape = _shape("collision", f'<mesh filename="{file}"/>', "0 0 0")
+        (tmp_path / "arm.urdf").write_text(
+            urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1)
+        )
+        found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml", force=True)
+        assert found.agree
+        assert found.passed == passes
+        assert [told.code for told in found.failures] == ["collision-meshes-lost"] * (not passes)
+
+
 def test_a_flat_mesh_to_look_at_is_a_shell(tmp_path: Path) -> None:
     plate = trimesh.Trimesh(
         [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0]], [[0, 1, 2], [1, 3, 2]]

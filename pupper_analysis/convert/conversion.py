@@ -27,6 +27,7 @@ class Draft:
         urdf: The URDF with them, if the draft is of one: what the new file is proven against.
         stands: Whether it is a robot that shall stand.
         failure: Why it does not, if that is known already.
+        lost: What it cannot do without, and lacks.
     """
 
     text: str
@@ -37,6 +38,7 @@ class Draft:
     urdf: UrdfFile | None = None
     stands: bool = False
     failure: Diagnostic | None = None
+    lost: tuple[Diagnostic, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,7 @@ class Conversion(Result):
         verification: The simulated stand, 12 s long; None where there is none to be simulated.
         kept: What a new MJCF does from its own keyframe, nudged; None where there is none.
         failures: Why the new file is not what it shall be: it disagrees with the source beyond what
-            is ``left``, or its robot does not stand.
+            is ``left``, its robot does not stand, or it lost what touches.
         agree: Whether both files agree, but for what was repaired.
         passed: Whether they agree, and the robot stands if it is one that shall.
     """

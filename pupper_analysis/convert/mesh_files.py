@@ -21,14 +21,25 @@ _CONVERTIBLE: Final = (".dae", ".glb", ".gltf", ".off", ".ply")
 MOST_BYTES: Final = 200_000_000
 """Largest mesh file that is read: ten times the largest of a published robot that was seen."""
 
-MOST_VERTICES: Final = 5_000_000
-"""Most vertices of a mesh: some 1 GB while it is written."""
+MOST_VERTICES: Final = 1_000_000
+"""Most vertices of a mesh: MuJoCo takes 5 s and 2 GB to compile so many, each time it does. The
+most of a published robot that was seen are 830,000, three for each triangle (Go1's trunk)."""
+
+MOST_TOUCHING: Final = 300_000
+"""Most vertices of a mesh that touches: each time it is compiled, its hull takes MuJoCo as long."""
+
+MOST_TRIANGLES: Final = 500_000
+"""Most triangles of a mesh. MuJoCo takes 200,000 of an STL file, and names no limit of an OBJ."""
 
 MOST_PARTS: Final = 10_000
 """Most places of a file's scene in which a part stands: a robot's link has dozens, at most."""
 
 _GLB: Final = struct.Struct("<4sIIII")
 """Magic number, version, length; length and kind of the first chunk, which is JSON."""
+
+
+_MSH: Final = struct.Struct("<4i")
+"""Counts of vertices, normals, texture coordinates and triangles, at the start of MuJoCo's own."""
 
 
 class UnreadableError(Exception):
@@ -68,7 +79,7 @@ def obj_of(path: Path) -> bytes:
             len(scene.geometry[scene.graph[node][1]].vertices)
             for node in scene.graph.nodes_geometry
         )
-        _check_count(count)
+        _check_count(count, MOST_VERTICES)
         text: str = trimesh.exchange.obj.export_obj(
             scene.to_mesh(), include_color=False, include_texture=False, include_normals=False
         )
@@ -89,9 +100,36 @@ def check_size(path: Path) -> None:
         raise UnreadableError(diagnose("mesh-too-large", most=MOST_BYTES // 10**6))
 
 
-def _check_count(vertices: int) -> None:
-    if vertices > MOST_VERTICES:
-        raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=MOST_VERTICES))
+def check_detail(data: bytes, ending: str, *, touches: bool) -> None:
+    """Refuses an OBJ or MSH file of more detail than MuJoCo compiles in seconds.
+
+    Of an STL file MuJoCo itself refuses more than 200,000 triangles.
+
+    Args:
+        data: The file's content.
+        ending: Its name's, in small letters.
+        touches: Whether it is for collisions, whose hull MuJoCo works out.
+
+    Raises:
+        UnreadableError: If so.
+    """
+    most = MOST_TOUCHING if touches else MOST_VERTICES
+    vertices, triangles = 0, 0
+    if ending == ".msh" and len(data) >= _MSH.size:
+        vertices, _, _, triangles = _MSH.unpack_from(data)
+    elif ending == ".obj":
+        for line in io.BytesIO(data):
+            words = line.split(None, MOST_TRIANGLES + 3)  # a polygon of many corners is many
+            vertices += words[:1] == [b"v"]
+            triangles += max(len(words) - 3, 0) if words[:1] == [b"f"] else 0
+    _check_count(vertices, most)
+    if triangles > MOST_TRIANGLES:
+        raise UnreadableError(diagnose("mesh-has-too-many-triangles", most=MOST_TRIANGLES))
+
+
+def _check_count(vertices: int, most: int) -> None:
+    if vertices > most:
+        raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=most))
 
 
 def _check_gltf(data: bytes) -> None:
@@ -100,7 +138,8 @@ def _check_gltf(data: bytes) -> None:
         size = int(_GLB.unpack_from(data)[3])
         data = data[_GLB.size : _GLB.size + size]
     counts = [int(accessor.get("count", 0)) for accessor in json.loads(data).get("accessors", ())]
-    _check_count(max(counts, default=0))
+    most = max(MOST_VERTICES, 3 * MOST_TRIANGLES)  # a triangle's corners are counted, too
+    _check_count(max(counts, default=0), most)
 
 
 def _check_collada(data: bytes) -> None:

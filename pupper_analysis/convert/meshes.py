@@ -9,7 +9,13 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.convert.mesh_files import READABLE, UnreadableError, check_size, obj_of
+from pupper_analysis.convert.mesh_files import (
+    READABLE,
+    UnreadableError,
+    check_detail,
+    check_size,
+    obj_of,
+)
 from pupper_analysis.convert.xml_text import element, free_name
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.flat import flat_mesh
@@ -32,6 +38,7 @@ class Meshes:
         self.urdf, self.output, self.copied = urdf, output, copied
         self.made: dict[Path, bytes] = {}
         self._left: dict[Diagnostic, list[str]] = {}
+        self._lost: dict[Diagnostic, list[str]] = {}
         self._names: dict[tuple[Path, str], str] = {}
         self._taken: set[str] = set()
         self._places: dict[Path, Path] = {}
@@ -44,6 +51,14 @@ class Meshes:
     def notes(self) -> list[Diagnostic]:
         """What was left out, by reason."""
         return [diagnose("meshes-left", files=files, why=why) for why, files in self._left.items()]
+
+    @property
+    def lost(self) -> list[Diagnostic]:
+        """Which files are there, and cannot be what the robot touches with, by reason."""
+        return [
+            diagnose("collision-meshes-lost", files=files, why=why)
+            for why, files in self._lost.items()
+        ]
 
     @property
     def missing(self) -> Diagnostic | None:
@@ -70,16 +85,16 @@ class Meshes:
         if (path, scale) in self._names and (not touches or (path, scale) in self._touching):
             return self._names[path, scale]
         try:
-            self._take(path)
+            self._take(path, touches=touches)
         except UnreadableError as error:
-            self._leave(error.reason, file)
+            self._leave(error.reason, file, touches=touches)
             return None
         content = self.made.get(self._place(path))
         try:
             _compile(content, path, scale, touches=touches, shell=path in self._shells)
         except ValueError as error:
             if flat_mesh(error) is None:
-                self._leave(diagnose("mesh-refused", message=_said(error)), file)
+                self._leave(diagnose("mesh-refused", message=_said(error)), file, touches=touches)
                 return None
             self._shells.add(path)
             return self.name(mesh, touches=touches)
@@ -151,7 +166,7 @@ class Meshes:
             self._places[path] = folder / name
         return self._places[path]
 
-    def _take(self, path: Path) -> None:
+    def _take(self, path: Path, *, touches: bool) -> None:
         """Writes a mesh anew if it is in a format that MuJoCo does not read.
 
         Raises:
@@ -159,13 +174,18 @@ class Meshes:
         """
         check_size(path)
         place, readable = self._place(path), path.suffix.lower() in READABLE
-        if place != path and place not in self.made:
-            self.made[place] = path.read_bytes() if readable else obj_of(path)
+        content = self.made.get(place)
+        if content is None:
+            content = path.read_bytes() if readable else obj_of(path)
+        check_detail(content, place.suffix.lower(), touches=touches)
+        if place != path:
+            self.made[place] = content
 
-    def _leave(self, why: Diagnostic, file: str) -> None:
-        files = self._left.setdefault(why, [])
-        if file not in files:
-            files.append(file)
+    def _leave(self, why: Diagnostic, file: str, *, touches: bool = False) -> None:
+        for found in (self._left, self._lost) if touches else (self._left,):
+            files = found.setdefault(why, [])
+            if file not in files:
+                files.append(file)
 
 
 def _relative(named: Path, path: Path, output: Path) -> str:

@@ -120,6 +120,7 @@ def convert_model(
     verification, kept = None, None
     failures = list(_disagreements(comparison, draft.repairs))
     agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
+    failures += draft.lost
     if draft.failure is not None:
         failures.append(draft.failure)
     elif draft.stands:

@@ -151,6 +151,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
         urdf=mended,
         stands=free,
         failure=failure,
+        lost=tuple(meshes.lost),
     )
 
 
