@@ -17,12 +17,12 @@ from conftest import ROOT, answer, load, stand_of
 from scipy import stats
 
 import pupper_analysis as pa
-from pupper_analysis.models.xml import parse_text
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.measures import MEASURES
-from pupper_analysis.study.named import Named, joints_of, links_of
+from pupper_analysis.study.named import Named, joints_of
 from pupper_analysis.study.numbers import plain, scaled, with_friction, with_gains
 from pupper_analysis.study.sampling import BLOCK, Sampling
 from pupper_analysis.study.table import names_of
@@ -362,7 +362,7 @@ def test_coms_move_in_both_files_alike(name: str, axis: int) -> None:
         config = Configuration(before, qpos)
         number = before.pin_model.getJointId(joint) if joint else 1
         mass = float(before.pin_model.inertias[number].mass)
-        child = links_of(parse_text(before.description.urdf)).get(joint, before.base)
+        child = UrdfTree.of(before.description.urdf).moved_links.get(joint, before.base)
         moved = config.frame_rotation(child) @ offset
         weight = mass * np.array([0.0, 0.0, -9.81])
         changes = [Configuration(after, qpos).gravity() - config.gravity(),

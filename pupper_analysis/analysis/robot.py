@@ -16,6 +16,7 @@ from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.efforts import EffortStatement
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -259,7 +260,7 @@ def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
 def slides(robot: Robot, joint: str) -> bool:
     """Tells whether a joint slides."""
     kind = robot.mj_model.jnt_type[robot.mj_model.joint(joint).id]
-    return bool(kind == mujoco.mjtJoint.mjJNT_SLIDE.value)
+    return bool(kind == JointKind.SLIDE)
 
 
 def _motion(axis: Array, *, slides: bool) -> str:

@@ -16,6 +16,7 @@ from pupper_analysis.checks.states import States
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import joint_damping
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.robot.configuration import Configuration
@@ -53,7 +54,7 @@ class MujocoBehaviour:
         public = self._convention.qvel_index
         self._dofs = public[robot.nv - robot.nu :]
         self._joints = [names.joint(name).id for name in robot.joint_names]
-        self._slides = model.jnt_type[self._joints] == mujoco.mjtJoint.mjJNT_SLIDE.value
+        self._slides = model.jnt_type[self._joints] == JointKind.SLIDE
         self._coordinates = model.jnt_qposadr[self._joints]
         self._members = _members(robot, reference)
         frames = {**robot.description.feet, **robot.description.frames}
@@ -116,7 +117,7 @@ def offsets_in_world(
     bodies = data.xmat[model.jnt_bodyid[joints]].reshape(-1, 3, 3)
     # Of a hinge they are along its axis, and later joints of its body do not turn that.
     along = np.sum(local * model.jnt_axis[joints], axis=1)[:, None] * data.xaxis[joints]
-    hinges = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE.value
+    hinges = model.jnt_type[joints] == JointKind.HINGE
     return np.where(hinges[:, None], along, np.einsum("nij,nj->ni", bodies, local))
 
 

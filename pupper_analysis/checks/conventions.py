@@ -31,6 +31,7 @@ from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.words import FORMATS, Sides, vector
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
 
 Array = NDArray[np.float64]
 
@@ -271,51 +272,26 @@ def rewrite(root: etree._Element, link: str, found: Conventions, first: Paramete
         found: The conventions.
         first: Its joints, as they were.
     """
-    joints = root.findall("joint")
+    tree = UrdfTree(root)
     if found.base is not None:
-        for joint in joints:
-            if joint.find("parent").get("link") == link:
-                _set_origin(joint, found.base * _origin(joint))
-        for inertial in root.findall(f"link[@name='{link}']/inertial"):
-            _set_origin(inertial, found.base * _origin(inertial))
-    for joint in joints:
-        offset = found.zeros.get(str(joint.get("name")))
+        inertial = tree.links[link].inertial
+        below = [joint.element for joint in tree.below.get(link, ())]
+        for element in below if inertial is None else [*below, inertial]:
+            set_origin(element, found.base * origin_of(element))
+    for name, mover in tree.joints.items():
+        joint, offset = mover.element, found.zeros.get(name)
         if offset:
-            axis = first.joints[str(joint.get("name"))].axis
-            slides = first.joints[str(joint.get("name"))].slides
+            axis, slides = first.joints[name].axis, first.joints[name].slides
             step = (
                 pin.SE3(np.eye(3), offset * axis)
                 if slides
                 else pin.SE3(pin.exp3(offset * axis), np.zeros(3))
             )
-            _set_origin(joint, _origin(joint) * step)
+            set_origin(joint, mover.origin * step)
             limit = joint.find("limit")
             for word in ("lower", "upper") if limit is not None else ():
                 if limit.get(word) is not None or joint.get("type") != "continuous":
                     limit.set(word, repr(float(limit.get(word, "0")) - offset))
-
-
-def _origin(element: etree._Element) -> pin.SE3:
-    origin = element.find("origin")
-    if origin is None:
-        return pin.SE3.Identity()
-    xyz, rpy = (
-        np.array([float(word) for word in origin.get(key, "0 0 0").split()])
-        for key in ("xyz", "rpy")
-    )
-    return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
-
-
-def _set_origin(element: etree._Element, pose: pin.SE3) -> None:
-    from scipy.spatial.transform import Rotation  # slow to import
-
-    origin = element.find("origin")
-    if origin is None:
-        origin = etree.Element("origin")
-        element.insert(0, origin)
-    rpy = Rotation.from_matrix(pose.rotation).as_euler("xyz")
-    for key, values in (("xyz", pose.translation), ("rpy", rpy)):
-        origin.set(key, " ".join(repr(float(value)) for value in values))
 
 
 def convention_changes(

@@ -18,7 +18,7 @@ from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_tensor
 from pupper_analysis.checks.matching_places import poses_at_zero
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.parameters import Body, Parameters
-from pupper_analysis.models.xml import parse_text
+from pupper_analysis.models.urdf_tree import UrdfTree, origin_of
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -47,9 +47,8 @@ def urdf_links(robot: Robot) -> Links:
     """Returns the links of the URDF's bodies, in the frames of its own tree."""
     model = robot.pin_model
     found: dict[str, list[Link]] = {}
-    for element in parse_text(robot.description.urdf).iter("link"):
-        name = str(element.get("name"))
-        inertial = element.find("inertial")
+    for name, link in UrdfTree.of(robot.description.urdf).links.items():
+        inertial = link.inertial
         if inertial is None or not model.existFrame(name, pin.FrameType.BODY):
             continue
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
@@ -96,16 +95,12 @@ def _mover(robot: Robot, model: pin.Model, joint: int) -> str:
 
 def _stated(inertial: etree._Element) -> Body:
     """Reads a URDF's inertial, in its link's frame."""
-    mass, origin, entries = (inertial.find(tag) for tag in ("mass", "origin", "inertia"))
-    place, angles = np.zeros(3), np.zeros(3)
-    if origin is not None:
-        place = np.array((origin.get("xyz") or "0 0 0").split(), dtype=float)
-        angles = np.array((origin.get("rpy") or "0 0 0").split(), dtype=float)
+    mass, entries, pose = inertial.find("mass"), inertial.find("inertia"), origin_of(inertial)
     tensor = np.zeros((3, 3))
     if entries is not None:
         tensor = inertia_tensor(float(entries.get(label) or 0.0) for label in INERTIA_ENTRIES)
-    turn = pin.rpy.rpyToMatrix(angles)
-    return Body(0.0 if mass is None else float(mass.get("value")), place, turn @ tensor @ turn.T)
+    body = Body(0.0 if mass is None else float(mass.get("value")), np.zeros(3), tensor)
+    return _placed(body, pose)
 
 
 def _placed(body: Body, pose: pin.SE3) -> Body:

@@ -27,9 +27,6 @@ from pupper_analysis.checks.matching_pairs import pair_up
 from pupper_analysis.checks.matching_structure import common_frames
 from pupper_analysis.checks.matching_subtrees import removable, take_off
 from pupper_analysis.checks.matching_urdf import (
-    FixedLinks,
-    fix_joints,
-    fixed_links,
     links_of,
     moving_joints,
     strip_roots,
@@ -48,7 +45,7 @@ from pupper_analysis.models.free_base import delete_joint, join_free_base
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.xml import parse_text
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 
@@ -93,9 +90,9 @@ class Match:
     unstated: Mapping[str, tuple[str, ...]]
 
     @cached_property
-    def fixed_links(self) -> FixedLinks:
-        """The URDF's links with their masses, and which are fixed to which."""
-        return fixed_links(parse_text(self.robot.description.urdf))
+    def urdf_tree(self) -> UrdfTree:
+        """The links and joints of the URDF as it was matched."""
+        return UrdfTree.of(self.robot.description.urdf)
 
 
 def read_mapping(path: Path) -> dict[str, str]:
@@ -144,7 +141,7 @@ def match(
         UnknownNameError: If ``names`` or ``feet`` name what is not there.
     """
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
-    taken, spec = {str(joint.get("name")) for joint in root.findall("joint")}, mjcf.spec.copy()
+    taken, spec = set(UrdfTree(root).joints), mjcf.spec.copy()
     named = name_all(spec, taken)
     joined = join_free_base(spec, mjcf.path, stated=taken)
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
@@ -274,16 +271,16 @@ def _take_unstated(
     """
     theirs = mjcf_tree(spec, source).joints
     given: dict[str, list[str]] = {"damping": [], "friction": []}
-    for joint in root.findall("joint"):
-        name, dynamics = str(joint.get("name")), joint.find("dynamics")
-        if joint.get("type") == "fixed" or name not in theirs:
+    for name, joint in UrdfTree(root).joints.items():
+        dynamics = joint.element.find("dynamics")
+        if joint.is_fixed or name not in theirs:
             continue
         for word, names in given.items():
             value = float(getattr(theirs[name], word))
             if not value or (dynamics is not None and dynamics.get(word) is not None):
                 continue
             if dynamics is None:
-                dynamics = etree.SubElement(joint, "dynamics")
+                dynamics = etree.SubElement(joint.element, "dynamics")
             dynamics.set(word, repr(value))
             names.append(name)
     return {word: tuple(names) for word, names in given.items()}
@@ -302,7 +299,7 @@ def _check_names(
         mjcf: The joints, the spec, and the file.
     """
     (mine, root, source), (theirs, spec, target) = urdf, mjcf
-    links = {str(link.get("name")) for link in root.findall("link")}
+    links = UrdfTree(root).links
     places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
     for old, new in wanted.items():
         if old not in mine and old not in links:
@@ -335,15 +332,13 @@ def _make_alike(
         for name, (other, multiplier, offset) in urdf_mimics(root).items()
         if name in pairs
     }
-    fix_joints(root, only_urdf)
+    tree = UrdfTree(root)
+    tree.fix(only_urdf)
     for joint in list(spec.joints):
         if joint.name in only_mjcf:
             delete_joint(spec, joint)
-    for joint in root.findall("joint"):
-        name = str(joint.get("name"))
+    for name, joint in tree.joints.items():
         # One that is left over must not take the name of another.
-        joint.set("name", pairs.get(name, f"{name} (URDF)" if name in theirs else name))
-        mimic = joint.find("mimic")
-        if mimic is not None:
-            joint.remove(mimic)
+        joint.element.set("name", pairs.get(name, f"{name} (URDF)" if name in theirs else name))
+        joint.remove("mimic")
     return mimics

@@ -7,6 +7,7 @@ from collections.abc import Collection
 import mujoco
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.joint_kinds import JointKind
 
 _BODIES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
@@ -15,7 +16,7 @@ def ball_joints(spec: mujoco.MjSpec) -> dict[str, list[str]]:
     """Returns {body: its ball joints}, before these are taken out."""
     found: dict[str, list[str]] = {}
     for joint in spec.joints:
-        if joint.type == mujoco.mjtJoint.mjJNT_BALL:
+        if joint.type == JointKind.BALL:
             found.setdefault(joint.parent.name, []).append(joint.name)
     return found
 

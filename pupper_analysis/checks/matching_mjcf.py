@@ -17,7 +17,9 @@ from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.free_base import delete_joint
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.robot import Robot
 
 
@@ -40,7 +42,7 @@ def name_all(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
             body.name = new(f"body_{number}", bodies)
     joints, notes = {joint.name for joint in spec.joints} | taken, []
     for joint in spec.joints:
-        if not joint.name and joint.type != mujoco.mjtJoint.mjJNT_FREE:
+        if not joint.name and joint.type != JointKind.FREE:
             joint.name = new(f"{joint.parent.name}_joint", joints)
             notes.append(diagnose("joint-named", subject=("joint", joint.name)))
     return notes
@@ -53,10 +55,10 @@ def hinges(spec: mujoco.MjSpec, source: Path) -> tuple[list[str], list[str], lis
     """
     names, balls = [], []
     for joint in list(spec.joints):
-        if joint.type == mujoco.mjtJoint.mjJNT_BALL:
+        if joint.type == JointKind.BALL:
             balls.append(joint.name)
             delete_joint(spec, joint)
-        elif joint.type != mujoco.mjtJoint.mjJNT_FREE:
+        elif joint.type != JointKind.FREE:
             names.append(joint.name)
     if balls and not names:
         raise ModelError(source, diagnose("ball-joints-alone"))
@@ -83,13 +85,13 @@ def drop_other_objects(
     kinds = mujoco.mjtObj
     links, limbs = set[str](), set[str]()
     if urdf is not None:
-        links = {str(link.get("name")) for link in urdf.iter("link")}
+        links = set(UrdfTree(urdf).links)
         limbs = {body.name for body in limbs_on_the_world(spec, urdf)}
     size = {body.name: len(body.find_all(kinds.mjOBJ_JOINT)) for body in spec.worldbody.bodies}
     if not any(size.values()):
         raise ModelError(source, diagnose("no-joints"))
     robot = max(spec.worldbody.bodies, key=lambda body: size[body.name])
-    fixed = not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in robot.joints)
+    fixed = not any(joint.type == JointKind.FREE for joint in robot.joints)
     notes = []
     for body in list(spec.worldbody.bodies):
         names = {body.name, *(below.name for below in body.find_all(kinds.mjOBJ_BODY))}
@@ -128,21 +130,21 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
     MuJoCo makes that of a URDF: it fuses what does not move with the world. The joints are known
     by their names, or their names without prefixes and suffixes.
     """
-    mine = [str(j.get("name")) for j in urdf.findall("joint") if j.get("type") != "fixed"]
+    mine = [joint.name for joint in UrdfTree(urdf).joints.values() if not joint.is_fixed]
     theirs = [joint.name for joint in spec.joints]
     known = {*mine, *without_affixes(mine, theirs, {}).values()}
     return [
         body
         for body in spec.worldbody.bodies
         if any(joint.name in known for joint in body.joints)
-        and all(joint.type != mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+        and all(joint.type != JointKind.FREE for joint in body.joints)
     ]
 
 
 def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
     """Tells whether the world is the base: whether one of some joints is between it and a body."""
     there = (joint for body in spec.worldbody.bodies for joint in body.joints)
-    return any(j.name in joints and j.type != mujoco.mjtJoint.mjJNT_FREE for j in there)
+    return any(j.name in joints and j.type != JointKind.FREE for j in there)
 
 
 def bodies_of(robot: Robot) -> dict[str, str]:
@@ -170,7 +172,7 @@ def mjcf_tree(
     """
     compiled = compile_spec(spec.copy(), source)
     model = pinocchio_from_mujoco(compiled)
-    names = [joint.name for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
+    names = [joint.name for joint in spec.joints if joint.type != JointKind.FREE]
     tree = parameters.from_pinocchio(model, base, names, {name: name for name in frames})
     if tree.floating or not names:
         return tree

@@ -11,9 +11,9 @@ from lxml import etree
 
 from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.checks.matching_structure import guess as guess_by_structure
-from pupper_analysis.checks.matching_urdf import MOVING, end_link
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.urdf_tree import UrdfTree
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +93,7 @@ def _by_link(root: etree._Element, spec: mujoco.MjSpec, pairs: Mapping[str, str]
 
     Exporters make up the joints' names (``dof_1``, ``A_to_B``) where the links have their own.
     """
-    mine = {
-        str(joint.get("name")): end_link(joint, "child")
-        for joint in root.findall("joint")
-        if joint.get("type") in MOVING
-    }
+    mine = {joint.name: joint.child for joint in UrdfTree(root).moving}
     movers = [body for body in spec.bodies if len(list(body.joints)) == 1]
     theirs = {body.joints[0].name: body.name for body in movers}
     known = {mine[one]: theirs[two] for one, two in pairs.items() if one in mine and two in theirs}

@@ -16,8 +16,9 @@ from pupper_analysis.checks.alignment import with_base
 from pupper_analysis.checks.conventions import quarters
 from pupper_analysis.checks.matching_mjcf import mjcf_tree
 from pupper_analysis.checks.matching_places import at_zero
-from pupper_analysis.checks.matching_urdf import end_link, urdf_tree
+from pupper_analysis.checks.matching_urdf import urdf_tree
 from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.urdf_tree import UrdfTree
 
 _PARALLEL = 0.99  # least |cosine| between the axes of joints that may be one
 _NEAR = 0.25  # greatest distance of joints that may be one, relative to the robot's size
@@ -38,10 +39,10 @@ def common_frames(
         if body.name and body.name not in base and not list(body.joints)
     }
     frames = {}
-    for joint in root.findall("joint"):
-        link = end_link(joint, "child")
+    for joint in UrdfTree(root).joints.values():
+        link = joint.child
         place = names.get(link, link)
-        if joint.get("type") == "fixed" and place in places:
+        if joint.is_fixed and place in places:
             frames[place] = (link, place)
     return frames
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,9 +11,11 @@ import mujoco
 from lxml import etree
 
 from pupper_analysis.checks.matching_mjcf import mjcf_tree
-from pupper_analysis.checks.matching_urdf import end_link, urdf_tree
+from pupper_analysis.checks.matching_urdf import urdf_tree
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.free_base import delete_joint
+from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.urdf_tree import UrdfTree
 
 _KINDS = (
     ("gripper", re.compile(r"finger|grip|jaw|claw|pinch", re.IGNORECASE)),
@@ -81,59 +83,30 @@ def best_parts(candidates: list[list[Part]], short: float) -> list[Part]:
 
 def urdf_parts(root: etree._Element, extra: Collection[str]) -> dict[str, list[list[Part]]]:
     """Returns {carrier: ways to take off the joints of a URDF that the MJCF lacks}."""
-    above = {end_link(joint, "child"): joint for joint in root.findall("joint")}
-    below: dict[str, list[etree._Element]] = {}
-    for joint in root.findall("joint"):
-        below.setdefault(end_link(joint, "parent"), []).append(joint)
-    masses = {
-        str(link.get("name")): float(link.find("inertial/mass").get("value"))
-        for link in root.findall("link")
-        if link.find("inertial/mass") is not None
-    }
-
-    def walk(link: str) -> Iterator[tuple[str, str | None]]:
-        joint = above.get(link)
-        moves = joint is not None and joint.get("type") != "fixed"
-        yield link, str(joint.get("name")) if joint is not None and moves else None
-        for child in below.get(link, []):
-            yield from walk(end_link(child, "child"))
+    tree = UrdfTree(root)
 
     def part(link: str) -> Part | None:
-        inside = list(walk(link))
-        joints = tuple(joint for _, joint in inside if joint is not None)
+        inside = list(tree.subtree(link))
+        above = [tree.above[name] for name in inside if name in tree.above]
+        joints = tuple(joint.name for joint in above if not joint.is_fixed)
         if any(joint not in extra for joint in joints):
             return None
-        top = above.get(link)
-        while top is not None and (top is above.get(link) or top.get("type") == "fixed"):
-            top = above.get(end_link(top, "parent"))
-        carrier = "" if top is None else str(top.get("name"))
-        return Part(link, carrier, joints, sum(masses.get(name, 0.0) for name, _ in inside))
+        movers = [joint.name for joint in list(tree.chain(link))[1:] if not joint.is_fixed]
+        mass = sum(tree.links[name].mass or 0.0 for name in inside)
+        return Part(link, movers[0] if movers else "", joints, mass)
 
     tops = []
-    for link, joint in above.items():
-        if joint.get("name") in extra:
+    for link, joint in tree.above.items():
+        if joint.name in extra:
             found = part(link)
             if found is not None:
                 tops.append(found)
 
     def parent(link: str) -> str | None:
-        up = end_link(above[link], "parent")
-        joint = above.get(up)
-        return up if joint is not None and joint.get("type") == "fixed" else None
+        up = tree.above[link].parent
+        return up if up in tree.above and tree.above[up].is_fixed else None
 
     return _ways(tops, part, parent)
-
-
-def take_off_urdf(root: etree._Element, link: str) -> None:
-    """Takes a link and all below it out of a URDF, in place."""
-    for joint in list(root.findall("joint")):
-        if end_link(joint, "child") == link:
-            root.remove(joint)
-        elif end_link(joint, "parent") == link:
-            take_off_urdf(root, end_link(joint, "child"))
-    for element in root.findall("link"):
-        if element.get("name") == link:
-            root.remove(element)
 
 
 def mjcf_parts(
@@ -156,7 +129,7 @@ def mjcf_parts(
         carrier = joints_of(up)[-1] if joints_of(up) else ""
         if model.body(name).id and up.name != spec.worldbody.name:
             free = model.body(up.name).jntadr[0]
-            if model.jnt_type[free] == mujoco.mjtJoint.mjJNT_FREE.value:
+            if model.jnt_type[free] == JointKind.FREE:
                 carrier = ""
         return Part(name, carrier, joints, float(model.body(name).subtreemass[0]))
 
@@ -252,7 +225,7 @@ def take_off(
             for part in best_parts(way, short):
                 said.append(lacking(part, *words))
                 if words[0] == "URDF":
-                    take_off_urdf(root, part.root)
+                    UrdfTree(root).remove_subtree(part.root)
                 else:
                     take_off_mjcf(spec, part.root)
     return said

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,25 +15,15 @@ from pupper_analysis.errors import ModelError
 from pupper_analysis.models import parameters
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.places import one_line
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.robot import Robot
-
-MOVING = ("revolute", "continuous", "prismatic")
 
 
 def without_shapes(urdf: etree._Element) -> etree._Element:
     """Returns a copy of a URDF's XML without visuals and collision shapes."""
-    root = copy.deepcopy(urdf)
-    for link in root.iter("link"):
-        for tag in ("visual", "collision"):
-            for shape in link.findall(tag):
-                link.remove(shape)
-    return root
-
-
-def root_link(root: etree._Element) -> etree._Element:
-    """Returns the link that is no joint's child."""
-    children = {child.get("link") for child in root.findall("joint/child")}
-    return next(link for link in root.findall("link") if link.get("name") not in children)
+    tree = UrdfTree(urdf).copy()
+    tree.remove_shapes()
+    return tree.root
 
 
 def strip_roots(
@@ -48,21 +36,20 @@ def strip_roots(
     """
     candidates: list[tuple[etree._Element, list[Diagnostic]]] = [(root, [])]
     while True:
-        tree, said = copy.deepcopy(candidates[-1][0]), list(candidates[-1][1])
-        link = root_link(tree)
-        name = link.get("name")
-        mass = link.find("inertial/mass")
-        heavy = mass is not None and float(mass.get("value")) > 0
-        joints = [joint for joint in tree.findall("joint") if end_link(joint, "parent") == name]
-        if heavy or len(joints) != 1 or joints[0].get("type") not in ("fixed", "floating"):
+        tree, said = UrdfTree(candidates[-1][0]).copy(), list(candidates[-1][1])
+        base = tree.base
+        joints = tree.below.get(base.name, [])
+        if (base.mass or 0.0) > 0 or [joint.kind for joint in joints] not in (
+            ["fixed"],
+            ["floating"],
+        ):
             break
-        left = "link", str(name)
+        left = "link", base.name
         said.append(diagnose("root-link-left-out", subject=left, file=source.name, sources=source))
-        tree.remove(link)
-        tree.remove(joints[0])
-        if joints[0].get("type") == "floating":
+        tree.remove_base()
+        if joints[0].kind == "floating":
             candidates.clear()  # the base cannot stay on a joint that floats by itself
-        candidates.append((tree, said))
+        candidates.append((tree.root, said))
     there = at_zero(other)
 
     def distance(tree: etree._Element) -> float:
@@ -83,29 +70,17 @@ def take_mass_of_base(root: etree._Element, source: Path) -> list[Diagnostic]:
 
     For an MJCF whose base is the world, which has no mass: a fixed base's has no effect either.
     """
-    waiting, masses = [str(root_link(root).get("name"))], {}
-    while waiting:
-        name = waiting.pop()
-        for link in root.findall("link"):
-            inertial = link.find("inertial") if link.get("name") == name else None
-            if inertial is not None:
-                masses[name] = float(inertial.find("mass").get("value"))
-                link.remove(inertial)
-        waiting += [
-            end_link(joint, "child")
-            for joint in root.findall("joint")
-            if joint.get("type") == "fixed" and end_link(joint, "parent") == name
-        ]
+    tree, masses = UrdfTree(root), {}
+    for name in tree.fixed_group(tree.base.name):
+        stated = tree.links[name].mass
+        if stated is not None:
+            masses[name] = stated
+            tree.links[name].remove("inertial")
     if not any(masses.values()):
         return []
     heaviest, mass = max(masses, key=masses.__getitem__), Quantity(sum(masses.values()), "kg")
     base = "link", heaviest
     return [diagnose("mass-of-base-left-out", subject=base, mass=mass, file=source.name)]
-
-
-def end_link(joint: etree._Element, tag: str) -> str:
-    """Returns the link at one end of a joint: ``parent`` or ``child``."""
-    return str(joint.find(tag).get("link"))
 
 
 def moving_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diagnostic]]:
@@ -115,32 +90,22 @@ def moving_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diag
     third says so.
     """
     moving, others, notes = [], [], []
-    for joint in root.findall("joint"):
-        kind, name = joint.get("type"), str(joint.get("name"))
-        if kind in MOVING:
+    for name, joint in UrdfTree(root).joints.items():
+        if joint.moves:
             moving.append(name)
-        elif kind != "fixed":
+        elif not joint.is_fixed:
             others.append(name)
-            joint.set("type", "fixed")
-            notes.append(diagnose("joint-fixed", subject=("joint", name), kind=Term(kind)))
+            kind = Term(joint.kind)
+            joint.fix()
+            notes.append(diagnose("joint-fixed", subject=("joint", name), kind=kind))
     return moving, others, notes
-
-
-def fix_joints(root: etree._Element, names: Iterable[str]) -> None:
-    """Makes joints fixed, in place."""
-    fixed = set(names)
-    for joint in root.findall("joint"):
-        if joint.get("name") in fixed:
-            joint.set("type", "fixed")
 
 
 def links_of(root: etree._Element, robot: Robot) -> dict[str, str]:
     """Returns {base or joint: the link that it moves}."""
-    links = {robot.base: str(root_link(root).get("name"))}
-    for joint in root.findall("joint"):
-        if joint.get("name") in robot.joint_names:
-            links[str(joint.get("name"))] = end_link(joint, "child")
-    return links
+    tree = UrdfTree(root)
+    moved = {name: link for name, link in tree.moved_links.items() if name in robot.joint_names}
+    return {robot.base: tree.base.name, **moved}
 
 
 def urdf_tree(
@@ -164,31 +129,3 @@ def urdf_tree(
         raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
     names = list(model.names)[2:]
     return parameters.from_pinocchio(model, base, names, {name: name for name in frames})
-
-
-@dataclass(frozen=True, eq=False)
-class FixedLinks:
-    """What of a URDF's links moves as one.
-
-    Attributes:
-        masses: {link: kg}, of those with a mass.
-        children: {link: the links that are fixed to it}, in the file's order.
-    """
-
-    masses: dict[str, float]
-    children: dict[str, list[str]]
-
-
-def fixed_links(root: etree._Element) -> FixedLinks:
-    """Returns which links are fixed to which, and what they weigh."""
-    masses = {
-        str(link.get("name")): float(link.find("inertial/mass").get("value"))
-        for link in root.findall("link")
-        if link.find("inertial/mass") is not None
-    }
-    children: dict[str, list[str]] = {}
-    for joint in root.findall("joint"):
-        if joint.get("type") == "fixed":
-            parent = str(joint.find("parent").get("link"))
-            children.setdefault(parent, []).append(str(joint.find("child").get("link")))
-    return FixedLinks(masses, children)

@@ -10,17 +10,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.checks.matching import Match
 from pupper_analysis.checks.matching_places import poses_at_zero
-from pupper_analysis.checks.matching_urdf import end_link
 from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.trees import base_pose, trees
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
@@ -107,12 +106,7 @@ def gravity_torques(tree: Parameters, gravity: Array) -> dict[str, float]:
 
 def _in_root(urdf: etree._Element, link: str) -> Array:
     """Returns the axes (3, 3) of a link on fixed joints, as seen from the URDF's root."""
-    above = {end_link(joint, "child"): joint for joint in urdf.findall("joint")}
     axes = np.eye(3)
-    while link in above:
-        joint = above[link]
-        origin = joint.find("origin")
-        angles = "" if origin is None else origin.get("rpy") or ""
-        axes = pin.rpy.rpyToMatrix(np.array((angles or "0 0 0").split(), dtype=float)) @ axes
-        link = end_link(joint, "parent")
+    for joint in UrdfTree(urdf).chain(link):
+        axes = joint.origin.rotation @ axes
     return axes

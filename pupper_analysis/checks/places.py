@@ -9,11 +9,11 @@ import numpy as np
 
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.checks.matching import Match
-from pupper_analysis.checks.matching_urdf import FixedLinks
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import UrdfTree
 
 URDF_CHILD = {
     "mass": "inertial/mass",
@@ -63,19 +63,13 @@ def urdf_members(matched: Match, mover: str) -> list[tuple[str, float]]:
 
     The link that the joint moves comes first, though it may have none.
     """
-    return links_moving_with(matched.fixed_links, matched.urdf_link[mover])
+    return links_moving_with(matched.urdf_tree, matched.urdf_link[mover])
 
 
-def links_moving_with(fixed_links: FixedLinks, top: str) -> list[tuple[str, float]]:
+def links_moving_with(tree: UrdfTree, top: str) -> list[tuple[str, float]]:
     """Returns (link, kg) of a URDF's link, and of those with mass on fixed joints below it."""
-    masses, fixed = fixed_links.masses, fixed_links.children
-    members, waiting = [(top, masses.get(top, 0.0))], [top]
-    for here in waiting:
-        for link in fixed.get(here, ()):
-            waiting.append(link)
-            if masses.get(link):
-                members.append((link, masses[link]))
-    return members
+    masses = [(name, tree.links[name].mass or 0.0) for name in tree.fixed_group(top)]
+    return [masses[0], *((name, mass) for name, mass in masses[1:] if mass)]
 
 
 def mjcf_members(matched: Match, mover: str) -> list[tuple[str, float]]:
@@ -163,17 +157,10 @@ def urdf_place(difference: Difference, matched: Match, file: UrdfFile) -> Place:
         return file.place("link", matched.urdf_link[matched.robot.base], child)
     if difference.kind == "frame":
         link = matched.robot.description.frames[difference.element][0]
-        joint = next(
-            (
-                element
-                for element in file.root.findall("joint")
-                if element.find("child") is not None and element.find("child").get("link") == link
-            ),
-            None,
-        )
+        joint = file.tree.above.get(link)
         if joint is None:
             return file.place("link", link)
-        return file.place("joint", str(joint.get("name")), "origin")
+        return file.place("joint", joint.name, "origin")
     return file.place("joint", matched.urdf_joint[difference.element], child)
 
 

@@ -101,8 +101,8 @@ def convert_command(
     named |= {foot: foot for foot in feet if "=" not in foot}
     rotors = {}
     if armature:
-        joints = read_urdf(source, folders).root.findall("joint")
-        moving = [str(joint.get("name")) for joint in joints if joint.get("type") != "fixed"]
+        joints = read_urdf(source, folders).tree.joints.values()
+        moving = [joint.name for joint in joints if not joint.is_fixed]
         rotors = _by_pattern(armature, moving)
     with shared.working("converting, and standing it for 12 s"):
         result = convert_model(

@@ -9,7 +9,6 @@ import pinocchio as pin
 from lxml import etree
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
-from pupper_analysis.checks.matching_urdf import end_link, root_link
 from pupper_analysis.convert.meshes import Meshes
 from pupper_analysis.convert.xml_text import element, free_name, halved, is_zero, words
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
@@ -17,6 +16,7 @@ from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.unlimited import states_no_limits
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink
 
 WORLD = "world"
 """A root link of this name is the world itself, as in MuJoCo's own importer."""
@@ -67,16 +67,12 @@ class UrdfBodies:
     efforts: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        root = self.urdf.root
-        self._links = {str(link.get("name")): link for link in root.findall("link")}
-        self._joints: dict[str, list[etree._Element]] = {}
-        for joint in root.findall("joint"):
-            self._joints.setdefault(end_link(joint, "parent"), []).append(joint)
-        self.root = str(root_link(root).get("name"))
+        self._tree = self.urdf.tree
+        self.root = self._tree.base.name
         self.floats = self._take_floating()
         self._colors = {
             str(material.get("name")): str(material.find("color").get("rgba"))
-            for material in root.iter("material")
+            for material in self.urdf.root.iter("material")
             if material.find("color") is not None and material.get("name")
         }
         self._geoms = {FLOOR}
@@ -84,17 +80,13 @@ class UrdfBodies:
 
     def _take_floating(self) -> bool:
         """Makes the link on a floating joint below a root without mass the root."""
-        below = self._joints.get(self.root, [])
-        if len(below) != 1 or below[0].get("type") != "floating":
+        below = self._tree.below.get(self.root, [])
+        if [joint.kind for joint in below] != ["floating"]:
             return False
-        if self._links[self.root].find("inertial") is None:
-            self.root = end_link(below[0], "child")
+        if self._tree.base.inertial is None:
+            self.root = below[0].child
             return True
         return False
-
-    def _carried(self, link: str) -> bool:
-        """Tells whether a joint of the URDF carries a link."""
-        return any(end_link(joint, "child") == link for joint in self.urdf.root.findall("joint"))
 
     def add(self, worldbody: etree._Element, *, free: bool) -> None:
         """Adds all bodies to an MJCF's <worldbody>.
@@ -102,54 +94,51 @@ class UrdfBodies:
         Raises:
             ModelError: If a link cannot be a body of MuJoCo.
         """
-        for link in self._links:
+        links = self._tree.links
+        for link in links:
             # One that carries the base's floating joint is the world, and no body.
-            above = link != self.root and self.floats and not self._carried(link)
+            above = link != self.root and self.floats and link not in self._tree.above
             if link == WORLD and not above and (link != self.root or free):
                 problem = diagnose("link-named-world", subject=("link", WORLD))
-                raise refusal_at(self.urdf.path, self._links[link], problem)
+                raise refusal_at(self.urdf.path, links[link].element, problem)
         guarded = len(self.urdf.root.findall("joint/safety_controller"))
         if guarded:
             self.notes.append(diagnose("safety-controllers-left", count=guarded))
         if self.root == WORLD:
-            if self._links[WORLD].find("inertial") is not None:
+            if links[WORLD].inertial is not None:
                 self.notes.append(diagnose("inertial-of-world-left", subject=("link", WORLD)))
-            self._fill(worldbody, self._links[self.root])
+            self._fill(worldbody, links[self.root])
             return
         body = element(worldbody, "body", name=self.root)
         if free:
-            joints = {str(joint.get("name")) for joint in self.urdf.root.findall("joint")}
-            element(body, "freejoint", name=free_name("root", joints))
-        self._fill(body, self._links[self.root])
+            element(body, "freejoint", name=free_name("root", set(self._tree.joints)))
+        self._fill(body, links[self.root])
 
-    def _fill(self, body: etree._Element, link: etree._Element) -> None:
+    def _fill(self, body: etree._Element, link: UrdfLink) -> None:
         """Adds to a body what its link has, and the links that it carries."""
-        name = str(link.get("name"))
-        self.frames.add(name)
-        inertial = link.find("inertial")
-        if inertial is not None and body.tag != "worldbody":
-            _add_inertial(body, inertial)
+        self.frames.add(link.name)
+        if link.inertial is not None and body.tag != "worldbody":
+            _add_inertial(body, link.inertial)
         for kind in ("visual", "collision"):
-            for shape in link.findall(kind):
-                self._add_shape(body, name, kind, shape)
-        for joint in self._joints.get(name, ()):
-            child = self._links[end_link(joint, "child")]
-            xyz, rpy = _origin(joint)
-            inner = element(body, "body", name=str(child.get("name")), pos=xyz, euler=rpy)
+            for shape in link.element.findall(kind):
+                self._add_shape(body, link.name, kind, shape)
+        for joint in self._tree.below.get(link.name, ()):
+            xyz, rpy = _origin(joint.element)
+            inner = element(body, "body", name=joint.child, pos=xyz, euler=rpy)
             self._add_joint(inner, joint)
-            self._fill(inner, child)
+            self._fill(inner, self._tree.links[joint.child])
 
-    def _add_joint(self, body: etree._Element, joint: etree._Element) -> None:
-        kind, name = str(joint.get("type")), str(joint.get("name"))
-        if kind == "fixed":
+    def _add_joint(self, body: etree._Element, stated: UrdfJoint) -> None:
+        if stated.is_fixed:
             return
+        joint, kind, name = stated.element, stated.kind, stated.name
         if kind in ("floating", "planar"):
             problem = diagnose("joint-free-inside", subject=("joint", name), kind=Term(kind))
             raise refusal_at(self.urdf.path, joint, problem)
         self._check_axis(joint)
         axis, limit, dynamics = (joint.find(tag) for tag in ("axis", "limit", "dynamics"))
         bounds = None
-        if kind != "continuous" and not states_no_limits(joint):
+        if kind != "continuous" and not states_no_limits(stated):
             bounds = f"{limit.get('lower') or 0} {limit.get('upper') or 0}"
             low, high = (float(word) for word in bounds.split())
             if not low < high:
@@ -174,29 +163,29 @@ class UrdfBodies:
             limit = Quantity(float(effort), "N m")
             self.notes.append(diagnose("effort-negative", subject=("joint", name), effort=limit))
             effort = None
-        if self._follows(joint):
+        if self._follows(stated):
             self.mimics.append(joint)
             if effort is not None:  # no motor, whose limit it could be
                 body[-1].set("actuatorfrcrange", f"-{effort.removeprefix('+')} {effort}")
         elif effort is not None:
             self.efforts[name] = effort
 
-    def _follows(self, joint: etree._Element) -> bool:
+    def _follows(self, joint: UrdfJoint) -> bool:
         """Tells whether a joint mimics another; notes if there is none that moves."""
-        if joint.find("mimic") is None:
+        if joint.mimic is None:
             return False
-        joints = {str(node.get("name")): node for node in self.urdf.root.findall("joint")}
-        name, leader, passed = str(joint.get("name")), joint, set[str]()
-        while leader is not None and leader.find("mimic") is not None:
-            meant = str(leader.find("mimic").get("joint"))
-            if meant == name or meant in passed:
+        leader: UrdfJoint | None = joint
+        passed = set[str]()
+        while leader is not None and leader.mimic is not None:
+            meant = str(leader.mimic.get("joint"))
+            if meant == joint.name or meant in passed:
                 leader = None
                 break
             passed.add(meant)
-            leader = joints.get(meant)
-        if leader is None or leader.get("type") == "fixed":
-            meant = str(joint.find("mimic").get("joint"))
-            told = diagnose("mimic-leads-nowhere", subject=("joint", name), leader=meant)
+            leader = self._tree.joints.get(meant)
+        if leader is None or leader.is_fixed:
+            meant = str(joint.mimic.get("joint"))
+            told = diagnose("mimic-leads-nowhere", subject=("joint", joint.name), leader=meant)
             self.notes.append(told)
             return False
         return True
@@ -315,7 +304,7 @@ def check_joints(urdf: UrdfFile, names: dict[str, float]) -> None:
         ConfigurationError: If one is negative, or no number.
         ModelError: If a joint is not there; the message lists those that are.
     """
-    known = [str(joint.get("name")) for joint in urdf.root.findall("joint")]
+    known = list(urdf.tree.joints)
     for name, value in names.items():
         if name not in known:
             raise UnknownNameError(urdf.path, "joint", name, known)

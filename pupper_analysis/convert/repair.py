@@ -18,6 +18,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.places import refusal
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.results import Result
 
@@ -126,14 +127,13 @@ def repaired_urdf(urdf: UrdfFile, worldbody: etree._Element, repairs: list[Repai
     if not repairs:
         return urdf
     root = parse_text(urdf.text)
-    links = {str(link.get("name")): link for link in root.findall("link")}
+    links = UrdfTree(root).links
     bodies = {str(body.get("name")): body for body in worldbody.iter("body")}
     for repair in repairs:
         link = links[repair.link]
-        for old in link.findall("inertial"):
-            link.remove(old)
+        link.remove("inertial")
         inertia = inertia_of(bodies[repair.link].find("inertial"))
-        inertial = element(link, "inertial")
+        inertial = element(link.element, "inertial")
         element(inertial, "origin", xyz=words(inertia.lever))
         element(inertial, "mass", value=words(inertia.mass))
         tensor = np.array(inertia.inertia)

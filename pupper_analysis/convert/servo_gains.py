@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh, null_space
 
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
@@ -103,7 +104,7 @@ def held_gains(
         kp and kd, one for each joint that is not free, in the model's order.
     """
     data, random = mujoco.MjData(model), np.random.default_rng(0)
-    hinges = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE.value)
+    hinges = np.flatnonzero(model.jnt_type != JointKind.FREE)
     dofs, places = model.jnt_dofadr[hinges], model.jnt_qposadr[hinges]
     limited = model.jnt_limited[hinges] == 1
     low = np.where(limited, model.jnt_range[hinges, 0], -math.pi)

@@ -26,6 +26,7 @@ from pupper_analysis.convert.tidy import put_defaults, to_text
 from pupper_analysis.convert.xml_text import element, words
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError, PupperAnalysisError, StanceUnreachableError
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.drives import span
@@ -103,7 +104,7 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
 
 def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     """Makes the MJCF of a URDF, whose base may turn out to have no legs."""
-    if all(joint.get("type") in ("fixed", "floating") for joint in urdf.root.findall("joint")):
+    if all(joint.kind in ("fixed", "floating") for joint in urdf.tree.joints.values()):
         raise ModelError(urdf.path, diagnose("no-joint-moves"))
     meshes = Meshes(urdf, output, copied=options.copy_meshes)
     bodies = UrdfBodies(urdf, meshes, dict(options.armature or {}))
@@ -174,8 +175,9 @@ def _unsaid(urdf: UrdfFile) -> list[Diagnostic]:
     some = []
     speeds = [
         float(limit.get("velocity"))
-        for limit in urdf.root.findall("joint/limit")
-        if limit.getparent().get("type") != "fixed" and float(limit.get("velocity")) != 0
+        for joint in urdf.tree.joints.values()
+        for limit in joint.element.findall("limit")
+        if not joint.is_fixed and float(limit.get("velocity")) != 0
     ]
     if speeds:
         limits = span(speeds, "rad/s")
@@ -192,17 +194,11 @@ def _is_free(urdf: UrdfFile, bodies: UrdfBodies) -> bool:
     """Tells whether the base carries two limbs or more, and is not the world."""
     if bodies.root == WORLD or bodies.floats:
         return bodies.floats
-    below: dict[str, list[etree._Element]] = {}
-    for joint in urdf.root.findall("joint"):
-        below.setdefault(str(joint.find("parent").get("link")), []).append(joint)
-    waiting, limbs = [bodies.root], 0
-    while waiting:
-        for joint in below.get(waiting.pop(), ()):
-            if joint.get("type") == "fixed":
-                waiting.append(str(joint.find("child").get("link")))
-            else:
-                limbs += 1
-    return limbs >= _LIMBS
+    tree = urdf.tree
+    carried = [
+        joint for link in tree.fixed_group(bodies.root) for joint in tree.below.get(link, ())
+    ]
+    return sum(not joint.is_fixed for joint in carried) >= _LIMBS
 
 
 def _put_stand(
@@ -293,7 +289,7 @@ def _put_held(
 ) -> list[Diagnostic]:
     """Adds the servos of a robot that is held; returns what was added."""
     _put_option(root)
-    moving = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE.value)
+    moving = np.flatnonzero(model.jnt_type != JointKind.FREE)
     if not len(moving):
         return [diagnose("nothing-moves")]
     kp, kd = held_gains(model, options.sag, options.damping_ratio)

@@ -22,19 +22,17 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.free_base import join_free_base
+from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
+from pupper_analysis.models.urdf_tree import UrdfTree
 
 Array = NDArray[np.float64]
 
 _UNKNOWN_VELOCITY = 100.0
 """Velocity limit of joints (rad/s): no MJCF states one, and every URDF must; beyond any motor's."""
-
-_FREE = mujoco.mjtJoint.mjJNT_FREE.value
-_HINGE = mujoco.mjtJoint.mjJNT_HINGE.value
-_BALL = mujoco.mjtJoint.mjJNT_BALL.value
 
 
 @dataclass
@@ -75,7 +73,7 @@ class UrdfLinks:
         """
         model = self.model
         name = self._link_name(base)
-        free = bool(model.body_jntnum[base]) and (model.jnt_type[model.body_jntadr[base]] == _FREE)
+        free = base in model.jnt_bodyid[free_joints(model)]
         if free or model.body_jntnum[base] == 0:
             placed = pin.SE3(
                 rotation_from_quaternion(model.body_quat[base]), np.array(model.body_pos[base])
@@ -120,14 +118,14 @@ class UrdfLinks:
             last = joint == first + count - 1
             child = name if last else self._free(f"{name}_{joint - first + 1}")
             kind = int(model.jnt_type[joint])
-            if kind in (_FREE, _BALL):
+            if kind in (JointKind.FREE, JointKind.BALL):
                 moved = "body", model.body(body).name
-                problem = diagnose("joint-not-in-urdf", subject=moved, ball=kind == _BALL)
+                problem = diagnose("joint-not-in-urdf", subject=moved, ball=kind == JointKind.BALL)
                 raise ModelError(self.file.path, problem)
             anchor, axis = np.array(model.jnt_pos[joint]), np.array(model.jnt_axis[joint])
             rest = float(model.qpos0[model.jnt_qposadr[joint]])
-            turn = pin.exp3(-rest * axis) if kind == _HINGE else np.eye(3)
-            slide = np.zeros(3) if kind == _HINGE else -rest * axis
+            turn = pin.exp3(-rest * axis) if kind == JointKind.HINGE else np.eye(3)
+            slide = np.zeros(3) if kind == JointKind.HINGE else -rest * axis
             placed = placement * pin.SE3(turn, anchor + slide)
             self._movable(root, joint, parent, child, placed)
             placement, parent = pin.SE3(np.eye(3), -anchor), child
@@ -140,7 +138,7 @@ class UrdfLinks:
     ) -> None:
         model = self.model
         limited = bool(model.jnt_limited[joint])
-        hinge = int(model.jnt_type[joint]) == _HINGE
+        hinge = int(model.jnt_type[joint]) == JointKind.HINGE
         kind = ("revolute" if limited else "continuous") if hinge else "prismatic"
         name = self._joint_name(model.joint(joint).name or f"{child}_joint")
         node = _joint(root, name, kind, parent, child, placed)
@@ -241,7 +239,7 @@ def urdf_draft(file: MjcfFile, output: Path) -> Draft:
     if links.unlimited:
         left.append(diagnose("joints-without-effort-limit", count=links.unlimited))
     _add_transmissions(root, model)
-    floating = bool((model.jnt_type == _FREE).any())
+    floating = has_free_joint(model)
     if floating:
         notes.append(diagnose("free-base-not-in-urdf"))
     header = f"Converted from {file.path.name} by pupper-analysis."
@@ -254,7 +252,7 @@ def _robot_name(file: MjcfFile) -> str:
 
 def _base(file: MjcfFile, model: mujoco.MjModel) -> int:
     """Returns the body with the free joint, or else the one that carries all joints."""
-    free = np.flatnonzero(model.jnt_type == _FREE)
+    free = np.flatnonzero(model.jnt_type == JointKind.FREE)
     tops = {int(model.body_rootid[body]) for body in model.jnt_bodyid}
     bodies = [int(model.jnt_bodyid[joint]) for joint in free]
     moved = np.delete(model.body_rootid[model.jnt_bodyid], free)
@@ -302,7 +300,7 @@ def _joint(
 def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[Diagnostic]:
     """Writes joints that follow others as <mimic>; returns what no URDF can say."""
     left = []
-    joints = {str(node.get("name")): node for node in root.findall("joint")}
+    joints = UrdfTree(root).joints
     for index in range(model.neq):
         kind = mujoco.mjtEq(int(model.eq_type[index]))
         name = kind.name.removeprefix("mjEQ_").lower()
@@ -315,12 +313,12 @@ def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[Diagnostic]:
                 follower in joints
                 and leader in joints
                 and follower != leader
-                and joints[follower].find("mimic") is None
+                and joints[follower].mimic is None
             ):
                 rest = model.qpos0[model.jnt_qposadr[[one, two]]]
                 offset = float(rest[0] + line[0] - line[1] * rest[1])
                 element(
-                    joints[follower],
+                    joints[follower].element,
                     "mimic",
                     joint=leader,
                     multiplier=words(line[1]),
@@ -333,7 +331,7 @@ def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[Diagnostic]:
 
 def _add_transmissions(root: etree._Element, model: mujoco.MjModel) -> None:
     """Adds a <transmission> for each actuator at a joint, as ros_control reads it."""
-    known = {str(node.get("name")) for node in root.findall("joint")}
+    known = UrdfTree(root).joints
     for actuator in range(model.nactuator):
         if not is_at_one_joint(model, actuator):
             continue

@@ -6,18 +6,17 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.prepare.drives import span
 
 _GRAVITY = (0.0, 0.0, -9.81)
 """That of Pinocchio, and whoever else loads a URDF (m/s^2)."""
 
-_FREE = mujoco.mjtJoint.mjJNT_FREE.value
-
 
 def others(model: mujoco.MjModel) -> list[Diagnostic]:
     """Tells what else a URDF cannot say."""
-    moving = model.jnt_type != _FREE
+    moving = model.jnt_type != JointKind.FREE
     dofs = model.jnt_dofadr[moving]
     some: list[Diagnostic] = []
     if model.dof_armature[dofs].any():

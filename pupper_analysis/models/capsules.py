@@ -18,7 +18,7 @@ def for_engines(root: etree._Element) -> str:
     if unlimited(root):
         known = deepcopy(root) if known is None else known
         for joint in unlimited(known):
-            joint.set("type", "continuous")
+            joint.element.set("type", "continuous")
     return to_text(root if known is None else known)
 
 

@@ -22,8 +22,10 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
-from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml import to_text
 
 Array = NDArray[np.float64]
 
@@ -117,8 +119,8 @@ def _add_joint(
 ) -> tuple[int, pin.SE3]:
     """Adds a joint; returns it, with the placement of the body's frame in the joint's."""
     name = model.joint(index).name
-    kind = mujoco.mjtJoint(int(model.jnt_type[index]))
-    if kind == mujoco.mjtJoint.mjJNT_FREE:
+    kind = JointKind(int(model.jnt_type[index]))
+    if kind == JointKind.FREE:
         # qpos holds the body's pose in the world, whatever the body's rest pose.
         return result.addJoint(parent, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name), (
             pin.SE3.Identity()
@@ -126,10 +128,10 @@ def _add_joint(
     axis = np.array(model.jnt_axis[index])
     anchor = np.array(model.jnt_pos[index])
     rest = float(model.qpos0[model.jnt_qposadr[index]])
-    if kind == mujoco.mjtJoint.mjJNT_HINGE:
+    if kind == JointKind.HINGE:
         motion = pin.JointModelRevoluteUnaligned(axis)
         at_zero = pin.SE3(pin.exp3(-rest * axis), np.zeros(3))
-    elif kind == mujoco.mjtJoint.mjJNT_SLIDE:
+    elif kind == JointKind.SLIDE:
         motion = pin.JointModelPrismaticUnaligned(axis)
         at_zero = pin.SE3(np.eye(3), -rest * axis)
     else:
@@ -155,7 +157,7 @@ def _add_frame(result: pin.Model, name: str, joint: int, placement: pin.SE3) -> 
 
 
 def _free_joint(model: mujoco.MjModel) -> int:
-    return int(np.argmax(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value))
+    return free_joints(model)[0]
 
 
 def mujoco_from_urdf(
@@ -180,16 +182,10 @@ def mujoco_from_urdf(
     Raises:
         ModelError: If MuJoCo refuses it.
     """
-    root = parse_text(text)
-    children = {child.get("link") for child in root.findall("joint/child")}
-    links = root.findall("link")
-    for link in links:
-        for tag in ("visual", "collision"):
-            for shape in link.findall(tag):
-                link.remove(shape)
-    root_link = next(link.get("name") for link in links if link.get("name") not in children)
-    assert root_link is not None
-    floating = bool((like.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any())
+    tree = UrdfTree.of(text)
+    tree.remove_shapes()
+    root, root_link = tree.root, tree.base.name
+    floating = has_free_joint(like)
     for own in root.findall("mujoco"):  # MuJoCo takes one such block; what it says is for loading
         root.remove(own)
     extension = etree.SubElement(root, "mujoco")

@@ -11,14 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import compile_spec
 
 Array = NDArray[np.float64]
 
-_SLIDE: Final = mujoco.mjtJoint.mjJNT_SLIDE
-_HINGE: Final = mujoco.mjtJoint.mjJNT_HINGE
-_BALL: Final = mujoco.mjtJoint.mjJNT_BALL
-_FREE: Final = mujoco.mjtJoint.mjJNT_FREE
 
 _APART: Final = 0.1
 """Least volume that three axes span: those of coordinates span 1, and 0 are none."""
@@ -47,7 +44,7 @@ def join_free_base(
     if base is None:
         return None
     joints = list(base.joints)
-    ball = joints[-1].type == _BALL
+    ball = joints[-1].type == JointKind.BALL
     lossy = [word for word in _LOSSES if any(np.any(getattr(j, word)) for j in joints)]
     poses = _poses(compile_spec(spec.copy(), source), base.name, len(joints))
     for joint in joints:
@@ -89,7 +86,8 @@ def _free_in_parts(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBo
         return None
     joints = list(base.joints)
     kinds = [joint.type for joint in joints]
-    if kinds not in ([_SLIDE] * 3 + [_BALL], [_SLIDE] * 3 + [_HINGE] * 3):
+    slides = [JointKind.SLIDE] * 3
+    if kinds not in ([*slides, JointKind.BALL], [*slides, *[JointKind.HINGE] * 3]):
         return None
     names = {joint.name for joint in joints}
     driven = {actuator.target for actuator in spec.actuators}
@@ -105,7 +103,7 @@ def _free_in_parts(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBo
 def _axes(joints: Sequence[mujoco.MjsJoint]) -> list[Array]:
     """Returns the axes of the slides, and of the hinges, as rows of unit vectors."""
     found = []
-    for kind in (_SLIDE, _HINGE):
+    for kind in (JointKind.SLIDE, JointKind.HINGE):
         axes = np.array([joint.axis for joint in joints if joint.type == kind])
         if len(axes):
             found.append(axes / np.linalg.norm(axes, axis=1, keepdims=True))
@@ -119,7 +117,7 @@ def _poses(model: mujoco.MjModel, base: str, count: int) -> list[list[float]]:
     first = int(body.jntadr[0])
     start = int(model.jnt_qposadr[first])
     last = first + count - 1
-    end = int(model.jnt_qposadr[last]) + (4 if model.jnt_type[last] == _BALL.value else 1)
+    end = int(model.jnt_qposadr[last]) + (4 if model.jnt_type[last] == JointKind.BALL else 1)
     found = []
     for number in range(model.nkey):
         mujoco.mj_resetDataKeyframe(model, data, number)

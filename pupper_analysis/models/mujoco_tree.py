@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.parameters import Body, Joint, Parameters
 
 Array = NDArray[np.float64]
@@ -81,7 +82,7 @@ def _compiled(parameters: Parameters) -> mujoco.MjModel:
     bodies = {parameters.base: spec.worldbody.add_body(name=parameters.base)}
     if parameters.floating:
         bodies[parameters.base].add_freejoint(name=_FREE)
-    kinds = {True: mujoco.mjtJoint.mjJNT_SLIDE, False: mujoco.mjtJoint.mjJNT_HINGE}
+    kinds = {True: JointKind.SLIDE, False: JointKind.HINGE}
     for name in parameters.parents_first():
         joint = parameters.joints[name]
         bodies[name] = bodies[joint.parent].add_body()

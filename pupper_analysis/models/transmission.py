@@ -6,6 +6,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.models.joint_kinds import scalar_joints
+
 Array = NDArray[np.float64]
 
 
@@ -15,8 +17,7 @@ def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
     if model.actuator_trntype[actuator] not in kinds:
         return False
     joint = int(model.actuator_trnid[actuator, 0])
-    moving = (mujoco.mjtJoint.mjJNT_HINGE.value, mujoco.mjtJoint.mjJNT_SLIDE.value)
-    return model.jnt_type[joint] in moving
+    return joint in scalar_joints(model)
 
 
 def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from lxml import etree
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree
 
 ENDLESS_SLIDE = 1e3
 """Limit of a slide that has none (m): a URDF's must have two, which are 0 where left out. No robot
@@ -23,23 +24,23 @@ def complete_limits(root: etree._Element) -> Diagnostic | None:
         Which joints they were; None if there was none.
     """
     names = []
-    for joint in root.findall("joint"):
-        for limit in joint.findall("limit"):
+    for name, joint in UrdfTree(root).joints.items():
+        for limit in joint.element.findall("limit"):
             missing = [word for word in _DEMANDED if limit.get(word) is None]
-            names += [str(joint.get("name"))] if missing else []
+            names += [name] if missing else []
             limit.attrib.update(dict.fromkeys(missing, "0"))
     return diagnose("effort-or-velocity-unstated", names=names) if names else None
 
 
-def states_no_limits(joint: etree._Element) -> bool:
+def states_no_limits(joint: UrdfJoint) -> bool:
     """Tells whether a revolute joint's <limit> says nothing of its range.
 
     ``lower`` and ``upper`` count as 0 where they are left out, as many exporters do where nothing
     is known, and some write all of 0 there, the effort too. A range of 0 to 0 with an effort stays
     what it says.
     """
-    limit = joint.find("limit")
-    if joint.get("type") != "revolute" or limit is None:
+    limit = joint.element.find("limit")
+    if joint.kind != "revolute" or limit is None:
         return False
     words = [limit.get(name) for name in ("lower", "upper", "effort")]
     if words[:2] == [None, None]:
@@ -50,12 +51,12 @@ def states_no_limits(joint: etree._Element) -> bool:
         return False  # no number: whoever reads it says so
 
 
-def unlimited(root: etree._Element) -> list[etree._Element]:
+def unlimited(root: etree._Element) -> list[UrdfJoint]:
     """Returns the joints of a URDF that state no limits; see ``states_no_limits``."""
-    return [joint for joint in root.findall("joint") if states_no_limits(joint)]
+    return [joint for joint in UrdfTree(root).joints.values() if states_no_limits(joint)]
 
 
 def taken_as_unlimited(root: etree._Element) -> Diagnostic | None:
     """Tells which joints state no limits."""
-    names = [str(joint.get("name")) for joint in unlimited(root)]
+    names = [joint.name for joint in unlimited(root)]
     return diagnose("range-unstated", names=names) if names else None

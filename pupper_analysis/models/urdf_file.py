@@ -27,6 +27,7 @@ from pupper_analysis.models.urdf_checks import (
     leave_out_odd_materials,
     leave_out_undeclared,
 )
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse
 
 
@@ -47,6 +48,11 @@ class UrdfFile:
     root: etree._Element = field(repr=False)
     packages: Mapping[str, Path] = field(default_factory=dict)
     notes: tuple[Diagnostic, ...] = ()
+
+    @cached_property
+    def tree(self) -> UrdfTree:
+        """Its links and joints."""
+        return UrdfTree(self.root)
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
         """Finds an element.

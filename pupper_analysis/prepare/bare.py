@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.checks.matching_mjcf import name_all
 from pupper_analysis.models.joint_drives import Drive, drive_of
+from pupper_analysis.models.joint_kinds import scalar_joints
 from pupper_analysis.models.mjcf import compile_spec, quiet
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, drives_of, is_at_one_joint
@@ -312,9 +313,8 @@ def loose_joints(bare: Bare, robot: Robot) -> list[int]:
     model = bare.model
     return [
         joint
-        for joint in range(model.njnt)
+        for joint in scalar_joints(model).tolist()
         if int(model.jnt_bodyid[joint]) != bare.base
-        and model.jnt_type[joint] >= mujoco.mjtJoint.mjJNT_SLIDE.value
         and mujoco.mj_name2id(robot.mj_model, mujoco.mjtObj.mjOBJ_JOINT, model.joint(joint).name)
         < 0
     ]

@@ -10,16 +10,15 @@ from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.checks.matching_mjcf import limbs_on_the_world, mjcf_tree
 from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.checks.matching_places import at_zero
-from pupper_analysis.checks.matching_urdf import root_link, urdf_tree
+from pupper_analysis.checks.matching_urdf import urdf_tree
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.free_base import join_free_base
+from pupper_analysis.models.joint_kinds import JointKind, has_free_joint
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.parameters import Body, Parameters
 from pupper_analysis.models.urdf_file import UrdfFile
 
 Array = NDArray[np.float64]
-
-_FREE = mujoco.mjtJoint.mjJNT_FREE
 
 
 def free_base(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
@@ -29,8 +28,8 @@ def free_base(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[
         urdf: The URDF, which has the mass of a base that was fused with the world.
         spec: The MJCF's; it is changed.
     """
-    stated = {str(joint.get("name")) for joint in urdf.root.findall("joint")}
-    if any(joint.type == _FREE for joint in spec.joints):
+    stated = set(urdf.tree.joints)
+    if has_free_joint(spec):
         return spec, []
     joined = join_free_base(spec, urdf.path, stated=stated)
     if joined is not None:
@@ -65,7 +64,7 @@ def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[D
             spec.delete(geom)  # ground, which does not move with the base
     for key in list(spec.keys):
         spec.delete(key)  # its size no longer fits
-    name = str(root_link(urdf.root).get("name"))
+    name = urdf.tree.base.name
     while name in {body.name for body in spec.bodies}:
         name += "_"
     freed = mujoco.MjSpec()
@@ -107,7 +106,7 @@ def free_of_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Takes dry friction off an MJCF's free joints, in place: it would hold what falls."""
     notes = []
     for joint in spec.joints:
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE and joint.frictionloss:
+        if joint.type == JointKind.FREE and joint.frictionloss:
             notes.append(diagnose("free-joint-friction-taken-off", friction=joint.frictionloss))
             joint.frictionloss = 0.0
     return notes

@@ -6,11 +6,10 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.prepare.contact_points import lowest
 from pupper_analysis.robot.feet import limb_ends
-
-_FREE = mujoco.mjtJoint.mjJNT_FREE
 
 
 def lift_base_frame(spec: mujoco.MjSpec) -> list[Diagnostic]:
@@ -25,7 +24,7 @@ def lift_base_frame(spec: mujoco.MjSpec) -> list[Diagnostic]:
     Returns:
         What was done.
     """
-    base = next((joint.parent for joint in spec.joints if joint.type == _FREE), None)
+    base = next((joint.parent for joint in spec.joints if joint.type == JointKind.FREE), None)
     if base is None or list(base.frames):
         return []  # what is in a frame has its place in that
     with quiet():

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from pupper_analysis.models.joint_kinds import free_joints
 from pupper_analysis.prepare.balls import fitted, osculating
 from pupper_analysis.prepare.soles import BALL, TILT, TILTS, corners, stays_flat
 from pupper_analysis.robot.contact import ground_geom
@@ -322,7 +323,7 @@ def _pressed(
     floor = ground_geom(model)
     mujoco.mj_kinematics(model, data)
     turned = _turning(data.xmat[body].reshape(3, 3) @ out, np.array([0.0, 0.0, -1.0]))
-    free = int(np.argmax(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value))
+    free = free_joints(model)[0]
     at = int(model.jnt_qposadr[free])
     quat = np.zeros(4)
     mujoco.mju_mulQuat(quat, turned, data.qpos[at + 3 : at + 7].copy())

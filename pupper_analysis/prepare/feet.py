@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest
 from pupper_analysis.robot.configuration import Configuration
@@ -353,13 +355,13 @@ def _name_geoms(spec: mujoco.MjSpec) -> None:
 def _link_of(robot: Robot, body: int) -> str:
     """Returns the URDF's link that the last joint of a body moves."""
     joint = _last_joint(robot, body)
-    return robot.base if joint is None else moved_links(robot.description.urdf)[joint]
+    return robot.base if joint is None else UrdfTree.of(robot.description.urdf).moved_links[joint]
 
 
 def _last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
     """Returns the last joint that moves a body against the base; if wanted, the last that turns."""
     model = robot.mj_model
-    slide = mujoco.mjtJoint.mjJNT_SLIDE.value
+    slide = JointKind.SLIDE
     while body:
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         for joint in range(first + count - 1, first - 1, -1):
@@ -370,14 +372,6 @@ def _last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None
                 return name
         body = int(model.body_parentid[body])
     return None
-
-
-def moved_links(urdf: str) -> Mapping[str, str]:
-    """Returns {joint: the link that it moves}."""
-    return {
-        str(joint.get("name")): str(joint.find("child").get("link"))
-        for joint in parse_text(urdf).findall("joint")
-    }
 
 
 def _add_link(root: etree._Element, name: str, parent: str, place: Array) -> None:

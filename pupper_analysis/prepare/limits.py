@@ -5,18 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from lxml import etree
-
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.robot import Robot
 
 _NARROWER = 1e-3
 """A limit that is further in by more is another one (rad, m): keyframes and files are rounded."""
-
-_NO_LIMIT = {"effort": "0", "velocity": "0"}
-"""What a <limit> must state, and means none: the readers of both engines take no ``inf``."""
 
 _TURNS = 2 * math.pi
 """What a joint without limits may turn, either way, where loops bind it (rad): round."""
@@ -30,21 +26,15 @@ def bounded(robot: Robot) -> Description | None:
     """
     if robot.closure is None or not robot.pin_convention.unbounded.any():
         return None
-    root = parse_text(robot.description.urdf)
-    for element in root.findall("joint"):
-        name = str(element.get("name"))
-        if element.get("type") != "continuous" or name not in robot.joint_names:
+    tree = UrdfTree.of(robot.description.urdf)
+    for name, joint in tree.joints.items():
+        if joint.kind != "continuous" or name not in robot.joint_names:
             continue
-        limit = element.find("limit")
-        if limit is None:
-            limit = etree.SubElement(element, "limit", _NO_LIMIT)
-        joint = robot.mj_model.joint(name).id
-        limited = bool(robot.mj_model.jnt_limited[joint])
-        ends = robot.mj_model.jnt_range[joint].tolist() if limited else (-_TURNS, _TURNS)
-        for word, value in zip(("lower", "upper"), ends, strict=True):
-            limit.set(word, repr(float(value)))
-        element.set("type", "revolute")
-    return replace(robot.description, urdf=to_text(root))
+        number = robot.mj_model.joint(name).id
+        limited = bool(robot.mj_model.jnt_limited[number])
+        ends = robot.mj_model.jnt_range[number].tolist() if limited else (-_TURNS, _TURNS)
+        joint.set_range(*ends)
+    return replace(robot.description, urdf=to_text(tree.root))
 
 
 def within_both(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
@@ -65,21 +55,12 @@ def within_both(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
             narrower[name] = inside
     if not narrower:
         return None, []
-    root = parse_text(robot.description.urdf)
-    for element in root.findall("joint"):
-        name = str(element.get("name"))
-        if name not in narrower:
-            continue
-        if element.get("type") == "continuous":
-            element.set("type", "revolute")
-        limit = element.find("limit")
-        if limit is None:
-            limit = etree.SubElement(element, "limit", _NO_LIMIT)
-        for word, value in zip(("lower", "upper"), narrower[name], strict=True):
-            limit.set(word, repr(value))
+    tree = UrdfTree.of(robot.description.urdf)
+    for name, ends in narrower.items():
+        tree.joints[name].set_range(*ends)
     told = [
         diagnose("joint-range", subject=("joint", name), lower=low, upper=high)
         for name, (low, high) in narrower.items()
     ]
     noted = [diagnose("narrower-limits-kept", joints=told)]
-    return replace(robot.description, urdf=to_text(root)), noted
+    return replace(robot.description, urdf=to_text(tree.root)), noted

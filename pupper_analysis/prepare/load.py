@@ -20,6 +20,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_drives import Drive, MadeServo, drive_of
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
@@ -176,17 +177,15 @@ def _as_it_is(
     name: str | None,
 ) -> Robot | None:
     """Builds the robot if both files are ready: the same joints, and the feet's frames in both."""
+    tree = urdf.tree
     moving = {
-        str(joint.get("name"))
-        for joint in urdf.root.findall("joint")
-        if joint.get("type") not in ("fixed", "floating")
+        joint.name for joint in tree.joints.values() if joint.kind not in ("fixed", "floating")
     }
     spec = mjcf.spec
-    links = {str(link.get("name")) for link in urdf.root.findall("link")}
     places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
-    hinges = {j.name for j in spec.joints if j.type != mujoco.mjtJoint.mjJNT_FREE}
-    known = all(one in links and other in places for one, other in feet.values())
-    free = sum(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints)
+    hinges = {j.name for j in spec.joints if j.type != JointKind.FREE}
+    known = all(one in tree.links and other in places for one, other in feet.values())
+    free = sum(joint.type == JointKind.FREE for joint in spec.joints)
     if moving != hinges or not known or free > 1:
         return None  # beside the robot, something else lies in the scene
     if free and not fixed_base and _ground_to_mend(spec):
@@ -229,7 +228,7 @@ def _free_if_it_stands(mjcf: MjcfFile, prepared: Callable[..., Robot]) -> Robot:
     """
     tops = [len(list(body.joints)) for body in mjcf.spec.worldbody.bodies]
     kinds = {joint.type for joint in mjcf.spec.joints}
-    held = mujoco.mjtJoint.mjJNT_FREE not in kinds and max(tops, default=0) < _FREE_IN_PARTS
+    held = JointKind.FREE not in kinds and max(tops, default=0) < _FREE_IN_PARTS
     try:
         robot = prepared(fixed_base=False)
     except ModelError as error:

@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError, UnknownNameError
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.robot.configuration import Configuration
@@ -69,7 +70,7 @@ def keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
         found[name] = {
             str(model.joint(joint).name): float(model.key_qpos[number, model.jnt_qposadr[joint]])
             for joint in range(model.njnt)
-            if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE.value
+            if model.jnt_type[joint] != JointKind.FREE
         }
     return found
 

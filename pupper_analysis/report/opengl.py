@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.report.tiles import AHEAD, AZIMUTH, ELEVATION, RIGHT, SUN, UP, Tile
 
@@ -41,7 +42,7 @@ def _model(tile: Tile) -> mujoco.MjModel:
     for geom in spec.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
             geom.group = _HIDDEN
-    free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    free = [joint for joint in spec.joints if joint.type == JointKind.FREE]
     for element in (*spec.lights, *(() if robot.floating else (*free, *spec.keys))):
         spec.delete(element)
     directional = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL

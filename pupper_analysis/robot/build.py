@@ -20,6 +20,7 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
 from pupper_analysis.models.conversion import gravity, joint_armature
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.parameters import joint_placements
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.transmission import is_at_one_joint
@@ -51,7 +52,7 @@ def build_robot(
         UnknownNameError: If a foot is not in a model.
     """
     mj_model, keyframe, added = _mujoco_model(description, fixed_base)
-    floating = bool((mj_model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any())
+    floating = has_free_joint(mj_model)
     joint_names = _actuator_order(mj_model, description.mjcf_source)
     mj_base = _base_body(mj_model, floating, joint_names)
     if not floating:
@@ -207,7 +208,7 @@ def _mujoco_model(
     spec = description.mjcf.copy()
     keys = sorted(spec.keys, key=lambda key: key.name != "home")
     keyframe = np.array(keys[0].qpos) if keys else np.zeros(0)
-    free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    free = [joint for joint in spec.joints if joint.type == JointKind.FREE]
     if fixed_base:
         for element in (*free, *spec.keys):
             spec.delete(element)
@@ -222,11 +223,11 @@ def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
     """Returns the joints' names in actuator order, then those without actuator in tree order."""
     known: list[str] = []
     for joint in range(model.njnt):
-        kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
-        if kind == mujoco.mjtJoint.mjJNT_BALL:
+        kind = JointKind(int(model.jnt_type[joint]))
+        if kind == JointKind.BALL:
             name = model.joint(joint).name
             raise ModelError(source, diagnose("joint-is-ball", subject=("joint", name)))
-        if kind != mujoco.mjtJoint.mjJNT_FREE:
+        if kind != JointKind.FREE:
             known.append(model.joint(joint).name)
     driven = [
         model.joint(int(model.actuator_trnid[actuator, 0])).name
@@ -241,8 +242,7 @@ def _actuator_order(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
 def _base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]) -> str:
     """Returns the body with the free joint, or else the one that carries the first moving body."""
     if floating:
-        free = int(np.argmax(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value))
-        return str(model.body(int(model.jnt_bodyid[free])).name)
+        return str(model.body(int(model.jnt_bodyid[free_joints(model)[0]])).name)
     base = int(model.jnt_bodyid[model.joint(joint_names[0]).id])
     while model.body_weldid[base] != 0:
         base = int(model.body_parentid[base])

@@ -27,6 +27,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.models.joint_kinds import free_joints
 from pupper_analysis.models.transmission import is_at_one_joint
 
 Array = NDArray[np.float64]
@@ -162,9 +163,7 @@ class MujocoConvention:
         """Returns the maps between ``joint_names`` in their order and a model."""
         qpos: list[int] = []
         qvel: list[int] = []
-        free = [
-            j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE.value
-        ]
+        free = free_joints(model)
         if free:
             qpos += range(model.jnt_qposadr[free[0]], model.jnt_qposadr[free[0]] + 7)
             qvel += range(model.jnt_dofadr[free[0]], model.jnt_dofadr[free[0]] + 6)

@@ -13,6 +13,7 @@ from scipy import linalg
 from pupper_analysis.arguments import checked
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.results import Result
 
@@ -366,12 +367,11 @@ class _Modes:
     def _joints(self, mode: int) -> dict[str, float]:
         """Returns how far each joint moves (rad, m); the base's own motion is none."""
         model, moves = self._model, np.abs(self._vectors[: self._model.nv, mode])
-        free = mujoco.mjtJoint.mjJNT_FREE.value
         ends = [*model.jnt_dofadr[1:].tolist(), model.nv] if model.njnt else []
         return {
             model.joint(joint).name: float(moves[model.jnt_dofadr[joint] : end].max())
             for joint, end in enumerate(ends)
-            if model.jnt_type[joint] != free
+            if model.jnt_type[joint] != JointKind.FREE
         }
 
     def _contacts(self, mode: int) -> dict[str, float]:

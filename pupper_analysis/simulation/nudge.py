@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.models.joint_kinds import scalar_joints
 from pupper_analysis.results import Result
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import run
@@ -104,7 +105,7 @@ def response(
     windows = states[third : 2 * third], states[-third:]
     motion, left = (_swinging(rows[:, 1 + model.nq : 1 + model.nq + model.nv]) for rows in windows)
     whole = not monitor.diverged(states, timestep)
-    joints = np.flatnonzero(model.jnt_type >= mujoco.mjtJoint.mjJNT_SLIDE.value)
+    joints = scalar_joints(model)
     hinges = model.jnt_qposadr[joints]
     ways = np.abs(states[:, 1 + hinges] - before[1 + hinges])
     if creep is not None:

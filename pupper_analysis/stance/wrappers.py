@@ -16,7 +16,8 @@ import placo
 from numpy.typing import NDArray
 
 from pupper_analysis.files import readable
-from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -68,11 +69,9 @@ class Wrapper:
 
 def _load(robot: Robot) -> placo.RobotWrapper:
     """Has PlaCo read a robot's URDF, without shapes: no file is needed."""
-    root = parse_text(robot.description.urdf)
-    for link in root.iter("link"):
-        for shape in (*link.findall("visual"), *link.findall("collision")):
-            link.remove(shape)
-    wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, to_text(root))
+    tree = UrdfTree.of(robot.description.urdf)
+    tree.remove_shapes()
+    wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, to_text(tree.root))
     _leave_names_to_links(wrapper.model)
     return wrapper
 

@@ -10,9 +10,10 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.study.named import bodies_of, fixed_to, links_of, welded_to
+from pupper_analysis.study.named import bodies_of, welded_to
 
 Array = NDArray[np.float64]
 
@@ -21,7 +22,7 @@ _SAME = 1e-9
 
 
 def move_coms(
-    robot: Robot, root: etree._Element, spec: mujoco.MjSpec, offsets: Mapping[str, Array]
+    robot: Robot, tree: UrdfTree, spec: mujoco.MjSpec, offsets: Mapping[str, Array]
 ) -> None:
     """Moves centres of mass in both files, in place.
 
@@ -30,7 +31,7 @@ def move_coms(
 
     Args:
         robot: The robot of which the files are: its links are turned as its pose of zeros has them.
-        root: Of the URDF.
+        tree: Of the URDF.
         spec: Of the MJCF.
         offsets: {joint: (3,) m, in the axes of the URDF's link that it moves}; ``""``: the base.
 
@@ -42,14 +43,12 @@ def move_coms(
     data = mujoco.MjData(compiled)
     robot.mj_convention.set_state(data, robot.neutral())
     mujoco.mj_kinematics(compiled, data)
-    links, bodies = links_of(root), bodies_of(robot)
+    links, bodies = tree.moved_links, bodies_of(robot)
     for joint, offset in offsets.items():
         link = links.get(joint, robot.base)
         moved = config.frame_rotation(link) @ offset
-        for one in fixed_to(root, link):
-            inertial = next(own for own in root.iter("link") if own.get("name") == one).find(
-                "inertial"
-            )
+        for one in tree.fixed_group(link):
+            inertial = tree.links[one].inertial
             if inertial is not None:
                 _move_origin(inertial, config.frame_rotation(one).T @ moved)
         for body in welded_to(spec.body(bodies[joint] if joint else robot.mj_base)):
@@ -90,7 +89,7 @@ def check_coms(before: Robot, after: Robot, offsets: Mapping[str, Array]) -> Non
         ModelError: If not.
     """
     config = Configuration(before, before.neutral())
-    links = links_of(etree.fromstring(before.description.urdf.encode()))
+    links = UrdfTree.of(before.description.urdf).moved_links
     shares = {joint: _shares(after, joint) for joint in offsets}
     both = zip(("URDF", "MJCF"), _centres(before), _centres(after), strict=True)
     for at, (place, old, new) in enumerate(both):

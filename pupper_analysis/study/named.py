@@ -8,10 +8,9 @@ from fnmatch import fnmatchcase
 from glob import escape
 
 import mujoco
-from lxml import etree
 
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.models.xml import parse_text
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.robot import Robot
 
 KINDS = {
@@ -97,7 +96,7 @@ def _names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
     """Returns {joint: by which names a factor may mean it, or what it moves}."""
     if kind not in BODIES:
         return {joint: (joint,) for joint in robot.joint_names}
-    links, bodies = links_of(parse_text(robot.description.urdf)), bodies_of(robot)
+    links, bodies = UrdfTree.of(robot.description.urdf).moved_links, bodies_of(robot)
     names = {"": (robot.base, robot.mj_base)}
     return names | {joint: (links[joint], bodies[joint], joint) for joint in robot.joint_names}
 
@@ -141,12 +140,6 @@ def groups_of(robot: Robot, names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def links_of(root: etree._Element) -> dict[str, str]:
-    """Returns {joint: the link that it moves}."""
-    return {str(j.get("name")): str(child_of(j, "child").get("link")) for j in root.iter("joint")
-            if j.find("child") is not None}  # fmt: skip
-
-
 def bodies_of(robot: Robot) -> dict[str, str]:
     """Returns {joint: the body that it moves in the MJCF}."""
     model = robot.mj_model
@@ -154,21 +147,6 @@ def bodies_of(robot: Robot) -> dict[str, str]:
         joint: str(model.body(int(model.jnt_bodyid[model.joint(joint).id])).name)
         for joint in robot.joint_names
     }
-
-
-def child_of(element: etree._Element, tag: str) -> etree._Element:
-    """Returns an element's child, which is there in all files that were read."""
-    found = element.find(tag)
-    assert found is not None
-    return found
-
-
-def fixed_to(root: etree._Element, link: str) -> Iterator[str]:
-    """Yields a link of a URDF, and those that are fixed to it."""
-    yield link
-    for joint in root.findall("joint"):
-        if joint.get("type") == "fixed" and child_of(joint, "parent").get("link") == link:
-            yield from fixed_to(root, str(child_of(joint, "child").get("link")))
 
 
 def welded_to(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos
@@ -25,9 +26,7 @@ from pupper_analysis.study.named import (
     SERVOS,
     Named,
     bodies_of,
-    fixed_to,
     joints_of,
-    links_of,
     welded_to,
 )
 
@@ -70,14 +69,14 @@ def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
                 own[joint] = own.get(joint, 1.0) * factor
     if not wanted and not offsets:
         return robot
-    spec, root = robot.description.mjcf.copy(), parse_text(robot.description.urdf)
+    spec, tree = robot.description.mjcf.copy(), UrdfTree.of(robot.description.urdf)
     for kind, joints in wanted.items():
         for joint, factor in joints.items():
-            _scale_urdf(root, robot, kind, joint, factor)
+            _scale_urdf(tree, robot, kind, joint, factor)
             _scale_mjcf(spec, robot, kind, joint, factor)
     if offsets:
-        move_coms(robot, root, spec, offsets)
-    built = rebuilt(robot, urdf=to_text(root), mjcf=spec)
+        move_coms(robot, tree, spec, offsets)
+    built = rebuilt(robot, urdf=to_text(tree.root), mjcf=spec)
     _check(robot, built, wanted.get("mass", {}))
     if offsets and "mass" not in wanted:  # which move the whole's, too
         check_coms(robot, built, offsets)
@@ -95,12 +94,10 @@ def _add_offsets(
         offsets.setdefault(joint, np.zeros(3))[AXES.index(named.kind)] += offset
 
 
-def _scale_urdf(root: etree._Element, robot: Robot, kind: str, joint: str, factor: float) -> None:
+def _scale_urdf(tree: UrdfTree, robot: Robot, kind: str, joint: str, factor: float) -> None:
     if kind in BODIES:
-        for link in fixed_to(root, links_of(root).get(joint, robot.base)):
-            inertial = next(one for one in root.iter("link") if one.get("name") == link).find(
-                "inertial"
-            )
+        for link in tree.fixed_group(tree.moved_links.get(joint, robot.base)):
+            inertial = tree.links[link].inertial
             if inertial is None:
                 continue
             if kind == "mass":
@@ -108,7 +105,7 @@ def _scale_urdf(root: etree._Element, robot: Robot, kind: str, joint: str, facto
             for entry in INERTIA_ENTRIES:
                 _times(inertial.find("inertia"), entry, factor)
         return
-    element = next(one for one in root.iter("joint") if one.get("name") == joint)
+    element = tree.joints[joint].element
     if kind == "effort":
         _times(element.find("limit"), "effort", factor)
     elif kind != "armature":  # which a URDF cannot state

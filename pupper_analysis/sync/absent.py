@@ -43,6 +43,5 @@ def is_absent(key: Key, whose: str, both: Sides, urdf: UrdfFile, mjcf: MjcfFile)
     if whose == "mjcf":
         return mjcf.stated("joint", name, {_ATTRIBUTE[kind]}) is None
     joint = both.matched.urdf_joint[name]
-    element = next(e for e in urdf.root.findall("joint") if e.get("name") == joint)
-    dynamics = element.find("dynamics")
+    dynamics = urdf.tree.joints[joint].element.find("dynamics")
     return dynamics is None or dynamics.get(kind) is None

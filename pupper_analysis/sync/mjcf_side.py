@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.diagnostics import Source, diagnose
 from pupper_analysis.models.conversion import joint_damping
+from pupper_analysis.models.joint_kinds import free_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.sync.digits import SAME
 from pupper_analysis.sync.frames import Key, placement
@@ -242,11 +243,7 @@ class MjcfSide(Side):
 
     def _base_damping(self, key: Key) -> None:
         bodies = [self.model.body(i).name for i in range(self.model.nbody)]
-        free = [
-            str(bodies[self.model.jnt_bodyid[index]])
-            for index in range(self.model.njnt)
-            if self.model.jnt_type[index] == mujoco.mjtJoint.mjJNT_FREE.value
-        ]
+        free = [str(bodies[self.model.jnt_bodyid[index]]) for index in free_joints(self.model)]
         element = self.elements.joint("", free[0]) if free else None
         if element is None:
             body = self.elements.body(free[0]) if free else None

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
 from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.models.parameters import Joint
-from pupper_analysis.models.xml import parse_text
 from pupper_analysis.sync.digits import SAME, Digits
 from pupper_analysis.sync.frames import Key, mass_of, placement
 from pupper_analysis.sync.inertia import (
@@ -57,8 +56,7 @@ class UrdfSide(Side):
         self._joints = {str(e.get("name")): e for e in root.children if e.tag == "joint"}
         self._above = {_end(joint, "child"): joint for joint in self._joints.values()}
         self._movers = {link: mover for mover, link in self.sides.matched.urdf_link.items()}
-        compared = parse_text(self.sides.matched.robot.description.urdf)
-        self._compared = {str(link.get("name")) for link in compared.findall("link")}
+        self._compared = self.sides.matched.urdf_tree.links
 
     def plan(self, taken: Collection[Key]) -> None:
         """Notes all changes in the document: places first, for what is on them moves along."""

@@ -32,14 +32,15 @@ from pupper_analysis.checks.audit.view import (
 )
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 
-_KINDS = {
-    mujoco.mjtJoint.mjJNT_FREE.value: FREE,
-    mujoco.mjtJoint.mjJNT_BALL.value: BALL,
-    mujoco.mjtJoint.mjJNT_SLIDE.value: SLIDE,
-    mujoco.mjtJoint.mjJNT_HINGE.value: HINGE,
+_KINDS: dict[int, str] = {
+    JointKind.FREE: FREE,
+    JointKind.BALL: BALL,
+    JointKind.SLIDE: SLIDE,
+    JointKind.HINGE: HINGE,
 }
 
 
@@ -141,7 +142,7 @@ def _base(model: mujoco.MjModel) -> int:
         first = int(model.body_jntadr[body])
         if int(model.body_parentid[body]) != 0:
             continue
-        free = first >= 0 and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE.value
+        free = first >= 0 and model.jnt_type[first] == JointKind.FREE
         in_tree = int(np.sum((model.body_rootid == body) & (model.body_jntnum > 0)))
         score = (int(bool(free) and in_tree > 1), float(model.body_subtreemass[body]))
         if score > best_score:

@@ -25,31 +25,23 @@ from pupper_analysis.checks.audit.view import (
     UrdfView,
 )
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink
 
 _KINDS = {"revolute": HINGE, "continuous": HINGE, "prismatic": SLIDE, "fixed": FIXED}
 
 
 def urdf_view(file: UrdfFile) -> UrdfView:
     """Returns the neutral view of a URDF; the reader has made sure that it is one tree."""
-    links = {str(link.get("name")): link for link in file.root.findall("link")}
-    below: dict[str, list[etree._Element]] = {}
-    for element in file.root.findall("joint"):
-        below.setdefault(_end(element, "parent"), []).append(element)
-    held = {_end(element, "child") for element in file.root.findall("joint")}
-    root = next(name for name in links if name not in held)
-    bodies = {root: _body(file, links[root], None, Pose(), ())}
-    for parent in (waiting := [root]):
-        for element in below.get(parent, []):
-            name = _end(element, "child")
-            pose = bodies[parent].pose * origin(element)
-            bodies[name] = _body(file, links[name], parent, pose, (_joint(element, pose),))
+    tree = file.tree
+    root = tree.base
+    bodies = {root.name: _body(file, root, None, Pose(), ())}
+    for parent in (waiting := [root.name]):
+        for joint in tree.below.get(parent, []):
+            name = joint.child
+            pose = bodies[parent].pose * origin(joint.element)
+            bodies[name] = _body(file, tree.links[name], parent, pose, (_joint(joint, pose),))
             waiting.append(name)
-    return UrdfView("urdf", "link", root, bodies, file.notes, file)
-
-
-def _end(joint: etree._Element, tag: str) -> str:
-    element = joint.find(tag)
-    return "" if element is None else str(element.get("link"))
+    return UrdfView("urdf", "link", root.name, bodies, file.notes, file)
 
 
 def number(element: etree._Element | None, attribute: str, default: float) -> float:
@@ -79,17 +71,17 @@ def origin(element: etree._Element) -> Pose:
     return Pose(vector(tag, "xyz", (0.0, 0.0, 0.0)), rotation)
 
 
-def _joint(element: etree._Element, pose: Pose) -> Joint:
-    kind = _KINDS.get(str(element.get("type")), FREE)
+def _joint(joint: UrdfJoint, pose: Pose) -> Joint:
+    element = joint.element
     raw = vector(element.find("axis"), "xyz", (1.0, 0.0, 0.0))
     length = float(np.linalg.norm(raw))
     limit = element.find("limit")
-    limited = element.get("type") in ("revolute", "prismatic") and limit is not None
+    limited = joint.kind in ("revolute", "prismatic") and limit is not None
     return Joint(
-        name=str(element.get("name")),
-        kind=kind,
-        parent=_end(element, "parent"),
-        child=_end(element, "child"),
+        name=joint.name,
+        kind=_KINDS.get(joint.kind, FREE),
+        parent=joint.parent,
+        child=joint.child,
         position=pose.position,
         axis=pose.rotation @ raw / length if length > 0 else np.zeros(3),
         raw_axis=raw,
@@ -101,7 +93,7 @@ def _joint(element: etree._Element, pose: Pose) -> Joint:
 
 def _body(
     file: UrdfFile,
-    link: etree._Element,
+    link: UrdfLink,
     parent: str | None,
     pose: Pose,
     joints: tuple[Joint, ...],
@@ -109,13 +101,13 @@ def _body(
     shapes = [
         _shape(file, element, tag == "collision")
         for tag in ("visual", "collision")
-        for element in link.findall(tag)
+        for element in link.element.findall(tag)
     ]
-    return Body(str(link.get("name")), parent, pose, joints, _inertial(link), tuple(shapes))
+    return Body(link.name, parent, pose, joints, _inertial(link), tuple(shapes))
 
 
-def _inertial(link: etree._Element) -> Inertial | None:
-    element = link.find("inertial")
+def _inertial(link: UrdfLink) -> Inertial | None:
+    element = link.inertial
     if element is None:
         return None
     pose = origin(element)

@@ -9,6 +9,7 @@ import numpy as np
 
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.view import Inertial
+from pupper_analysis.models.joint_kinds import JointKind
 
 MUJOCO_ERRORS = (ValueError, RuntimeError, TypeError, OSError, MemoryError)
 """What MuJoCo's bindings raise when they refuse a model."""
@@ -64,7 +65,7 @@ def switched_off_ranges(
     for joint, copied in zip(original.joints, compiled.joints, strict=True):
         if joint.limited == copied.limited:
             continue
-        angular = joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_BALL)
+        angular = joint.type in (JointKind.HINGE, JointKind.BALL)
         unit = math.pi / 180 if angular and original.compiler.degree else 1.0
         stated = any(joint.range) or joint.limited == mujoco.mjtLimited.mjLIMITED_TRUE
         if stated:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import mujoco
-
 from pupper_analysis.checks.passive.extra import Extra
 from pupper_analysis.checks.passive.scene import DISABLE, Scene
 from pupper_analysis.diagnostics import Quantity, Vector, diagnose
+from pupper_analysis.models.joint_kinds import JointKind
 
 
 def springs(scene: Scene) -> Iterator[Extra]:
@@ -21,7 +20,7 @@ def springs(scene: Scene) -> Iterator[Extra]:
         force, length = scene.unit(joint)
         name = scene.joint_name(joint)
         value: dict[str, object] = {"stiffness": linear}
-        free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE.value
+        free = model.jnt_type[joint] == JointKind.FREE
         if higher.any():
             value["polynomial"] = [float(each) for each in higher]
         if not free:
@@ -52,7 +51,7 @@ def damping_polynomials(scene: Scene) -> Iterator[Extra]:
     model = scene.model
     for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_DAMPER) else ():
         first = int(model.jnt_dofadr[joint])
-        free = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE.value
+        free = model.jnt_type[joint] == JointKind.FREE
         dofs = slice(first, first + (6 if free else 1))
         if model.dof_dampingpoly[dofs].any():
             values = [float(each) for each in model.dof_dampingpoly[first]]
@@ -84,7 +83,7 @@ def free_joint_friction(scene: Scene) -> Iterator[Extra]:
     model = scene.model
     for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_FRICTIONLOSS) else ():
         value = float(model.dof_frictionloss[model.jnt_dofadr[joint]])
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE.value and value:
+        if model.jnt_type[joint] == JointKind.FREE and value:
             name = scene.joint_name(joint)
             friction = Quantity(value, "N and N m")
             told = diagnose("free-joint-friction", subject=("body", name), friction=friction)

@@ -9,6 +9,7 @@ import mujoco
 
 from pupper_analysis.checks.passive.extra import Extra
 from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.models.urdf_tree import UrdfTree
 
 Mimics = Mapping[str, tuple[str, float, float]]
 """{joint: (the joint that it follows, multiplier, offset)}: q = multiplier q_other + offset."""
@@ -19,11 +20,11 @@ EQUALITY = mujoco.mjtEq
 def urdf_mimics(root: Any) -> dict[str, tuple[str, float, float]]:
     """Returns the joints of a parsed URDF that follow others: their ``<mimic>``."""
     found = {}
-    for joint in root.findall("joint"):
-        mimic = joint.find("mimic")
-        if mimic is not None and joint.get("type") != "fixed":
+    for name, joint in UrdfTree(root).joints.items():
+        mimic = joint.mimic
+        if mimic is not None and not joint.is_fixed:
             numbers = (float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0)))
-            found[str(joint.get("name"))] = (str(mimic.get("joint")), *numbers)
+            found[name] = (str(mimic.get("joint")), *numbers)
     return found
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from pupper_analysis.models.joint_kinds import free_joints
 from pupper_analysis.robot.coordinates import MujocoConvention
 
 
@@ -29,10 +30,9 @@ class Reference:
 
     def joints(self) -> list[int]:
         """Returns the ids of the robot's joints, and of the free one of its base."""
-        free = mujoco.mjtJoint.mjJNT_FREE.value
         base = self.names.body(self.base).id
-        first = int(self.model.body_jntadr[base])
-        loose = [first] if first >= 0 and self.model.jnt_type[first] == free else []
+        free = free_joints(self.model)
+        loose = [joint for joint in free if self.model.jnt_bodyid[joint] == base]
         return [*loose, *(self.names.joint(name).id for name in self.joint_names)]
 
     def convention(self) -> MujocoConvention:

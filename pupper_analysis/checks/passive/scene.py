@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.models.joint_kinds import JointKind
 
 DISABLE = mujoco.mjtDisableBit
 
@@ -27,11 +28,11 @@ class Scene:
 
     def joint_name(self, joint: int) -> str:
         """A joint's name; the base's for its free joint."""
-        if self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE.value:
+        if self.model.jnt_type[joint] == JointKind.FREE:
             return self.reference.base
         return self.name("joint", joint)
 
     def unit(self, joint: int) -> tuple[str, str]:
         """The units of a joint's force and coordinate."""
-        slides = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE.value
+        slides = self.model.jnt_type[joint] == JointKind.SLIDE
         return ("N", "m") if slides else ("N m", "rad")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pupper_analysis.checks.matching_urdf import fixed_links
 from pupper_analysis.checks.places import (
     MJCF_SECTION,
     URDF_CHILD,
@@ -15,6 +14,7 @@ from pupper_analysis.checks.versions.version import Version
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import UrdfTree
 
 _BODY = ("mass", "com", "inertia")
 _SECTION = {**MJCF_SECTION, "motor": "actuator"}
@@ -37,14 +37,14 @@ def _in_urdf(version: Version, file: UrdfFile, kind: str, element: str) -> Place
     root, child = version.root, URDF_CHILD.get(kind)
     assert root is not None
     if kind in _BODY and element in version.carriers:
-        members = links_moving_with(fixed_links(root), version.carriers[element])
+        members = links_moving_with(UrdfTree(root), version.carriers[element])
         return file.place("link", max(members, key=lambda member: member[1])[0], child)
     if element == version.tree.base:
         return file.place("link", element, child)
     if kind == "frame":
-        for joint in root.findall("joint"):
-            if joint.find("child").get("link") == element:
-                return file.place("joint", str(joint.get("name")), "origin")
+        joint = file.tree.above.get(element)
+        if joint is not None:
+            return file.place("joint", joint.name, "origin")
     return file.place("joint", element, child)
 
 

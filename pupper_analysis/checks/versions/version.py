@@ -12,9 +12,7 @@ from lxml import etree
 
 from pupper_analysis.checks.matching_mjcf import drop_other_objects, hinges, mjcf_tree, name_all
 from pupper_analysis.checks.matching_urdf import (
-    end_link,
     moving_joints,
-    root_link,
     urdf_tree,
     without_shapes,
 )
@@ -24,11 +22,13 @@ from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.passive.scene import Scene
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.models.free_base import join_free_base
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.models.transmission import actuator_gear
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import UrdfTree
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +67,13 @@ def version_of(file: UrdfFile | MjcfFile) -> Version:
 def _of_urdf(file: UrdfFile) -> Version:
     root = without_shapes(file.root)
     mimics = urdf_mimics(root)
-    for joint in root.findall("joint[mimic]"):
-        joint.remove(joint.find("mimic"))
+    tree = UrdfTree(root)
+    for joint in tree.joints.values():
+        joint.remove("mimic")
     _, _, held = moving_joints(root)
-    base = str(root_link(root).get("name"))
-    fixed = [joint for joint in root.findall("joint") if joint.get("type") == "fixed"]
-    frames = [end_link(joint, "child") for joint in fixed]
-    carriers = {
-        str(joint.get("name")): end_link(joint, "child")
-        for joint in root.findall("joint")
-        if joint not in fixed
-    }
+    base = tree.base.name
+    frames = [joint.child for joint in tree.joints.values() if joint.is_fixed]
+    carriers = {joint.name: joint.child for joint in tree.moving}
     return Version(
         file=file,
         tree=urdf_tree(root, file.path, base, frames),
@@ -104,7 +100,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
     names = [
         model.joint(joint).name
         for joint in range(model.njnt)
-        if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE.value
+        if model.jnt_type[joint] != JointKind.FREE
     ]
     carriers = {name: model.body(int(model.joint(name).bodyid[0])).name for name in names}
     base = _base(model, names)

@@ -31,13 +31,13 @@ def mesh_missing(view: UrdfView | MjcfView) -> Iterator[Found]:
     if isinstance(view, MjcfView):
         yield from _missing_in_mjcf(view.file)
         return
-    for link in view.file.root.findall("link"):
-        for mesh in link.iter("mesh"):
+    for owner, link in view.file.tree.links.items():
+        for mesh in link.element.iter("mesh"):
             name = mesh.get("filename", "")
             if name not in seen and view.file.resolve_mesh(name) is None:
                 place = Place(view.file.path, mesh.sourceline)
                 told = _what_is_missing(name, [view.file.path.parent / name])
-                yield Found("link", str(link.get("name")), told, place=place)
+                yield Found("link", owner, told, place=place)
             seen.add(name)
 
 
@@ -45,8 +45,8 @@ def mesh_missing(view: UrdfView | MjcfView) -> Iterator[Found]:
 def mesh_unreadable(view: UrdfView) -> Iterator[Found]:
     """Opens each STL and OBJ once; see ``mesh_problem``."""
     seen: set[Path] = set()
-    for link in view.file.root.findall("link"):
-        for mesh in link.iter("mesh"):
+    for owner, link in view.file.tree.links.items():
+        for mesh in link.element.iter("mesh"):
             name = mesh.get("filename", "")
             path = view.file.resolve_mesh(name)
             if path is None or path in seen:
@@ -56,7 +56,7 @@ def mesh_unreadable(view: UrdfView) -> Iterator[Found]:
             if problem is not None:
                 place = Place(view.file.path, mesh.sourceline)
                 told = diagnose("mesh-unreadable", mesh=name, problem=problem)
-                yield Found("link", str(link.get("name")), told, place=place)
+                yield Found("link", owner, told, place=place)
 
 
 def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:

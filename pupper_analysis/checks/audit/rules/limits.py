@@ -117,14 +117,14 @@ def limits_in_wrong_unit(view: View) -> Iterator[Found]:
 @rule
 def effort_or_velocity_zero(view: UrdfView) -> Iterator[Found]:
     """Finds <limit effort="0"> and <limit velocity="0"> on joints that move and mimic none."""
-    for joint in view.file.root.findall("joint"):
-        limit = joint.find("limit")
-        if limit is None or joint.get("type") == "fixed" or joint.find("mimic") is not None:
+    for joint in view.file.tree.joints.values():
+        limit = joint.element.find("limit")
+        if limit is None or joint.is_fixed or joint.mimic is not None:
             continue
         zero = {what: number(limit, what, 1.0) for what in ("effort", "velocity")}
         zero = {what: value for what, value in zero.items() if value <= 0}
         if zero:
-            units = ("N", "m/s") if joint.get("type") == "prismatic" else ("N m", "rad/s")
+            units = ("N", "m/s") if joint.kind == "prismatic" else ("N m", "rad/s")
             effort, velocity = (
                 Quantity(zero[what], unit) if what in zero else None
                 for what, unit in zip(("effort", "velocity"), units, strict=True)
@@ -132,4 +132,4 @@ def effort_or_velocity_zero(view: UrdfView) -> Iterator[Found]:
             told = diagnose(
                 "effort-or-velocity-zero", effort=effort, velocity=velocity, both=len(zero) == 2
             )
-            yield Found("joint", str(joint.get("name")), told, "limit")
+            yield Found("joint", joint.name, told, "limit")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-import mujoco
 import numpy as np
 
 from pupper_analysis.checks.audit.from_mjcf import line_of
@@ -13,6 +12,7 @@ from pupper_analysis.checks.audit.from_urdf import vector
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.view import MjcfView, UrdfView
 from pupper_analysis.diagnostics import Quantity, Vector, diagnose
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.places import Place
 
 FULL_TURN = 2 * math.pi + 1e-3
@@ -65,10 +65,10 @@ def keyframe_quaternion(view: MjcfView) -> Iterator[Found]:
         return
     model = view.model
     for joint in range(model.njnt):
-        kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
-        if kind not in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+        kind = JointKind(int(model.jnt_type[joint]))
+        if kind not in (JointKind.FREE, JointKind.BALL):
             continue
-        start = int(model.jnt_qposadr[joint]) + (3 if kind == mujoco.mjtJoint.mjJNT_FREE else 0)
+        start = int(model.jnt_qposadr[joint]) + (3 if kind == JointKind.FREE else 0)
         for key in view.file.spec.keys:
             quaternion = np.array(key.qpos)[start : start + 4]
             length = float(np.linalg.norm(quaternion))

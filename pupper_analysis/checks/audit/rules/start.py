@@ -17,6 +17,7 @@ from pupper_analysis.checks.audit.rules.actuators import drives
 from pupper_analysis.checks.audit.view import MjcfView, View
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.fall import base_motion
 
@@ -161,7 +162,7 @@ def keyframe_falls(view: MjcfView) -> Iterator[Found]:
         return
     base, step = view.body_names.index(view.base), float(model.opt.timestep)
     joint = int(model.body_jntadr[base])
-    free = joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+    free = joint >= 0 and model.jnt_type[joint] == JointKind.FREE
     if not free or not step >= _SHORTEST:
         return
     names = [model.key(key).name for key in range(model.nkey)]

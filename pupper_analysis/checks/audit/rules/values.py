@@ -34,16 +34,16 @@ def value_impossible(view: UrdfView | MjcfView) -> Iterator[Found]:
     """
     if isinstance(view, UrdfView):
         yield from _impossible_sizes(view)
-        for joint in view.file.root.findall("joint"):
+        for name, joint in view.file.tree.joints.items():
             for tag, attributes in _JOINT_NUMBERS.items():
-                element = joint.find(tag)
+                element = joint.element.find(tag)
                 for attribute in attributes:
                     value = number(element, attribute, 0.0)
                     if value < 0:
                         told = diagnose(
                             "value-impossible", attribute=f"{tag} {attribute}", value=value
                         )
-                        yield Found("joint", str(joint.get("name")), told, tag)
+                        yield Found("joint", name, told, tag)
         return
     for joint in view.file.spec.joints:
         around = line_of(view.file, joint, joint.parent.name)
@@ -88,23 +88,21 @@ def _impossible_sizes(view: UrdfView) -> Iterator[Found]:
 
 def _shapes(view: UrdfView) -> Iterator[tuple[str, etree._Element, etree._Element]]:
     """Yields each shape's link, its <geometry>, and its element."""
-    for link in view.file.root.findall("link"):
-        for tag in ("visual", "collision"):
-            for geometry in link.iterfind(f"{tag}/geometry"):
-                for shape in geometry.iterchildren(tag=etree.Element):
-                    yield str(link.get("name")), geometry, shape
+    for name, link in view.file.tree.links.items():
+        for geometry in link.geometries:
+            for shape in geometry.iterchildren(tag=etree.Element):
+                yield name, geometry, shape
 
 
 @rule
 def geometry_empty(view: UrdfView) -> Iterator[Found]:
     """Finds <geometry> without an element in it."""
-    for link in view.file.root.findall("link"):
-        for tag in ("visual", "collision"):
-            for geometry in link.iterfind(f"{tag}/geometry"):
-                if next(geometry.iterchildren(tag=etree.Element), None) is None:
-                    place = Place(view.file.path, geometry.sourceline)
-                    told = diagnose("geometry-empty", tag=tag)
-                    yield Found("link", str(link.get("name")), told, place=place)
+    for name, link in view.file.tree.links.items():
+        for geometry in link.geometries:
+            if next(geometry.iterchildren(tag=etree.Element), None) is None:
+                place = Place(view.file.path, geometry.sourceline)
+                told = diagnose("geometry-empty", tag=geometry.getparent().tag)
+                yield Found("link", name, told, place=place)
 
 
 @rule
