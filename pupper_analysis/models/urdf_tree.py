@@ -1,0 +1,281 @@
+"""A URDF's links and joints: what is fixed to what, what moves, and edits of that structure.
+
+This is the one place that walks over the elements of a URDF; all others ask it.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+
+from pupper_analysis.models.xml import parse_text
+
+MOVING = ("revolute", "continuous", "prismatic")
+"""Types of joints with one degree of freedom."""
+
+
+def origin_of(element: etree._Element) -> pin.SE3:
+    """Returns the pose that an element's ``<origin>`` states: none is the parent's own."""
+    origin = element.find("origin")
+    if origin is None:
+        return pin.SE3.Identity()
+    xyz, rpy = (
+        np.array((origin.get(key) or "0 0 0").split(), dtype=float) for key in ("xyz", "rpy")
+    )
+    return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
+
+
+def set_origin(element: etree._Element, pose: pin.SE3) -> None:
+    """States an element's pose."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    origin = element.find("origin")
+    if origin is None:
+        origin = etree.Element("origin")
+        element.insert(0, origin)
+    rpy = Rotation.from_matrix(pose.rotation).as_euler("xyz")
+    for key, values in (("xyz", pose.translation), ("rpy", rpy)):
+        origin.set(key, " ".join(repr(float(value)) for value in values))
+
+
+_NO_LIMIT = {"effort": "0", "velocity": "0"}
+"""What a <limit> must state, and means none: the readers of both engines take no ``inf``."""
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfLink:
+    """A link.
+
+    Attributes:
+        element: Its XML.
+    """
+
+    element: etree._Element
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return str(self.element.get("name"))
+
+    @property
+    def inertial(self) -> etree._Element | None:
+        """Its ``<inertial>``; None if it states none."""
+        return self.element.find("inertial")
+
+    @property
+    def geometries(self) -> list[etree._Element]:
+        """The ``<geometry>`` of its visuals, then of its collision shapes."""
+        return [
+            geometry
+            for tag in ("visual", "collision")
+            for geometry in self.element.iterfind(f"{tag}/geometry")
+        ]
+
+    @property
+    def mass(self) -> float | None:
+        """What it weighs (kg); None if it states no mass."""
+        element = self.element.find("inertial/mass")
+        return None if element is None else float(element.get("value"))
+
+    def remove(self, *tags: str) -> None:
+        """Takes its children of some tags out of it."""
+        _remove(self.element, tags)
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfJoint:
+    """A joint.
+
+    Attributes:
+        element: Its XML.
+    """
+
+    element: etree._Element
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return str(self.element.get("name"))
+
+    @property
+    def kind(self) -> str:
+        """Its type: ``revolute``, ``continuous``, ``prismatic``, ``fixed``, ``floating``, ..."""
+        return str(self.element.get("type"))
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether its link is fixed to the parent."""
+        return self.kind == "fixed"
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a hinge or a slide."""
+        return self.kind in MOVING
+
+    @property
+    def parent(self) -> str:
+        """The name of the link that carries it."""
+        return self._end("parent")
+
+    @property
+    def child(self) -> str:
+        """The name of the link that it moves."""
+        return self._end("child")
+
+    def _end(self, tag: str) -> str:
+        end = self.element.find(tag)
+        return "" if end is None else str(end.get("link"))
+
+    @property
+    def mimic(self) -> etree._Element | None:
+        """Its ``<mimic>``; None if it follows no other joint."""
+        return self.element.find("mimic")
+
+    @property
+    def origin(self) -> pin.SE3:
+        """Where its frame is in the parent's."""
+        return origin_of(self.element)
+
+    def remove(self, *tags: str) -> None:
+        """Takes its children of some tags out of it."""
+        _remove(self.element, tags)
+
+    def fix(self) -> None:
+        """Makes it a fixed joint."""
+        self.element.set("type", "fixed")
+
+    def set_range(self, lower: float, upper: float) -> None:
+        """Limits a joint (rad, m); one that turned without end no longer does."""
+        if self.kind == "continuous":
+            self.element.set("type", "revolute")
+        limit = self.element.find("limit")
+        if limit is None:
+            limit = etree.SubElement(self.element, "limit", _NO_LIMIT)
+        limit.set("lower", repr(float(lower)))
+        limit.set("upper", repr(float(upper)))
+
+
+def _remove(element: etree._Element, tags: Collection[str]) -> None:
+    for tag in tags:
+        for child in element.findall(tag):
+            element.remove(child)
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfTree:
+    """The links and joints of a URDF.
+
+    Whoever adds or removes elements by other means than its methods makes a new one.
+
+    Attributes:
+        root: The ``<robot>``.
+    """
+
+    root: etree._Element
+
+    @staticmethod
+    def of(text: str) -> UrdfTree:
+        """Parses a URDF's text, which has been read before."""
+        return UrdfTree(parse_text(text))
+
+    def copy(self) -> UrdfTree:
+        """Returns a tree with XML of its own."""
+        return UrdfTree(copy.deepcopy(self.root))
+
+    @cached_property
+    def links(self) -> dict[str, UrdfLink]:
+        """{name: link}, in the file's order."""
+        links = map(UrdfLink, self.root.findall("link"))
+        return {link.name: link for link in links}
+
+    @cached_property
+    def joints(self) -> dict[str, UrdfJoint]:
+        """{name: joint}, in the file's order."""
+        joints = map(UrdfJoint, self.root.findall("joint"))
+        return {joint.name: joint for joint in joints}
+
+    @cached_property
+    def above(self) -> dict[str, UrdfJoint]:
+        """{link: the joint that moves or holds it}; the base has none."""
+        return {joint.child: joint for joint in self.joints.values()}
+
+    @cached_property
+    def below(self) -> dict[str, list[UrdfJoint]]:
+        """{link: the joints that it carries}, of those that carry any."""
+        found: dict[str, list[UrdfJoint]] = {}
+        for joint in self.joints.values():
+            found.setdefault(joint.parent, []).append(joint)
+        return found
+
+    @property
+    def base(self) -> UrdfLink:
+        """The link that no joint moves."""
+        return next(link for name, link in self.links.items() if name not in self.above)
+
+    @property
+    def moving(self) -> list[UrdfJoint]:
+        """The hinges and slides."""
+        return [joint for joint in self.joints.values() if joint.moves]
+
+    @property
+    def moved_links(self) -> dict[str, str]:
+        """{joint: the link that it moves}."""
+        return {name: joint.child for name, joint in self.joints.items()}
+
+    def fixed_group(self, link: str) -> list[str]:
+        """Returns a link, and all that is fixed to it and carried by it, nearest first."""
+        group = [link]
+        for name in group:
+            group += [joint.child for joint in self.below.get(name, ()) if joint.is_fixed]
+        return group
+
+    def subtree(self, link: str) -> Iterator[str]:
+        """Yields a link and all that it carries, branch by branch."""
+        waiting = [link]
+        while waiting:
+            name = waiting.pop()
+            yield name
+            waiting += [joint.child for joint in reversed(self.below.get(name, ()))]
+
+    def chain(self, link: str) -> Iterator[UrdfJoint]:
+        """Yields the joints between a link and the base, from the link on."""
+        while link in self.above:
+            yield self.above[link]
+            link = self.above[link].parent
+
+    def fix(self, names: Collection[str]) -> None:
+        """Makes joints fixed."""
+        for name in names:
+            if name in self.joints:
+                self.joints[name].fix()
+
+    def remove_shapes(self) -> None:
+        """Takes all visuals and collision shapes out."""
+        for link in self.links.values():
+            link.remove("visual", "collision")
+
+    def remove_subtree(self, link: str) -> None:
+        """Takes a link out, with all that it carries and the joint that holds it."""
+        for name in list(self.subtree(link)):
+            if name in self.above:
+                self.root.remove(self.above[name].element)
+            self.root.remove(self.links[name].element)
+        self._forget()
+
+    def remove_base(self) -> None:
+        """Takes out the base, and the joints that it carries."""
+        base = self.base
+        for joint in self.below.get(base.name, ()):
+            self.root.remove(joint.element)
+        self.root.remove(base.element)
+        self._forget()
+
+    def _forget(self) -> None:
+        for name in ("links", "joints", "above", "below"):
+            self.__dict__.pop(name, None)
