@@ -44,9 +44,8 @@ from pupper_analysis.report.document import (
     View,
     number,
 )
-from pupper_analysis.report.documents import sources, tasks
+from pupper_analysis.report.documents import sources
 from pupper_analysis.report.documents.fields import chinese_meanings, meanings
-from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.html import library, plots, scene, words, write
 from pupper_analysis.report.html.scene import scene_of
 from pupper_analysis.report.plots import Axis, LinePlot, Series
@@ -907,35 +906,6 @@ def test_the_template_engine_is_loaded_when_a_report_is_written() -> None:
         cwd=ROOT,
     )
     assert run.stdout.strip() == "False"
-
-
-def test_a_task_is_said_in_both_languages() -> None:
-    """In English it is the task's own sentence, and no part is missing in Chinese."""
-    task = pa.StandTask(
-        height=0.12,
-        roll=math.radians(1.5),
-        offset=(0.01, -0.02),
-        foot_offsets={"FL": (0.003, 0.004)},
-        feet={"FR": (0.1, -0.2)},
-        swing={"RL": 0.05},
-        ground=pa.Ground(slope=math.radians(6), uphill=math.radians(77), heights={"RR": 0.008}),
-        com_margin=0.009,
-        joint_margin=math.radians(11),
-        ground_clearance=0.013,
-        self_clearance=0.014,
-    )
-    said = task_text(task)
-    assert said.en == str(task)
-    number_of = re.compile(r"-?\d+\.?\d*")
-    assert number_of.findall(said.zh) == number_of.findall(said.en)
-    english = ", ".join(part.en for part in tasks._parts(task))
-    assert english == str(task)
-
-
-@pytest.mark.parametrize("com", ["inside", (0.01, 0.02)])
-def test_a_com_is_said_in_both_languages(com: str | tuple[float, float]) -> None:
-    task = pa.StandTask(height=0.1, com=com)
-    assert ", ".join(part.en for part in tasks._parts(task)) == str(task)
 
 
 PUBLIC = [value for name in pa.__all__ if isinstance(value := getattr(pa, name), type)]

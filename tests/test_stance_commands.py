@@ -26,6 +26,7 @@ from pupper_analysis import (
     sunk_stand,
 )
 from pupper_analysis.analysis.path import way_to
+from pupper_analysis.cli.stance_fields import TYPED
 from pupper_analysis.cli.stance_options import RobotAndTask, derived_variant
 from pupper_analysis.report.figures.pose import pose_figure
 from pupper_analysis.report.figures.workspace import workspace_figure
@@ -169,7 +170,7 @@ def test_the_way_keeps_moved_feet_and_ground() -> None:
 
 def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
     """Of the same name, kind, default and help: one list."""
-    names = set(RobotAndTask.__dataclass_fields__)
+    names = {*RobotAndTask.__dataclass_fields__, *TYPED} - {"stance"}
     shared = []
     for command in OURS:
         options = {option.name: option for option in cli.group.commands[command].params}

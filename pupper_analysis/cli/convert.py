@@ -43,7 +43,9 @@ from pupper_analysis.errors import ConfigurationError, OutputError
     metavar="[JOINTS=]KGM2",
     help="Rotor inertia (kg m^2), of all joints or by pattern: '*knee*=0.01'.",
 )
-@click.option("--sag", type=shared.ANGLE, help="The joint that holds most gives way so far (rad).")
+@click.option(
+    "--sag", type=shared.Quantity("angle"), help="The joint that holds most gives way so far (rad)."
+)
 @click.option("--damping-ratio", type=float, help="Of the base's bounce on its servos.")
 @click.option(
     "--repair-inertia",

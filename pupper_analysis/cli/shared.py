@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, OutputError
 
 if TYPE_CHECKING:
@@ -145,11 +145,7 @@ class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic since clic
         try:
             return quantity(self.name, str(value))
         except ValueError:
-            units = ", ".join(UNITS[self.name])
-            self.fail(f"{value!r} is no {self.name}: a number, with or without {units}", param, ctx)
-
-
-LENGTH, ANGLE = Quantity("length"), Quantity("angle")
+            self.fail(str(_no_quantity(self.name, str(value))), param, ctx)
 
 
 def quantity(kind: str, text: str) -> float:
@@ -182,14 +178,24 @@ def number(option: str, text: str) -> tuple[str, float]:
         raise ConfigurationError(option, told) from error
 
 
-def length(option: str, text: str) -> tuple[str, float]:
-    """Returns name and length (m) of NAME=LENGTH, or raises ConfigurationError for the option."""
-    name, value = assignment(option, text)
+def measured(option: str, kind: str, text: str, given: str = "") -> float:
+    """Returns a number in SI units, or raises ConfigurationError for the option.
+
+    Args:
+        option: Its name.
+        kind: A key of ``UNITS``.
+        text: What was typed.
+        given: In what: the whole of the option's value.
+    """
     try:
-        return name, quantity("length", value)
+        return quantity(kind, text)
     except ValueError as error:
-        told = diagnose("part-is-no-length", part=value, given=text)
-        raise ConfigurationError(option, told) from error
+        raise ConfigurationError(option, _no_quantity(kind, text, given)) from error
+
+
+def _no_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
+    units = tuple(UNITS[kind])
+    return diagnose("part-is-no-quantity", part=text, given=given, kind=Term(kind), units=units)
 
 
 def working(what: str) -> Status:

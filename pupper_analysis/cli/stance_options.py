@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.stance_fields import TYPED, options_of, task_of
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -67,33 +68,6 @@ LOAD = (
         "--payload-at", default="0,0,0", metavar="X,Y,Z", help="Where, in the base's frame (m)."
     ),
 )
-BASE = (
-    click.option("--height", type=shared.LENGTH, help="Base above the contact points (m)."),
-    click.option("--roll", type=shared.ANGLE, default=0.0, help="Roll of the base (rad)."),
-    click.option("--pitch", type=shared.ANGLE, default=0.0, help="Pitch of the base (rad)."),
-    click.option("--yaw", type=shared.ANGLE, default=0.0, help="Yaw against the feet (rad)."),
-)
-TASK = (
-    click.option("--offset", metavar="X,Y", help="Base from the centre of the feet (m)."),
-    click.option("--com", default=None, metavar="X,Y", help="Com at (m), or: centre, inside."),
-    click.option("--com-margin", type=shared.LENGTH, default=0.0, help="Inside the polygon (m)."),
-    click.option("--joint-margin", type=shared.ANGLE, default=0.0, help="Off the limits (rad)."),
-    click.option(
-        "--ground-clearance", type=shared.LENGTH, default=0.0, help="All but the feet (m)."
-    ),
-    click.option("--self-clearance", type=shared.LENGTH, help="Between links (m)."),
-    click.option(
-        "--move", "moves", multiple=True, metavar="FOOT=X,Y", help="Foot off its place (m)."
-    ),
-    click.option(
-        "--swing", "swings", multiple=True, metavar="FOOT=LENGTH", help="Swing foot, so high (m)."
-    ),
-    click.option(
-        "--step", "steps", multiple=True, metavar="FOOT=LENGTH", help="Step under it (m)."
-    ),
-    click.option("--slope", type=shared.ANGLE, default=0.0, help="Slope of the ground (rad)."),
-    click.option("--uphill", type=shared.ANGLE, default=0.0, help="Where it rises (rad)."),
-)
 SERVOS = (
     click.option(
         "--kp",
@@ -129,7 +103,10 @@ def options(*groups: tuple[Callable[[Command], Command], ...]) -> Callable[[Comm
 
 @dataclass(frozen=True)
 class RobotAndTask:
-    """What these options say, as it was given; each field is an option's."""
+    """What these options say, as it was given.
+
+    Each field is an option's; ``stance`` has those of the table of what can be asked of a stand.
+    """
 
     urdf: Path | None
     mjcf: Path | None
@@ -144,21 +121,7 @@ class RobotAndTask:
     torso_mass_scale: float | None
     payload: float
     payload_at: str
-    height: float | None
-    roll: float
-    pitch: float
-    yaw: float
-    offset: str | None
-    com: str | None
-    com_margin: float
-    joint_margin: float
-    ground_clearance: float
-    self_clearance: float | None
-    moves: tuple[str, ...]
-    swings: tuple[str, ...]
-    steps: tuple[str, ...]
-    slope: float
-    uphill: float
+    stance: Mapping[str, Any]
     kp: tuple[str, ...]
     kd: tuple[str, ...]
     integrator: str | None
@@ -224,29 +187,7 @@ class RobotAndTask:
 
     def task(self) -> StandTask:
         """Returns the task of the stance."""
-        from pupper_analysis.robot.ground import Ground
-        from pupper_analysis.stance.task import StandTask
-
-        return StandTask(
-            height=self.height,
-            roll=self.roll,
-            pitch=self.pitch,
-            yaw=self.yaw,
-            offset=None if self.offset is None else _place("offset", self.offset),
-            com=self.com if self.com in (None, "centre", "inside") else _place("com", self.com),
-            com_margin=self.com_margin,
-            joint_margin=self.joint_margin,
-            ground_clearance=self.ground_clearance,
-            self_clearance=self.self_clearance,
-            foot_offsets={
-                foot: _place("move", place)
-                for foot, place in (shared.assignment("move", text) for text in self.moves)
-            },
-            swing=dict(shared.length("swing", text) for text in self.swings),
-            ground=Ground(
-                self.slope, self.uphill, dict(shared.length("step", text) for text in self.steps)
-            ),
-        )
+        return task_of(self.stance)
 
 
 def files_given(
@@ -290,14 +231,15 @@ def print_notes(robot: Robot, *, everything: bool = False) -> None:
 
 def robot_and_task(command: Command) -> Command:
     """Gives a command the options of robot, stance and servos, as one ``RobotAndTask``."""
-    names = [field.name for field in fields(RobotAndTask)]
+    names = [field.name for field in fields(RobotAndTask) if field.name != "stance"]
 
     @wraps(command)
     def gathered(**values: Any) -> None:
-        asked = RobotAndTask(**{name: values.pop(name) for name in names})
+        stance = {name: values.pop(name) for name in TYPED}
+        asked = RobotAndTask(stance=stance, **{name: values.pop(name) for name in names})
         command(asked, **values)
 
-    return options(OWN, AS_PUBLISHED, VARIANT, LOAD, BASE, TASK, SERVOS, LOOK)(gathered)
+    return options(OWN, AS_PUBLISHED, VARIANT, LOAD, options_of(), SERVOS, LOOK)(gathered)
 
 
 def derived_variant(
@@ -313,11 +255,6 @@ def derived_variant(
         leg_scale=1.0 if leg_scale is None else leg_scale,
         torso_mass_scale=1.0 if torso_mass_scale is None else torso_mass_scale,
     )
-
-
-def _place(option: str, text: str) -> tuple[float, float]:
-    x, y = shared.point(option, text)
-    return x, y
 
 
 def _gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_options import BASE, VARIANT, derived_variant, options
+from pupper_analysis.cli.stance_fields import options_of, task_of
+from pupper_analysis.cli.stance_options import VARIANT, derived_variant, options
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 )
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--list", "list_only", is_flag=True, help="List the variants, and stop.")
-@options(VARIANT, BASE)
+@options(VARIANT, options_of("Base"))
 @click.option(
     "-o",
     "--output",
@@ -53,10 +54,6 @@ def analyze(
     base: str | None,
     leg_scale: float | None,
     torso_mass_scale: float | None,
-    height: float | None,
-    roll: float,
-    pitch: float,
-    yaw: float,
     output: Path,
     json_path: Path | None,
     report_path: Path | None,
@@ -65,6 +62,7 @@ def analyze(
     everything: bool,
     quiet: bool,
     write_folder: Path | None,
+    **stance: Any,
 ) -> None:
     """Take variants of Pupper from their two model files to a verified stand.
 
@@ -90,7 +88,6 @@ def analyze(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, variant_spec
-    from pupper_analysis.stance.task import StandTask
 
     if everything and quiet:
         raise ConfigurationError("-v, -q", diagnose("verbose-or-quiet"))
@@ -105,7 +102,7 @@ def analyze(
     shared.check_outputs(
         json_path, report_path, folders=(None if no_figures else output, write_folder)
     )
-    task = StandTask(height=height, roll=roll, pitch=pitch, yaw=yaw)
+    task = task_of(stance)
     shown = style == "text" and not quiet
     analyses, robots = _analyze_all(specs, task, everything=everything, shown=shown)
     folder = None if no_figures else output

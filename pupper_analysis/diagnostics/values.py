@@ -11,6 +11,7 @@ _SHOWN_IN = {
     ("m/s", "mm/s"): 1e3,
     ("rad", "deg"): math.degrees(1.0),
     ("rad", "degrees"): math.degrees(1.0),
+    ("rad", "°"): math.degrees(1.0),
     ("rad/s", "deg/s"): math.degrees(1.0),
     ("kg", "g"): 1e3,
     ("s", "ms"): 1e3,
@@ -49,8 +50,7 @@ class Quantity:
         elif not colon:  # so that "g" are grams of a mass, and Python's format of all else
             shown = self.unit
         factor = 1.0 if shown == self.unit else _SHOWN_IN[self.unit, shown]
-        number = format(factor * self.value, digits or ".4g")
-        return number if shown == "1" else f"{number} {shown}"
+        return _with_unit(format(factor * self.value, digits or ".4g"), shown)
 
     def __str__(self) -> str:
         return format(self, "")
@@ -74,15 +74,24 @@ class Vector:
     def __format__(self, spec: str) -> str:
         """Returns the numbers in brackets, by default with 6 digits, and the unit.
 
-        By ``":.3g"`` the numbers alone.
+        By ``":.3g"`` the numbers alone, by ``"mm:.1f"`` in mm.
         """
-        digits = spec.removeprefix(":") or ".6g"
-        numbers = ", ".join(format(value + 0.0, digits) for value in self.values)
-        alone = self.unit == "1" or spec.startswith(":")
-        return f"({numbers})" if alone else f"({numbers}) {self.unit}"
+        shown, colon, digits = spec.rpartition(":")
+        factor = _SHOWN_IN[self.unit, shown] if shown else 1.0
+        numbers = ", ".join(format(factor * value + 0.0, digits or ".6g") for value in self.values)
+        return (
+            f"({numbers})"
+            if colon and not shown
+            else _with_unit(f"({numbers})", shown or self.unit)
+        )
 
     def __str__(self) -> str:
         return format(self, "")
+
+
+def _with_unit(number: str, unit: str) -> str:
+    """Returns digits and their unit; a degree's sign is set close."""
+    return number if unit == "1" else f"{number}{unit}" if unit == "°" else f"{number} {unit}"
 
 
 class Term(str):

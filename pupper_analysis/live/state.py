@@ -12,6 +12,7 @@ from pupper_analysis.arguments import finite
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.ground import Ground
+from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.task import StandTask
 
 PLACES = ("centre", "inside", "offset")
@@ -25,16 +26,11 @@ _NUMBERS = {
 }
 """How many numbers a field has, where it has nothing else."""
 
-_FROM_TO = {
-    **dict.fromkeys(("roll", "pitch", "yaw"), (-180.0, 180.0, "°")),
-    **dict.fromkeys(("com_margin", "ground_clearance", "self_clearance"), (0.0, math.inf, " mm")),
-    "joint_margin": (0.0, 180.0, "°"),
-    "slope": (0.0, 89.9, "°"),
-}
-"""{field: (its least value, its greatest, their unit)}: what is beyond is refused as typed."""
-
 _FEET = {"move": ("moves", 2), "lift": ("lifts", 1), "step": ("steps", 1)}
 """{how a text says it: (the field that has it for some feet, how many numbers each has)}."""
+
+_PAGE = {"length": ("mm", 1e3), "angle": ("°", math.degrees(1.0))}
+"""{kind of a field: unit of a page, and how many are an SI unit}."""
 
 _LONGEST = 4000
 """Letters of a state: 50 feet's worth; a longer one is none of ours."""
@@ -114,22 +110,13 @@ class State:
 
     def _check_ranges(self) -> None:
         """Refuses what makes no task, in the units in which it was asked."""
-        for name, (low, high, unit) in _FROM_TO.items():
-            value = getattr(self, name)
-            if value is not None and not low <= value <= high:
-                told = diagnose(
-                    "below-the-least" if value < low else "above-the-most",
-                    value=f"{plain(value)}{unit}",
-                    bound=f"{plain(low if value < low else high)}{unit}",
-                )
-                raise ConfigurationError(name, told)
-        if self.height is not None and self.height <= 0:
-            told = diagnose("height-not-above-ground", height=f"{plain(self.height)} mm")
-            raise ConfigurationError("height", told)
+        for name, entry in FIELDS.items():
+            value = getattr(self, name, None)
+            if isinstance(value, float):
+                unit, factor = _PAGE[entry.kind]
+                entry.check_range(name, value, unit, factor)
         for foot, height in self.lifts.items():
-            if height <= 0:
-                told = diagnose("height-not-above-ground", height=f"{plain(height)} mm")
-                raise ConfigurationError(f"lift {foot}", told)
+            FIELDS["swing"].check_range(f"lift {foot}", height, *_PAGE["length"])
 
     def task(self) -> StandTask:
         """Returns the stand task.

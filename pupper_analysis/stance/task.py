@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
-import operator
-from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import FARTHEST, check_fields, finite, length
+from pupper_analysis.arguments import check_type, finite
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.diagnostics.templates import fill
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.frozen import FrozenDict
 from pupper_analysis.robot.ground import Ground
+from pupper_analysis.stance.fields import FIELDS, Field
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]
@@ -71,69 +75,50 @@ class StandTask:
     ik_seed: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        def put(name: str, value: object) -> None:
-            object.__setattr__(self, name, value)
-
-        if self._as_by_default():
-            return
-        check_fields(self)
-        if self.self_clearance is not None:
-            put("self_clearance", length("self_clearance", self.self_clearance))
-        for name in ("com_margin", "ground_clearance"):
-            put(name, length(name, getattr(self, name)))
-        for name in ("roll", "pitch", "yaw", "joint_margin"):
-            put(name, finite(name, getattr(self, name)))
-        for name in ("roll", "pitch", "yaw"):
-            if abs(getattr(self, name)) > math.pi:
-                value = getattr(self, name)
-                raise ConfigurationError(name, f"{value} rad is not between -pi and pi")
-        for name in ("com_margin", "joint_margin", "ground_clearance", "self_clearance"):
-            if (getattr(self, name) or 0.0) < 0:
-                raise ConfigurationError(name, f"{getattr(self, name)} is negative")
-        if self.joint_margin > FARTHEST:
-            problem = f"{self.joint_margin:g} rad is more than any joint turns"
-            raise ConfigurationError("joint_margin", problem)
-        if self.height is not None:
-            put("height", length("height", self.height))
-            if not self.height > 0:
-                raise ConfigurationError("height", f"{self.height} m is not above the ground")
-        if self.offset is not None:
-            put("offset", _point("offset", self.offset))
-            if self.com not in (None, "centre"):
-                raise ConfigurationError("offset", "give an offset of the base, or a com, not both")
-        for name in ("feet", "foot_offsets"):
-            places = {foot: _point(f"{name}[{foot}]", p) for foot, p in getattr(self, name).items()}
-            put(name, FrozenDict(places))
-        both = sorted(set(self.feet) & set(self.foot_offsets))
-        if both:
-            raise ConfigurationError("feet", f"{both[0]} is in feet and in foot_offsets")
-        swing = {foot: length(f"swing[{foot}]", h) for foot, h in self.swing.items()}
-        for foot, height in swing.items():
-            if height <= 0:
-                raise ConfigurationError("swing", f"{foot}: {height} m is not above the ground")
-        put("swing", FrozenDict(swing))
-        if isinstance(self.com, str):
-            if self.com not in ("centre", "inside"):
-                problem = f"{self.com!r} is not 'centre', 'inside' or a point (x, y)"
-                raise ConfigurationError("com", problem)
-        elif self.com is not None:
-            put("com", _point("com", self.com))
-        if self.ik_seed is not None:
-            put("ik_seed", tuple(finite("ik_seed", value) for value in self.ik_seed))
-
-    def _as_by_default(self) -> bool:
-        """Whether nothing is asked: what the class says itself needs no check."""
+        for entry in _OWN:
+            value = getattr(self, entry.name)
+            if value is _USUAL[entry.name] or (type(value) is FrozenDict and not value):
+                continue  # what the class says itself needs no check
+            if entry.per_foot:
+                check_type(entry.name, value, Mapping[str, Any])
+            object.__setattr__(self, entry.name, entry.checked(value))
         if type(self.ground) is not Ground:
-            return False
-        mappings = (self.feet, self.foot_offsets, self.swing)
-        if any(type(each) is not FrozenDict or each for each in mappings):
-            return False
-        return all(map(operator.is_, map(vars(self).__getitem__, _PLAIN), _PLAIN.values()))
+            check_type("ground", self.ground, Ground)
+        if self.ik_seed is not None:
+            check_type("ik_seed", self.ik_seed, Sequence[float])
+            seed = tuple(finite("ik_seed", value) for value in self.ik_seed)
+            object.__setattr__(self, "ik_seed", seed)
+        if self.offset is not None and self.com not in (None, "centre"):
+            raise ConfigurationError("offset", diagnose("offset-and-com"))
+        for foot in self.feet:
+            if foot in self.foot_offsets:
+                told = diagnose("foot-placed-twice", foot=foot)
+                raise ConfigurationError("feet", told)
+
+    def values(self) -> dict[str, Any]:
+        """Returns {field of the table of ``stance.fields``: its value}, those of the ground too."""
+        owners = {"task": self, "ground": self.ground}
+        return {name: getattr(owners[field.part], name) for name, field in FIELDS.items()}
+
+    def having(self, values: Mapping[str, Any]) -> StandTask:
+        """Returns the task with other values, {field of the table: value}.
+
+        Raises:
+            ConfigurationError: If one is out of range.
+        """
+        grounds = {name: value for name, value in values.items() if FIELDS[name].part == "ground"}
+        own: dict[str, Any] = {name: values[name] for name in values if name not in grounds}
+        if grounds:
+            own["ground"] = replace(self.ground, **grounds)
+        return replace(self, **own)
 
     def filled(self, **values: object) -> StandTask:
-        """Returns the task with other values, which are not checked: nobody's but our own."""
-        other = object.__new__(StandTask)
-        vars(other).update(vars(self), **values)
+        """Returns the task with other values, which are not checked: nobody's but our own.
+
+        A search asks for what nobody may: a com that is outside by a negative margin.
+        """
+        other = copy(self)
+        vars(other).update(values)
         return other
 
     def rotation(self) -> Array:
@@ -155,44 +140,39 @@ class StandTask:
 
     def __str__(self) -> str:
         """Names the values, with units."""
-        parts = [] if self.height is None else [f"height {self.height:.4f} m"]
-        parts += [
-            f"{name} {math.degrees(getattr(self, name)):.1f} deg"
-            for name in ("roll", "pitch", "yaw")
-        ]
-        if self.offset is not None:
-            parts.append(f"base {_millimetres(self.offset)} from the centre")
-        parts += [f"{foot} at {_millimetres(place)}" for foot, place in self.feet.items()]
-        parts += [f"{foot} moved by {_millimetres(p)}" for foot, p in self.foot_offsets.items()]
-        parts += [f"{foot} lifted {1e3 * height:.0f} mm" for foot, height in self.swing.items()]
-        if self.ground.slope:
-            parts.append(
-                f"slope {math.degrees(self.ground.slope):.1f} deg, rising towards "
-                f"{math.degrees(self.ground.uphill):.0f} deg"
-            )
-        parts += [f"{foot} on {1e3 * h:.0f} mm" for foot, h in self.ground.heights.items()]
-        if self.com == "inside" or (self.offset is not None and self.com_margin):
-            parts.append(f"com inside by {1e3 * self.com_margin:.0f} mm")
-        elif self.com is not None and not isinstance(self.com, str):
-            parts.append(f"com at {_millimetres(self.com)}")
-        if self.joint_margin:
-            parts.append(f"{math.degrees(self.joint_margin):.1f} deg off the joint limits")
-        if self.ground_clearance:
-            parts.append(f"{1e3 * self.ground_clearance:.0f} mm off the ground")
-        if self.self_clearance is not None:
-            parts.append(f"links {1e3 * self.self_clearance:.0f} mm apart")
-        return ", ".join(parts)
+        return self.said("en")
+
+    def said(self, language: str) -> str:
+        """Returns the values with units, in ``"en"`` or ``"zh"``."""
+        parts = []
+        values = {
+            name: FIELDS[name].quantity(value)
+            for name, value in self.values().items()
+            if isinstance(value, float | tuple)
+        }
+        for entry, foot, value in self._asked():
+            told = {**values, "foot": foot, "value": entry.quantity(value)}
+            parts.append(fill(entry.words(language).said, told, language))
+        return _COMMA[language].join(parts)
+
+    def _asked(self) -> Iterator[tuple[Field, str, float | Point]]:
+        """Yields what is asked: field, foot (empty where it is of none), and value."""
+        inside = self.com == "inside" or (self.offset is not None and self.com_margin != 0.0)
+        for name, value in self.values().items():
+            field = FIELDS[name]
+            if not field.en.said or isinstance(value, str):
+                continue
+            if field.per_foot:
+                yield from ((field, foot, one) for foot, one in value.items())
+            elif name == "com_margin":  # of a com that is where it is asked to be, it is a check
+                if inside:
+                    yield field, "", value
+            elif field.always_said or value != field.usual:
+                yield field, "", value
 
 
-_PLAIN = {one.name: one.default for one in fields(StandTask) if one.default is not MISSING}
-"""Fields that have one default for all tasks, and which."""
+_OWN = tuple(field for field in FIELDS.values() if field.part == "task")
 
+_USUAL = {one.name: one.default for one in fields(StandTask)}
 
-def _millimetres(point: Point) -> str:
-    return f"({1e3 * point[0]:.0f}, {1e3 * point[1]:.0f}) mm"
-
-
-def _point(name: str, value: object) -> Point:
-    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2:
-        raise ConfigurationError(name, f"{value!r} is not a point (x, y)")
-    return length(name, value[0]), length(name, value[1])
+_COMMA = {"en": ", ", "zh": "，"}  # noqa: RUF001

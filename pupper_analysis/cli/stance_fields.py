@@ -1,0 +1,69 @@
+"""How a stand shall be, on the command line: an option per field of the table that has a help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pupper_analysis.cli import shared
+from pupper_analysis.stance.fields import FIELDS, Field
+
+if TYPE_CHECKING:
+    from pupper_analysis.stance.task import StandTask
+
+Command = Callable[..., None]
+
+TYPED = {name: field for name, field in FIELDS.items() if field.help}
+"""The fields that have an option, whose value a command gets by the field's name."""
+
+
+def option_of(field: Field) -> Callable[[Command], Command]:
+    """Returns a field's option."""
+    options: dict[str, Any] = {"help": field.help}
+    point = field.axes or field.choices
+    if field.per_foot:
+        form = "X,Y" if point else field.kind.upper()
+        options |= {"multiple": True, "metavar": f"FOOT={form}"}
+    elif point:
+        options |= {"metavar": "X,Y"}
+    else:
+        options |= {"type": shared.Quantity(field.kind), "default": field.usual}
+    return click.option(f"--{field.option}", field.name, **options)
+
+
+def options_of(*folders: str) -> tuple[Callable[[Command], Command], ...]:
+    """Returns the options of the fields, or of those under some headings of the live page."""
+    return tuple(
+        option_of(field)
+        for field in TYPED.values()
+        if not folders or (field.slider is not None and field.slider.folder in folders)
+    )
+
+
+def task_of(values: Mapping[str, Any]) -> StandTask:
+    """Returns the task that options say.
+
+    Args:
+        values: {field: as click read its option}; the others are as usual.
+    """
+    from pupper_analysis.stance.task import StandTask
+
+    return StandTask().having({name: _read(TYPED[name], value) for name, value in values.items()})
+
+
+def _read(field: Field, value: Any) -> Any:
+    """Returns an option's value as the task has it."""
+    if field.per_foot:
+        given = [(shared.assignment(field.option, text), text) for text in value]
+        return {foot: _typed(field, text, whole) for (foot, text), whole in given}
+    if value is None or value in field.choices or not (field.axes or field.choices):
+        return value
+    return _typed(field, value, value)
+
+
+def _typed(field: Field, text: str, given: str) -> Any:
+    if field.axes or field.choices:
+        return shared.point(field.option, text)
+    return shared.measured(field.option, field.kind, text, given)

@@ -1,0 +1,217 @@
+"""The table of what can be asked of a stand: one entry a wish, with its facts and its words.
+
+``StandTask``'s checks and words, the command line's options, the live page's sliders and exports,
+and the numbers that a study varies are derived from it. It loads no engine, so that ``--help`` need
+not wait for one.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from pupper_analysis.arguments import finite, length
+from pupper_analysis.diagnostics import Quantity, Vector, diagnose
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.frozen import FrozenDict
+
+UNITS = {
+    **dict.fromkeys(("length", "point", "point3", "place"), "m"),
+    "angle": "rad",
+    "mass": "kg",
+    "ratio": "1",
+    "stiffness": "N m/rad",
+    "damping": "N m s/rad",
+}
+"""{kind of a field: unit of its numbers}."""
+
+_AXES = {"point": "xy", "point3": "xyz"}
+
+
+@dataclass(frozen=True)
+class Slider:
+    """How far a slider goes; see ``live.sliders``.
+
+    Attributes:
+        folder: Under which heading it is.
+        low: Where it begins: deg, or a part of the nominal stand's height for lengths.
+        high: Where it ends, likewise.
+        step: From notch to notch; what suits its length by default.
+        start: Where it is on a page just opened (SI units); the nominal value by default.
+    """
+
+    folder: str
+    low: float = 0.0
+    high: float = 0.0
+    step: float | None = None
+    start: float | None = None
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a field is called in one language.
+
+    Attributes:
+        label: Its name on a slider, without a unit.
+        hint: What it is about; ``{axis}`` is where a number of a point goes.
+        said: The template of a task's text, with ``{value}``, ``{foot}`` and all other fields.
+    """
+
+    label: str
+    hint: str = ""
+    said: str = ""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One wish.
+
+    Attributes:
+        name: Of the attribute that has it.
+        kind: ``"length"``, ``"angle"``, ``"point"`` (x, y), ``"point3"``, ``"place"`` (a point, or
+            one of ``choices``), ``"mass"``, ``"ratio"``, ``"stiffness"``, ``"damping"``.
+        en: Its words in English.
+        zh: Those in Simplified Chinese.
+        part: Whose attribute it is: the ``"task"``'s, or its ``"ground"``'s.
+        per_foot: Whether it is a mapping of feet to such values.
+        optional: Whether nothing may be asked, by None; else it is 0.
+        nominal: What the nominal stand has: ``"zero"``, or an attribute of the robot.
+        low: The least that makes sense (SI units).
+        high: The greatest.
+        open: Whether ``low`` itself makes no sense.
+        choices: Words that are values, too.
+        constraint: What it sets of the problem that a stand solves.
+        always_said: Whether a task's text has it where it is 0, too.
+        option: Of the command line, without its dashes; there is none without ``help``.
+        help: What ``--help`` says of it.
+        address: What the page's address calls it.
+        slider: How far the page's goes; None if it has none.
+    """
+
+    name: str
+    kind: str
+    en: Words
+    zh: Words
+    part: str = "task"
+    per_foot: bool = False
+    optional: bool = False
+    nominal: str = "zero"
+    low: float = -math.inf
+    high: float = math.inf
+    open: bool = False
+    choices: tuple[str, ...] = ()
+    constraint: str = ""
+    always_said: bool = False
+    option: str = ""
+    help: str = ""
+    address: str = ""
+    slider: Slider | None = None
+
+    @property
+    def unit(self) -> str:
+        """Of its numbers, in SI units."""
+        return UNITS[self.kind]
+
+    @property
+    def axes(self) -> str:
+        """The axes of a point; empty for a number."""
+        return _AXES.get(self.kind, "")
+
+    @property
+    def usual(self) -> Any:
+        """Its value where nothing is asked."""
+        if self.per_foot:
+            return FrozenDict()
+        return None if self.optional else 0.0
+
+    def words(self, language: str) -> Words:
+        """Returns what it is called in a language, ``"en"`` or ``"zh"``."""
+        return self.zh if language == "zh" else self.en
+
+    def checked(self, value: Any) -> Any:
+        """Returns a value as a task has it: numbers in range, points as tuples, frozen mappings.
+
+        Raises:
+            ConfigurationError: If it is none; of a foot's the field is ``swing[FL]``.
+        """
+        if value is None and self.optional:
+            return None
+        if self.per_foot:
+            return FrozenDict(
+                {foot: self._checked(f"{self.name}[{foot}]", one) for foot, one in value.items()}
+            )
+        return self._checked(self.name, value)
+
+    def _checked(self, name: str, value: Any) -> Any:
+        if self.choices and isinstance(value, str):
+            if value not in self.choices:
+                told = diagnose("neither-word-nor-point", given=value, known=self.choices)
+                raise ConfigurationError(name, told)
+            return value
+        if self.axes or self.choices:
+            if not isinstance(value, tuple | list | np.ndarray) or len(value) != 2:
+                raise ConfigurationError(name, diagnose("no-place", given=repr(value)))
+            return length(name, value[0]), length(name, value[1])
+        number = length(name, value) if self.kind == "length" else finite(name, value)
+        self.check_range(name, number)
+        return number
+
+    def check_range(self, name: str, number: float, unit: str = "", factor: float = 1.0) -> None:
+        """Refuses a number that is out of range.
+
+        Args:
+            name: What the error calls it.
+            number: In ``unit``.
+            unit: Whoever reads the error is told of this one; the SI unit by default.
+            factor: Of this unit's numbers, over SI ones.
+
+        Raises:
+            ConfigurationError: If it is.
+        """
+        low, high = factor * self.low, factor * self.high
+        if low < number <= high or (number == low and not self.open):
+            return
+        given = Quantity(number, unit or self.unit)
+        if number <= low and self.open:
+            told = diagnose("height-not-above-ground", height=given)
+        elif number < low:
+            told = diagnose("below-the-least", value=given, bound=Quantity(low, given.unit))
+        else:
+            told = diagnose("above-the-most", value=given, bound=Quantity(high, given.unit))
+        raise ConfigurationError(name, told)
+
+    def quantity(self, value: Any) -> Quantity | Vector:
+        """Returns a value with its unit."""
+        if isinstance(value, tuple):
+            return Vector(value, self.unit)
+        return Quantity(value, self.unit)
+
+
+def read_table(package: str, file: str) -> Mapping[str, Field]:
+    """Returns {name: field} of a TOML file of a package, in its order."""
+    stated = tomllib.loads(files(package).joinpath(file).read_text(encoding="utf-8"))
+    return MappingProxyType({name: _field(name, facts) for name, facts in stated.items()})
+
+
+def _field(name: str, facts: dict[str, Any]) -> Field:
+    """Returns an entry's field; its angles are in degrees."""
+    scale = math.radians(1.0) if facts["kind"] == "angle" else 1.0
+    bounds: dict[str, Any] = {
+        key: scale * facts.pop(key) for key in ("low", "high") if key in facts
+    }
+    slider = facts.pop("slider", None)
+    stated = {"option": name.replace("_", "-"), "address": name, **facts, **bounds}
+    stated |= {language: Words(**facts[language]) for language in ("en", "zh")}
+    stated["choices"] = tuple(facts.get("choices", ()))
+    return Field(name, slider=None if slider is None else Slider(**slider), **stated)
+
+
+FIELDS = read_table("pupper_analysis.stance", "fields.toml")
+"""{name: field} of all that can be asked of a stand."""
