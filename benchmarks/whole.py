@@ -127,10 +127,8 @@ def start_up(repeats: int) -> dict[str, float]:
 def default_run(names: Iterable[str]) -> dict[str, float]:
     """Returns how long each stage of the default run takes for some variants, {stage: s}."""
     from pupper_analysis.report import render
-    from pupper_analysis.report.figures.gains import gain_figure
-    from pupper_analysis.report.figures.heights import height_figure
+    from pupper_analysis.report.figures.analyses import gain_figure, height_figure, torque_figure
     from pupper_analysis.report.figures.pose import pose_figure
-    from pupper_analysis.report.figures.torques import torque_figure
 
     taken: dict[str, float] = {}
 

@@ -18,13 +18,14 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.errors import ConfigurationError, OutputError
+from pupper_analysis.report.document import Name
 from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.gains import gain_figure
+from pupper_analysis.report.figures.analyses import gain_figure, height_figure, torque_figure
+from pupper_analysis.report.figures.drawing import shares_of
 from pupper_analysis.report.figures.ground import ground_corners, step_corners
-from pupper_analysis.report.figures.heights import height_figure
 from pupper_analysis.report.figures.pose import pose_figure
 from pupper_analysis.report.figures.skeleton import hull_corners, nearest_edge_point, skeleton
-from pupper_analysis.report.figures.torques import torque_figure, utilisation
+from pupper_analysis.report.plots import Axis, Bar, BarPlot
 
 NAMES = ("original", "v3")
 
@@ -142,8 +143,12 @@ def test_the_margin_is_drawn_to_the_nearest_edge(name: str) -> None:
 
 
 def test_utilisation() -> None:
-    torques, limits = np.array([-1.0, 1.0, 1.0, 1.0]), np.array([2.0, 4.0, 0.0, np.inf])
-    np.testing.assert_allclose(utilisation(torques, limits), (50, 25, 0, 0))
+    values = zip((-1.0, 1.0, 1.0, 1.0, 1.0), (2.0, 4.0, 0.0, np.inf, None), strict=True)
+    bars = [Bar(Name("m"), value, -0.5 * value, limit) for value, limit in values]
+    named = (Name("value"), Name("other"), Name("limit"))
+    value, other = shares_of(BarPlot(Name("t"), Axis(Name("a"), "N m", "g"), bars, named))
+    np.testing.assert_allclose(value, (50, 25, 0, 0, 0))
+    np.testing.assert_allclose(other, (25, 12.5, 0, 0, 0))
 
 
 # ------------------------------------------------------------------------------------- figures
@@ -243,7 +248,7 @@ def test_torque_figure_draws_both_torques(monkeypatch: pytest.MonkeyPatch) -> No
 def test_height_figure_draws_task_and_runs_in_mm(monkeypatch: pytest.MonkeyPatch) -> None:
     analysis = analysis_of("v3")
     figure = drawn(monkeypatch, height_figure, [analysis])
-    task, run, sagging = (np.asarray(line.get_ydata()) for line in figure.axes[0].lines)
+    run, sagging, task = (np.asarray(line.get_ydata()) for line in figure.axes[0].lines)
     assert set(task) == {1e3 * load("v3").stand_height}
     np.testing.assert_allclose(run, 1e3 * analysis.verification.height)
     np.testing.assert_allclose(sagging, 1e3 * analysis.sagging.height)

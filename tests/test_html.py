@@ -495,7 +495,7 @@ def test_pushes_are_told_and_compared() -> None:
     assert "weakest at 0°: 1.11 N s, 0.30 m/s of its 3.70 kg; then it fell <over>" in page.shown()
     left = page.root.find(".//polygon[@class='series s0']").get("points").split()[1]
     x, y = map(float, left.split(","))
-    assert x < 210 - 50  # to the left, as seen from above
+    assert x < 210 - 30  # to the left, as seen from above
     assert y == pytest.approx(210)
 
 

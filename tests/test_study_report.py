@@ -193,7 +193,7 @@ def test_maps_are_coloured_by_their_means_and_tell_them() -> None:
     found = outcome()
     svg = drawing(
         Page(written(found, robots=False)),
-        "peak_utilisation over leg_scale and height, at kp = 5 N m/rad",
+        "peak_utilisation over leg_scale and height: kp = 5 N m/rad",
     )
     fills = [rect.get("fill") for rect in svg.iter("rect") if "cell" in rect.get("class")][:9]
     soft = found.table[found.table["kp"] == 5.0]  # nothing is averaged

@@ -138,7 +138,7 @@ def test_the_other_figures_are_drawn(table: pd.DataFrame, tmp_path: Path) -> Non
     figures.parallel_coordinates(table, ["x", "y", "m"], "m", tmp_path / "parallel.png")
     figures.pareto_figure(table, {"x": "max", "m": "min"}, tmp_path / "front.png")
     drawn = figures.draw_study(table, ("x", "y"), tmp_path)
-    assert [path.name for path in drawn] == ["map_m.png", "failures.png", "parallel.png"]
+    assert [path.name for path in drawn] == ["failures.png", "map_m.png", "parallel.png"]
     for path in (tmp_path / "parallel.png", tmp_path / "front.png", *drawn):
         assert np.ptp(imread(path)[..., :3], axis=(0, 1)).min() > 0.5
     with pytest.raises(pa.ConfigurationError, match="no 'z'; there are x, y, m"):

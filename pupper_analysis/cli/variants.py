@@ -202,10 +202,8 @@ def _write(
 def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
     """Writes all figures."""
     from pupper_analysis.report import render
-    from pupper_analysis.report.figures.gains import gain_figure
-    from pupper_analysis.report.figures.heights import height_figure
+    from pupper_analysis.report.figures.analyses import gain_figure, height_figure, torque_figure
     from pupper_analysis.report.figures.pose import pose_figure
-    from pupper_analysis.report.figures.torques import torque_figure
 
     for robot, analysis in zip(robots, analyses, strict=True):
         path = folder / f"pose_{analysis.name}.png"

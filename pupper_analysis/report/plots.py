@@ -41,12 +41,20 @@ class Series:
         x: (n,) along, in the axis's unit.
         y: (n,) up, in the axis's unit; what is not finite is left out.
         points: Whether every point is marked.
+        note: What it comes to, in a word or a number, beside its name in the legend.
+        marked: The number of the point that matters most; None for none.
+        fails: Whether its last point is where it fails, and is crossed.
+        reference: Whether it is what the others are compared with.
     """
 
     name: Words
     x: ArrayLike
     y: ArrayLike
     points: bool = False
+    note: Words | None = None
+    marked: int | None = None
+    fails: bool = False
+    reference: bool = False
 
 
 @dataclass(frozen=True)
@@ -88,11 +96,13 @@ class LinePlot(Plot):
         x: The axis along.
         y: The axis up.
         series: The lines, at least one with a finite value.
+        note: What the notes beside the lines' names are; None where there are none.
     """
 
     x: Axis
     y: Axis
     series: Sequence[Series]
+    note: Words | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +127,12 @@ class DirectionPlot(Plot):
     Attributes:
         axis: What their distances from the middle measure.
         series: Per robot, ``x`` are the directions (rad) and ``y`` the values.
+        note: What the notes beside the lines' names are; None where there are none.
     """
 
     axis: Axis
     series: Sequence[Series]
+    note: Words | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +145,7 @@ class MeansPlot(Plot):
         y: The variable upwards.
         measure: The measure.
         ends: The least and the greatest value that colours tell.
+        part: Of which designs it is, if others have a map of their own, or what is averaged.
     """
 
     found: MeanMap
@@ -140,6 +153,7 @@ class MeansPlot(Plot):
     y: str
     measure: str
     ends: tuple[float, float]
+    part: Words | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,12 +165,14 @@ class EndsPlot(Plot):
         x: The variable along.
         y: The variable upwards.
         kinds: Of the whole study, whose colours are the same in all its maps.
+        part: As of a ``MeansPlot``.
     """
 
     found: EndMap
     x: str
     y: str
     kinds: Sequence[str]
+    part: Words | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +197,13 @@ class FrontPlot(Plot):
     Attributes:
         table: Of a study.
         front: The front of it.
-        objectives: Columns: along, and upwards.
+        axes: What is said along, and upwards: the objectives' columns, with their units.
+        objectives: Their columns: along, and upwards.
+        name: Which designs they are, if others have a front of their own.
     """
 
     table: pd.DataFrame
     front: pd.DataFrame
+    axes: tuple[str, str]
     objectives: Sequence[str]
+    name: Words | None = None

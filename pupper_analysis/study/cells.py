@@ -205,6 +205,11 @@ def spread_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
     return sorted(several, key=lambda name: -table[name].nunique())
 
 
+def standing(table: pd.DataFrame) -> pd.DataFrame:
+    """Returns the designs that stay up, or all where that was not measured."""
+    return table[table["stands"] == 1] if "stands" in table else table
+
+
 def check_columns(table: pd.DataFrame, *columns: str) -> None:
     """Checks that a table has columns, and rows.
 

@@ -13,7 +13,7 @@ import numpy as np
 from pupper_analysis.arguments import check_type
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.results import Result
-from pupper_analysis.study.cells import Cells, measures_in, span, spread_in
+from pupper_analysis.study.cells import Cells, measures_in, span, spread_in, standing
 from pupper_analysis.study.measures import MEASURES
 from pupper_analysis.study.pareto import pareto_front
 from pupper_analysis.study.sensitivity import AT_REST, LinearShares, SobolIndices, linear_shares
@@ -147,7 +147,6 @@ def study_outcome(
     variables = tuple(study.variables)
     measures = measures_in(table, variables)
     objectives = check_objectives(study, minimise, maximise) or _better(measures)
-    up = table[table["stands"] == 1] if "stands" in table else table
     spread = spread_in(table, variables)
     return StudyOutcome(
         robot=_named(study.source.asked()),
@@ -158,7 +157,7 @@ def study_outcome(
         failures=_failures(table),
         axes=tuple(spread[:2]) if len(spread) > 1 else (),
         objectives=objectives,
-        front=pareto_front(up, objectives) if objectives else table.iloc[:0],
+        front=pareto_front(standing(table), objectives) if objectives else table.iloc[:0],
         linear=_linear(study, measures),
         sobol=tuple((sobol or {}).values()),
         certainty=_certainty(study, table),

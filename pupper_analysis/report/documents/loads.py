@@ -130,7 +130,11 @@ def torque_plot(
         text("Motor torques against their limits"),
         plots.Axis(text("torque"), "N m", "+.3f"),
         bars,
-        (text("predicted"), text("simulated"), text("limit")),
+        (
+            text("predicted (Pinocchio)"),
+            text("simulated (MuJoCo, with feed-forward)"),
+            text("limit"),
+        ),
     )
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import cast
+
+import numpy as np
 
 from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.report import document as doc
@@ -17,6 +19,7 @@ from pupper_analysis.report.html.words import text
 from pupper_analysis.report.verdict import verdict_lines
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.push import PushRecovery
 
 
 @build.register(PushedStance)
@@ -25,7 +28,11 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
     return doc.Document(
         text("Pushes"),
         doc.Name(pushed.name),
-        (view_block(robot, pushed.stand, None), _table(pushed), _plot([pushed])),
+        (
+            view_block(robot, pushed.stand, None),
+            _table(pushed),
+            push_plot({pushed.name: pushed.recovery}, pushed.name),
+        ),
         passed=pushed.passed,
         verdict=text("LASTS") if pushed.passed else text("FAILS"),
         failures=tuple(_against(pushed)),
@@ -100,15 +107,33 @@ def _table(pushed: PushedStance) -> doc.Table:
     )
 
 
-def _plot(pushes: Sequence[PushedStance]) -> plots.DirectionPlot:
-    """Returns the largest pushes by direction, of one robot or several."""
+def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> plots.DirectionPlot:
+    """Returns the largest pushes by direction, of one robot or several.
+
+    Args:
+        pushed: {robot: what it survives}.
+        rigid: The robot whose tipping estimate is drawn too, where it has one.
+    """
+    series = [
+        plots.Series(
+            doc.Name(name),
+            one.directions,
+            one.impulses,
+            points=True,
+            note=doc.Name(f"{one.weakest_impulse:.2f} N s"),
+            marked=int(np.argmin(np.abs(one.directions - one.weakest_direction))),
+        )
+        for name, one in pushed.items()
+    ]
+    tips = pushed[rigid]
+    if np.isfinite(tips.tipping_estimate).all():
+        name = text("{name}, were it rigid: tipping estimate", name=doc.Name(rigid))
+        series.append(plots.Series(name, tips.directions, tips.tipping_estimate, reference=True))
     return plots.DirectionPlot(
         text("Largest push that the stand survives, from above: forward is up"),
         plots.Axis(text("impulse"), "N s", ".2f"),
-        [
-            plots.Series(doc.Name(one.name), one.recovery.directions, one.recovery.impulses)
-            for one in pushes
-        ],
+        series,
+        text("impulse in the weakest direction (the larger point)"),
     )
 
 
@@ -140,4 +165,5 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
         tuple(rows),
         (text("Directions about the vertical, of the base: forward 0°, left 90°."),),
     )
-    return table, _plot(pushes)
+    recoveries = {one.name: one.recovery for one in pushes}
+    return table, push_plot(recoveries, first.name)

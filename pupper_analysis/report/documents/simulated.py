@@ -63,17 +63,28 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> plots.LinePlo
             text("with feed-forward") if run.feedforward else text("without"),
             run.time,
             1e3 * run.height,
+            note=_lost(run),
+            fails=bool(run.failures),
         )
         for run in runs
     ]
     ends = np.array([runs[0].time[0], max(run.time[-1] for run in runs)])
-    series.append(plots.Series(text("task"), ends, np.full(2, 1e3 * task)))
+    asked = doc.Name(f"{1e3 * task:.1f} mm")
+    series.append(
+        plots.Series(text("task"), ends, np.full(2, 1e3 * task), note=asked, reference=True)
+    )
     return plots.LinePlot(
         text("Height of the simulated base"),
         plots.Axis(text("time"), "s", ".2f"),
         plots.Axis(text("base height"), "mm", ".2f"),
         series,
+        text("numbers: height lost, mean of the last second"),
     )
+
+
+def _lost(run: StandVerification) -> doc.Words:
+    lost = doc.number(run.height_loss, ".2f", scale=1e3).text
+    return text("{loss} mm, fails", loss=lost) if run.failures else doc.Name(f"{lost} mm")
 
 
 def _interval(values: doc.Array) -> str:
@@ -83,14 +94,36 @@ def _interval(values: doc.Array) -> str:
 
 def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
     """Returns how steady a stand is, by servo gains."""
+    yield deviation_table(sweep)
+    damping = [
+        [
+            _damping_cell(bool(lasts), float(time), float(ratio))
+            for lasts, time, ratio in zip(*row, strict=True)
+        ]
+        for row in zip(sweep.lasts, sweep.doubling_time, sweep.damping_ratio, strict=True)
+    ]
+    title = text("Damping ratio of the least damped mode by servo gains")
+    how = text("Of the undisturbed stand, by the eigenvalues of a step of MuJoCo.")
+    yield _by_gains(sweep, title, "1", damping, [how])
+    yield from _sweep_plot(sweep)
+
+
+def deviation_table(sweep: GainSweep) -> doc.Table:
+    """Returns how much the base moves, by servo gains (mm); marked where it comes to no rest."""
     deviations = [
         [
-            doc.number(value, ".4f", scale=1e3) if np.isfinite(value) else text("fell")
-            for value in row
+            doc.number(value, ".4f", "" if lasts else "bad", 1e3)
+            if np.isfinite(value)
+            else text("fell")
+            for value, lasts in zip(*row, strict=True)
         ]
-        for row in sweep.height_deviation
+        for row in zip(sweep.height_deviation, sweep.lasts, strict=True)
     ]
+    restless = (np.isfinite(sweep.height_deviation) & ~sweep.lasts).any()
     notes: list[doc.Words] = [
+        text("Marked are gains at which it comes to no stable rest."),
+    ] * bool(restless)
+    notes += [
         text(
             "Standard deviation of the base's height in the last of {seconds} s, under {force} N "
             "at {frequency} Hz ({integrator}).",
@@ -105,18 +138,7 @@ def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
         ),
         text("Each cell is a simulation of its own in MuJoCo."),
     ]
-    yield _by_gains(sweep, text("Height deviation by servo gains"), "mm", deviations, notes)
-    damping = [
-        [
-            _damping_cell(bool(lasts), float(time), float(ratio))
-            for lasts, time, ratio in zip(*row, strict=True)
-        ]
-        for row in zip(sweep.lasts, sweep.doubling_time, sweep.damping_ratio, strict=True)
-    ]
-    title = text("Damping ratio of the least damped mode by servo gains")
-    how = text("Of the undisturbed stand, by the eigenvalues of a step of MuJoCo.")
-    yield _by_gains(sweep, title, "1", damping, [how])
-    yield from _sweep_plot(sweep)
+    return _by_gains(sweep, text("Height deviation by servo gains"), "mm", deviations, notes)
 
 
 def _damping_cell(lasts: bool, doubling_time: float, damping_ratio: float) -> doc.Cell:

@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.sources import page
+from pupper_analysis.report.documents.study_plots import LINES, front_plot, study_plots
 from pupper_analysis.report.html.words import text, word
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.study.cells import (
-    Panel,
-    end_map,
-    labelled,
-    mean_map,
-    panels,
-    unit_of,
-)
+from pupper_analysis.study.cells import labelled, standing, unit_of
 from pupper_analysis.study.outcome import StudyOutcome
 from pupper_analysis.study.tolerance import Chance
 
@@ -38,12 +30,6 @@ _PARTIAL = (
     "Of the designs in a cell that is crossed by lines some do not stand: the mean is of the "
     "others alone."
 )
-
-MAPS = 3
-"""Measures that have a map each."""
-
-LINES = 4
-"""Measures beside the variables in parallel coordinates."""
 
 MOST_ROWS = 300
 """Of a table of designs: more than anyone reads, and pages stay small."""
@@ -164,49 +150,12 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
     ]
 
 
-def _drawings(outcome: StudyOutcome) -> list[doc.Block]:
-    blocks: list[doc.Block] = []
-    table, names = outcome.table, [one.measure for one in outcome.measured]
-    if outcome.axes:
-        x, y = outcome.axes
-        shown, kinds = panels(table, tuple(outcome.variables), x, y), end_map(table, x, y).kinds
-        title = text("What becomes of designs over {x} and {y}", x=doc.Name(x), y=doc.Name(y))
-        for panel in shown:
-            found = end_map(panel.table, x, y)
-            blocks.append(plots.EndsPlot(_of_panel(title, panel), found, x, y, kinds))
-        for measure in names[:MAPS]:
-            blocks += _means(measure, shown, x, y)
-    columns = [name for name in outcome.variables if table[name].nunique() > 1]
-    if columns and names:
-        title = text("Designs as lines, coloured by {measure}", measure=doc.Name(names[0]))
-        listed = [*columns, *names[:LINES]]
-        blocks.append(plots.ParallelPlot(title, table, listed, names[0]))
-    return blocks
-
-
-def _means(measure: str, shown: Sequence[Panel], x: str, y: str) -> list[doc.Block]:
-    """Returns a measure's maps, in the same colours."""
-    maps = [(panel, mean_map(panel.table, x, y, measure)) for panel in shown]
-    known = np.concatenate([one.means[np.isfinite(one.means)] for _, one in maps])
-    ends = float(known.min()), float(known.max())
-    title = text("{measure} over {x} and {y}", measure=doc.Name(labelled(measure)),
-                 x=doc.Name(x), y=doc.Name(y))  # fmt: skip
-    blocks: list[doc.Block] = [
-        plots.MeansPlot(_of_panel(title, panel), found, x, y, measure, ends)
-        for panel, found in maps
-    ]
-    if any(found.partial.any() for _, found in maps):
-        blocks.append(doc.Lines((text(_PARTIAL),), "warn"))
-    return blocks
-
-
-def _of_panel(title: doc.Text, panel: Panel) -> doc.Text:
-    """Returns a map's title with what its designs have in common, and what is averaged."""
-    if panel.fixed:
-        title = text("{title}, at {values}", title=title, values=panel.values())
-    if panel.averaged:
-        title = text("{title}: mean over {names}", title=title, names=", ".join(panel.averaged))
-    return title
+def _drawings(outcome: StudyOutcome) -> Iterable[doc.Block]:
+    """Yields the plots; below a measure's, what is missing in its means."""
+    for shown in study_plots(outcome.table, tuple(outcome.variables), outcome.axes).values():
+        yield from shown
+        if any(isinstance(one, plots.MeansPlot) and one.found.partial.any() for one in shown):
+            yield doc.Lines((text(_PARTIAL),), "warn")
 
 
 def _front(outcome: StudyOutcome) -> list[doc.Block]:
@@ -217,8 +166,7 @@ def _front(outcome: StudyOutcome) -> list[doc.Block]:
     title = text("Designs worth building: no other beats them in {objectives}", objectives=ways)
     blocks: list[doc.Block] = []
     if len(objectives) == 2:
-        drawn = text("Designs worth building: the front")
-        blocks.append(plots.FrontPlot(drawn, outcome.table, front, list(objectives)))
+        blocks.append(front_plot(standing(outcome.table), front, objectives))
     columns = [name for name in outcome.variables if name not in objectives]
     measured = [one.measure for one in outcome.measured if one.measure not in objectives]
     blocks.append(_table(title, front, [*objectives, *columns, *measured[:LINES]]))

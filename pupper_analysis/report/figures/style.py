@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
 from pupper_analysis.errors import ConfigurationError
@@ -32,6 +31,20 @@ BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
     "#000000",
     "#6B7280",
 )
+
+GRID = "#E3E6EB"
+COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, BLACK)
+
+LOOKS: tuple[dict[str, Any], ...] = tuple(
+    {"color": colour, "marker": marker, "ls": line, "lw": 1.5, "ms": 4.5, "mfc": "white"}
+    for colour, marker, line in zip(
+        (BLUE, RED, GREEN, BLACK, ORANGE, SKY, GREY),
+        ("o", "s", "^", "D", "v", "P", "X"),
+        ("-", (0, (5, 1.5)), (0, (3, 1, 1, 1)), "-", (0, (5, 1.5)), (0, (3, 1, 1, 1)), "-"),
+        strict=True,
+    )
+)
+"""Of lines over one another: told apart by marker and line as well, in black and white too."""
 
 plain_numbers = FuncFormatter(lambda value, _: f"{value:g}")
 
@@ -80,10 +93,10 @@ _MANY = 8
 """Entries of a legend that need less room between them to stand in one line."""
 
 
-def put_legend(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
+def put_legend(figure: Figure, handles: Sequence[Artist]) -> None:
     """Puts a legend in one line under a figure."""
     figure.legend(
-        handles=handles,
+        handles=list(handles),
         loc="outside lower center" if figure.get_layout_engine() else "lower center",
         ncols=len(handles),
         fontsize=FONT,

@@ -88,7 +88,7 @@ def _means(plot: MeansPlot) -> Drawing:
     marks = [*grid.cells(filled), *grid.crossed(found.partial), *grid.axes(x, y)]
     marks += _bar(low, high)
     marks.append(grid.labels(Name(labelled(plot.measure)), x, y, told))
-    return Drawing(plot.title, WIDTH, MAP_HEIGHT, tuple(marks))
+    return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks))
 
 
 @draw.register
@@ -120,7 +120,14 @@ def _ends(plot: EndsPlot) -> Drawing:
             marks.append(grid.labels(name, x, y, told, chosen))
     counts = found.counts.sum(axis=(1, 2))
     legend = tuple((name, shade[kind]) for kind, name in enumerate(named) if counts[kind])
-    return Drawing(plot.title, WIDTH, MAP_HEIGHT, tuple(marks), legend)
+    return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks), legend)
+
+
+def _titled(plot: MeansPlot | EndsPlot) -> Words:
+    """Returns a map's title, and of which designs it is."""
+    return (
+        plot.title if plot.part is None else text("{name}: {note}", name=plot.title, note=plot.part)
+    )
 
 
 @draw.register
@@ -186,7 +193,7 @@ def _front(plot: FrontPlot) -> Drawing:
             else:
                 marks.append(straight(LEFT, at, LEFT + wide, at, "grid"))
                 marks.append(word_at(LEFT - 6, at + 4, Name(f"{value:g}"), "end"))
-    marks += _frame(x, y, wide, tall)
+    marks += _frame(*plot.axes, wide, tall)
     cloud = _evenly(known, MOST_DOTS)
     for part, style, name in (
         (cloud, "s0", text("designs")),
@@ -266,7 +273,7 @@ class _Grid:
 
     def axes(self, x: str, y: str) -> list[Mark]:
         """Returns the axes, with the values of some cells."""
-        marks = _frame(x, y, self.wide, self.tall)
+        marks = _frame(labelled(x), labelled(y), self.wide, self.tall)
         for index in _some(len(self.x.centres)):
             at = LEFT + (index + 0.5) * self.across
             words = Name(f"{self.x.centres[index]:.4g}")
@@ -283,11 +290,11 @@ def _some(count: int) -> range:
 
 
 def _frame(x: str, y: str, wide: float, tall: float) -> list[Mark]:
-    up = word_at(14, TOP + tall / 2, Name(labelled(y)), "middle")
+    up = word_at(14, TOP + tall / 2, Name(y), "middle")
     return [
         straight(LEFT, TOP + tall, LEFT + wide, TOP + tall, "axis"),
         straight(LEFT, TOP, LEFT, TOP + tall, "axis"),
-        word_at(LEFT + wide / 2, TOP + tall + 36, Name(labelled(x)), "middle"),
+        word_at(LEFT + wide / 2, TOP + tall + 36, Name(x), "middle"),
         {**up, "transform": f"rotate(-90 14 {TOP + tall / 2:g})"},
     ]
 

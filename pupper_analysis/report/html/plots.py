@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.report.document import Name, Text, Words, number
-from pupper_analysis.report.plots import Axis, BarPlot, DirectionPlot, LinePlot, Plot
+from pupper_analysis.report.html.words import text
+from pupper_analysis.report.plots import Axis, BarPlot, DirectionPlot, LinePlot, Plot, Series
 
 Array = NDArray[np.float64]
 Mark = Mapping[str, Any]
@@ -30,6 +31,9 @@ MOST_POINTS = 160
 
 LETTER, LONGEST = 7.0, 28
 """Width of a letter (CSS pixels), and letters of a name for which there is room beside a bar."""
+
+DOT, MARKED = 3.5, 6.0
+"""Radius of a point (CSS pixels), and of the one that matters most."""
 
 STYLES = 6
 """Styles of series in the style sheet (``s0`` ...), each of its own colour, dashes and marker."""
@@ -45,6 +49,7 @@ class Drawing:
         height: Of the drawing.
         marks: Its lines, points and words, in the order in which they are drawn.
         legend: (words, class) of each series.
+        note: What is beside the names in it; None for nothing.
     """
 
     kind: ClassVar[str] = "plot"
@@ -53,6 +58,7 @@ class Drawing:
     height: float
     marks: tuple[Mark, ...]
     legend: tuple[tuple[Words, str], ...] = ()
+    note: Words | None = None
 
 
 @singledispatch
@@ -123,9 +129,8 @@ def _lines(plot: LinePlot) -> Drawing:
     marks += _axes(x, y, wide, tall)
     for index, (one, line) in enumerate(zip(series, lines, strict=True)):
         labels = [f"{label(x, across)}, {label(y, up)}" for across, up in line]
-        marks += _series(place(line), labels, one.name, index, points=one.points)
-    legend = tuple((one.name, f"s{index % STYLES}") for index, one in enumerate(series))
-    return Drawing(plot.title, WIDTH, HEIGHT, tuple(marks), legend)
+        marks += _series(place(line), labels, one, index)
+    return Drawing(plot.title, WIDTH, HEIGHT, tuple(marks), _legend(series), plot.note)
 
 
 @draw.register
@@ -197,10 +202,20 @@ def _directions(plot: DirectionPlot) -> Drawing:
             for angle, value in zip(directions, values, strict=True)
         ]
         places = place(directions, values)
-        marks += _series(places, labels, one.name, index, points=True, closed=True)
+        marks += _series(places, labels, one, index, closed=True)
     marks.append(word_at(middle, size - 4, axis.name, "middle", axis.unit))
-    legend = tuple((one.name, f"s{index % STYLES}") for index, one in enumerate(series))
-    return Drawing(plot.title, size, size, tuple(marks), legend)
+    return Drawing(plot.title, size, size, tuple(marks), _legend(series), plot.note)
+
+
+def _legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
+    """Returns each line's name, with what it comes to, and its style."""
+    return tuple(
+        (
+            one.name if one.note is None else text("{name}: {note}", name=one.name, note=one.note),
+            f"s{index % STYLES}",
+        )
+        for index, one in enumerate(series)
+    )
 
 
 def _letters(words: Words) -> int:
@@ -254,28 +269,28 @@ def _axes(x: Axis, y: Axis, wide: float, tall: float) -> list[Mark]:
 
 
 def _series(
-    places: Array,
-    labels: Sequence[str],
-    name: Words,
-    index: int,
-    *,
-    points: bool = False,
-    closed: bool = False,
+    places: Array, labels: Sequence[str], one: Series, index: int, *, closed: bool = False
 ) -> list[Mark]:
     rounded = np.round(places, 1).tolist()
     style = f"s{index % STYLES}"
-    line: dict[str, Any] = {
-        "tag": "polygon" if closed else "polyline",
-        "class": f"series {style}",
-        "points": rounded,
-        "labels": list(labels),
-        "name": name,
-    }
-    dots = [
-        {"tag": "circle", "class": f"dot {style}", "cx": cx, "cy": cy, "r": 3.5}
-        for cx, cy in (rounded if points else [])
+    marks: list[Mark] = [
+        {
+            "tag": "polygon" if closed else "polyline",
+            "class": f"series {style}",
+            "points": rounded,
+            "labels": list(labels),
+            "name": one.name,
+        }
     ]
-    return [line, *dots]
+    marks += [
+        {"tag": "circle", "class": f"dot {style}", "cx": cx, "cy": cy,
+         "r": MARKED if number == one.marked else DOT}
+        for number, (cx, cy) in enumerate(rounded if one.points else [])
+    ]  # fmt: skip
+    if one.fails:
+        x, y = rounded[-1]
+        marks += [straight(x - DOT, y - side, x + DOT, y + side, "cross") for side in (DOT, -DOT)]
+    return marks
 
 
 def straight(x1: float, y1: float, x2: float, y2: float, style: str) -> Mark:

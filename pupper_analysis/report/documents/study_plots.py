@@ -1,0 +1,140 @@
+"""What is drawn of a study, on its page and as figures: maps, designs as lines, fronts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pupper_analysis.report import plots
+from pupper_analysis.report.document import Name, Text
+from pupper_analysis.report.html.words import text
+from pupper_analysis.study.cells import (
+    Panel,
+    check_columns,
+    end_map,
+    labelled,
+    mean_map,
+    measures_in,
+    panels,
+    spread_in,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MAPS = 3
+"""Measures that have a map each."""
+
+LINES = 4
+"""Measures beside the variables in parallel coordinates."""
+
+
+def study_plots(
+    table: pd.DataFrame, variables: Sequence[str], axes: Sequence[str]
+) -> dict[str, list[plots.Plot]]:
+    """Returns what a study can show without being asked, each drawing with a name for its file.
+
+    Args:
+        table: Of the study.
+        variables: What varies in it.
+        axes: The two variables that span the maps; empty if there are no two.
+    """
+    measures, spread = measures_in(table, variables), spread_in(table, variables)
+    shown: dict[str, list[plots.Plot]] = {}
+    if axes:
+        x, y = axes
+        shown["failures"] = [*end_plots(table, x, y, variables)]
+        for measure in measures[:MAPS]:
+            shown[f"map_{measure}"] = [*mean_plots(table, x, y, measure, variables)]
+    if spread and measures:
+        columns = [*(name for name in variables if name in spread), *measures[:LINES]]
+        shown["parallel"] = [parallel_plot(table, columns, measures[0])]
+    return shown
+
+
+def end_plots(
+    table: pd.DataFrame, x: str, y: str, variables: Sequence[str] = ()
+) -> list[plots.EndsPlot]:
+    """Returns what becomes of designs: a map, or one for each combination of other variables.
+
+    Args:
+        table: Of a study.
+        x: The variable along.
+        y: The variable upwards.
+        variables: What varies in it.
+
+    Raises:
+        ConfigurationError: If a column is not there, or the table is empty.
+    """
+    kinds = end_map(table, x, y).kinds
+    title = text("What becomes of designs over {x} and {y}", x=Name(x), y=Name(y))
+    return [
+        plots.EndsPlot(title, end_map(one.table, x, y), x, y, kinds, _part(one))
+        for one in panels(table, variables, x, y)
+    ]
+
+
+def mean_plots(
+    table: pd.DataFrame, x: str, y: str, measure: str, variables: Sequence[str] = ()
+) -> list[plots.MeansPlot]:
+    """Returns a measure's maps, in the same colours; see ``end_plots``.
+
+    Raises:
+        ConfigurationError: If a column is not there, or the table is empty.
+    """
+    check_columns(table, x, y, measure)
+    maps = [
+        (panel, mean_map(panel.table, x, y, measure)) for panel in panels(table, variables, x, y)
+    ]
+    known = np.concatenate([one.means[np.isfinite(one.means)] for _, one in maps])
+    ends = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    named = Name(labelled(measure))
+    title = text("{measure} over {x} and {y}", measure=named, x=Name(x), y=Name(y))
+    return [
+        plots.MeansPlot(title, found, x, y, measure, ends, _part(panel)) for panel, found in maps
+    ]
+
+
+def _part(panel: Panel) -> Text | Name | None:
+    """Returns what a map's designs have in common, or what is averaged."""
+    if panel.averaged:
+        return text("mean over {names}", names=", ".join(panel.averaged))
+    return Name(panel.values()) if panel.fixed else None
+
+
+def parallel_plot(table: pd.DataFrame, columns: Sequence[str], shade: str) -> plots.ParallelPlot:
+    """Returns designs as lines over columns, coloured by one.
+
+    Raises:
+        ConfigurationError: If a column is not there, or the table is empty.
+    """
+    check_columns(table, *columns, shade)
+    title = text("Designs as lines, coloured by {measure}", measure=Name(shade))
+    return plots.ParallelPlot(title, table, columns, shade)
+
+
+def front_plot(
+    table: pd.DataFrame,
+    front: pd.DataFrame,
+    objectives: Mapping[str, str],
+    *,
+    title: Text | Name | None = None,
+    labels: Mapping[str, str] | None = None,
+    name: Name | None = None,
+) -> plots.FrontPlot:
+    """Returns designs over two objectives, with their front.
+
+    Args:
+        table: The designs.
+        front: Those that no other beats.
+        objectives: {column: ``"min"`` or ``"max"``}, two of them.
+        title: What is drawn.
+        labels: {column: what its axis says}.
+        name: Which designs they are.
+    """
+    said = {one: f"{labelled(one)}, {sense}" for one, sense in objectives.items()}
+    along, up = (dict(labels or {}).get(one, said[one]) for one in objectives)
+    drawn = title or text("Designs worth building: the front")
+    return plots.FrontPlot(drawn, table, front, (along, up), list(objectives), name)

@@ -1,0 +1,196 @@
+"""The figures that put analyses beside each other: torques, heights and gains, a panel each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import LogLocator, NullLocator
+
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.loads import torque_plot
+from pupper_analysis.report.documents.simulated import deviation_table, height_plot
+from pupper_analysis.report.figures import style
+from pupper_analysis.report.figures.drawing import draw, looks_of
+from pupper_analysis.report.html.words import english
+
+if TYPE_CHECKING:
+    from pupper_analysis.analysis.robot import Analysis
+
+_ROOMY = 12
+"""Columns of cells across a page in which five digits stand apart at the usual size."""
+
+
+def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+    """Draws what every motor holds, in percent of its effort limit: one panel per robot.
+
+    The axis is logarithmic, so that motors at 0.2 % and at 30 % can both be read.
+
+    Args:
+        analyses: The robots; ``statics``, ``verification`` and ``joints`` are drawn.
+        path: The PNG to write.
+
+    Raises:
+        ConfigurationError: If there is no robot.
+        OutputError: If the file cannot be written.
+    """
+    rows = max((len(analysis.joints) for analysis in analyses), default=0)
+    title = "Motor torques of the stand (at the left edge: up to 0.1 % of the limit)"
+    figure, panels = style.panels_of(analyses, title, 0.16 * rows + 0.62)
+    for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
+        limits = [joint.effort for joint in analysis.joints]
+        handles = draw(torque_plot(analysis.statics, analysis.verification, limits), axes)
+        low, high = min(limits), max(limits)
+        span = f"{low:g}" + (f" to {high:g}" if high > low else "")
+        style.title_panel(axes, f"{analysis.name}: limit {span} N m")
+        _label_outside(axes, index, len(analyses), y=True)
+        names = [joint.name for joint in analysis.joints]
+        if index % style.COLUMNS and names == [one.name for one in analyses[index - 1].joints]:
+            axes.set_yticklabels([])
+    style.put_legend(figure, handles)
+    style.save(figure, path)
+
+
+def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+    """Draws the base's height over the simulated time, with and without feed-forward.
+
+    Args:
+        analyses: The robots; ``stand``, ``verification`` and ``sagging`` are drawn.
+        path: The PNG to write.
+
+    Raises:
+        ConfigurationError: If there is no robot.
+        OutputError: If the file cannot be written.
+    """
+    figure, panels = style.panels_of(analyses, "Height of the simulated base", 1.75)
+    named: dict[object, Artist] = {}
+    for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
+        runs = (analysis.verification, analysis.sagging)
+        plot = height_plot(runs, float(analysis.stand.qpos[2]))
+        named.update({handle.get_label(): handle for handle in draw(plot, axes)})
+        task = next(one for one in plot.series if one.reference)
+        heights = np.concatenate([np.asarray(one.y, dtype=float) for one in plot.series])
+        low, high = float(np.nanmin(heights)), float(np.nanmax(heights))
+        span = max(high - low, 1.0)
+        axes.set_ylim(high - 1.3 * span, high + 0.1 * span)
+        axes.set_xlim(0, max(run.time[-1] for run in runs))
+        told = [
+            Line2D([], [], **look, label=english(one.note))
+            for one, look in zip(plot.series, looks_of(plot.series), strict=True)
+            if one.note is not None and not one.reference
+        ]
+        axes.legend(
+            handles=told,
+            loc="lower right",
+            ncols=2,
+            fontsize=style.FONT,
+            handlelength=0.8,  # wider, the two stick out of one of three panels
+            handletextpad=0.3,
+            columnspacing=0.4,
+            borderaxespad=0.1,
+            frameon=False,
+            borderpad=0.1,
+        )
+        said = "" if task.note is None else f" {english(task.note)}"
+        style.title_panel(axes, f"{analysis.name}: {english(task.name)}{said}")
+        _label_outside(axes, index, len(analyses))
+    if plot.note is not None:  # stands last
+        named["note"] = named.pop(english(plot.note))
+    style.put_legend(figure, list(named.values()))
+    style.save(figure, path)
+
+
+def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
+    """Draws the gain sweeps as heat maps: how much the height deviates, for each kp and kd.
+
+    Args:
+        analyses: The robots; ``sweep`` is drawn.
+        path: The PNG to write.
+
+    Raises:
+        ConfigurationError: If there is no robot.
+        OutputError: If the file cannot be written.
+    """
+    rows = max((len(analysis.sweep.kp) for analysis in analyses), default=0)
+    title = "Gain sweep: standard deviation of the height in the last second"
+    figure, panels = style.panels_of(analyses, title, 0.26 * rows + 0.65)
+    tables = [deviation_table(analysis.sweep) for analysis in analyses]
+    shown = [_values(table) for table in tables]
+    known = np.concatenate([values[values > 0] for values in shown])
+    low, high = (known.min(), known.max()) if len(known) else (0.1, 1.0)
+    norm = LogNorm(low, max(high, 1.01 * low))
+    for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
+        image = axes.imshow(
+            shown[index].clip(low), norm=norm, cmap="cividis", aspect="auto", origin="lower"
+        )
+        sweep = analysis.sweep
+        columns = len(sweep.kd) * min(style.COLUMNS, len(analyses))
+        _write_cells(axes, tables[index], norm, style.FONT * min(1.0, _ROOMY / columns))
+        style.title_panel(axes, analysis.name)
+        axes.set_xticks(range(len(sweep.kd)), [f"{value:g}" for value in sweep.kd])
+        axes.set_yticks(range(len(sweep.kp)), [f"{value:g}" for value in sweep.kp])
+        axes.tick_params(length=0)
+        axes.set_xlabel("kd (N m s/rad)", size=style.FONT)
+        axes.set_ylabel("kp (N m/rad)", size=style.FONT)
+        _label_outside(axes, index, len(analyses))
+    colours = figure.colorbar(
+        image, ax=panels, shrink=0.9, pad=0.015, aspect=20 * -(-len(panels) // style.COLUMNS)
+    )
+    colours.set_label("deviation (mm)", size=style.FONT)
+    colours.ax.tick_params(labelsize=style.FONT, which="both")
+    colours.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    colours.ax.yaxis.set_minor_locator(NullLocator())
+    colours.ax.yaxis.set_major_formatter(style.plain_numbers)
+    disturbance = f"vertical disturbance of {sweep.amplitude:g} N at {sweep.frequency:g} Hz"
+    named = [
+        Patch(fill=False, edgecolor=style.RED, lw=2, label="no stable rest"),
+        Patch(facecolor="#F1F1F1", edgecolor=style.GREY, hatch="////", label="fell"),
+        Line2D([], [], ls="", label=disturbance),
+    ]
+    style.put_legend(figure, named)
+    style.save(figure, path)
+
+
+def _label_outside(axes: Axes, index: int, count: int, *, y: bool = False) -> None:
+    """Takes off what axes say that those below say too, or those on the left."""
+    if index + style.COLUMNS < count:
+        axes.set_xlabel("")
+    if index % style.COLUMNS and not y:
+        axes.set_ylabel("")
+
+
+def _values(table: doc.Table) -> doc.Array:
+    """Returns the numbers of a table's cells but for the first column's; nan where one has none."""
+    return np.array(
+        [
+            [cell.value if isinstance(cell, doc.Number) else np.nan for cell in row[1:]]
+            for row in table.rows
+        ]
+    )
+
+
+def _write_cells(axes: Axes, table: doc.Table, norm: LogNorm, size: float) -> None:
+    """Writes the numbers of a table into its cells, or what is there; frames those marked."""
+    for row, cells in enumerate(table.rows):
+        for column, cell in enumerate(cells[1:]):
+            at: dict[str, Any] = {"size": size, "ha": "center", "va": "center"}
+            if not isinstance(cell, doc.Number):
+                place = (column - 0.5, row - 0.5)
+                look: dict[str, Any] = {"fc": "#F1F1F1", "ec": style.GREY, "hatch": "////", "lw": 0}
+                axes.add_patch(Rectangle(place, 1, 1, **look))
+                box = {"fc": "white", "ec": "none", "pad": 1.0}
+                axes.text(column, row, english(cell), bbox=box, **at)
+                continue
+            said = f"{cell.value:.3f}" if cell.value < 10 else f"{cell.value:.0f}"
+            shade = "white" if norm(cell.value) < 0.5 else style.BLACK
+            axes.text(column, row, said, color=shade, **at)
+            if cell.mark:
+                place = (column - 0.46, row - 0.46)
+                axes.add_patch(Rectangle(place, 0.92, 0.92, fill=False, ec=style.RED, lw=2.2))
