@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import importlib
-import inspect
 import json
 import math
 import pkgutil
@@ -14,7 +13,6 @@ import sys
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
-from string import Formatter
 from typing import Any
 
 import mujoco
@@ -30,6 +28,7 @@ from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.analysis.stance import Stance, study_stance
 from pupper_analysis.checks.audit import RULES
 from pupper_analysis.pupper import comparison as variants
+from pupper_analysis.report import words
 from pupper_analysis.report.document import (
     Column,
     Document,
@@ -46,16 +45,13 @@ from pupper_analysis.report.document import (
 )
 from pupper_analysis.report.documents import sources
 from pupper_analysis.report.documents.fields import chinese_meanings, meanings
-from pupper_analysis.report.html import library, plots, scene, words, write
+from pupper_analysis.report.html import library, plots, scene, write
 from pupper_analysis.report.html.scene import scene_of
 from pupper_analysis.report.plots import Axis, LinePlot, Series
 from pupper_analysis.results import Result
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.push import PushRecovery
 from pupper_analysis.simulation.verdict import judge
-from pupper_analysis.study import design
-from pupper_analysis.study.measures import MEASURES
-from pupper_analysis.study.variables import KINDS
 
 HTML = ROOT / "pupper_analysis" / "report" / "html"
 EVIL = (
@@ -247,61 +243,6 @@ def test_what_is_seen_in_a_language_is_of_that_language() -> None:
         assert not title or re.search(r"[\u4e00-\u9fff]", title), title
 
 
-SAME = {"kd", "kp \\ kd", "yourdfpy (URDF)", "URDF: {file}", "MJCF: {file}"} | {
-    "{angle} {value} deg",
-    "{element}: {message}",
-    "{why} {todo}",
-    "{names} …",
-    "{quantity} by {effect}",
-    "{severity} {rule}",
-    "{count} {severity}",
-    "{severity} {check} {kind} ({state})",
-    "{difference}: {note}",
-    "{designs}: {kinds}",
-    "{kind}: {names}",
-    "{name}: {note}",
-    "{mass} ({change})",
-    "{failure} ({where})",
-    "{place} ({count})",
-    "; ",
-}
-"""What is the same in both languages: symbols and names."""
-
-
-def test_the_catalogue_is_complete_and_fills_in_the_same() -> None:
-    catalogue = words.catalogue()
-    for english, chinese in catalogue.items():
-        fields = [
-            sorted(str(p[1]) for p in Formatter().parse(t) if p[1]) for t in (english, chinese)
-        ]
-        assert fields[0] == fields[1], english
-        assert re.search(r"[\u4e00-\u9fff]", chinese) or english in {*SAME, ", "}, english
-        assert not re.search(r"[\u4e00-\u9fff]", english), english
-        assert not re.search(r"[,;:?!](?=[\u4e00-\u9fff])", chinese), f"punctuation of {chinese}"
-
-
-def test_no_text_in_the_catalogue_is_left_over() -> None:
-    live = ROOT / "pupper_analysis" / "live"
-    report = ROOT / "pupper_analysis" / "report"
-    code = "\n".join(path.read_text() for path in (*report.rglob("*.py"), *live.glob("*.py")))
-    code += (ROOT / "pupper_analysis" / "pupper" / "comparison.py").read_text()
-    joined = re.sub(r'"\s*\n\s*"', "", code)
-    results = {q.name for q in analysis().check.quantities} | {"error", "warning", "note"}
-    results |= {side for q in analysis().check.quantities for side in q.edges}
-    results |= {"yourdfpy (URDF)", "along x", "along y", "along z", "oblique", "oblique slide"}
-    kinds = set(re.findall(r"``([\w ]+)``", str(pa.Comparison.__doc__)))
-    kinds |= {"mass", "com", "inertia", "position", "rotation", "axis", "lower limit", "type"}
-    kinds |= {f"{gain} {side}" for gain in ("kp", "kd") for side in ("high", "low")}
-    kinds |= {"frame", "parent", "gravity", "base frame", "zero", "armature", "mimic", "name"}
-    results |= {measure.meaning for measure in MEASURES.values()} | set(KINDS)
-    results |= {"errors", "warnings", "new", "changed", "known"}
-    results |= {reason.value for reason in pa.Infeasibility} | {"crashed", "timed out"}
-    results |= set(re.findall(r'"([a-z ]+)"', inspect.getsource(design.failure)))
-    for english in words.catalogue():
-        written = json.dumps(english, ensure_ascii=False)
-        assert written in joined or english in results | kinds, english
-
-
 def test_the_fields_of_any_result_are_written_out() -> None:
     stand = stand_of("v3")
     statics = pa.stand_statics(load("v3"), stand)
@@ -346,7 +287,7 @@ def test_each_field_of_a_result_has_a_meaning_in_both_languages() -> None:
 
 def test_a_text_that_is_not_translated_is_refused() -> None:
     with pytest.raises(KeyError):
-        words.text("no such text").zh  # noqa: B018
+        words.text("no-such-text")
     assert words.word("leg_front_r_1") == Name("leg_front_r_1")
 
 
@@ -674,7 +615,7 @@ def test_bodies_are_where_pinocchio_has_their_joints() -> None:
     """The frames are MuJoCo's of the MJCF, in whole numbers; Pinocchio's are the URDF's."""
     robot, stand = load("v3"), stand_of("v3")
     other = stand.qpos + np.concatenate([[0.01, 0.02, 0.03], np.zeros(4), np.full(12, 0.1)])
-    moved = Motion(words.text("the path"), np.array([0.5]), other[None])
+    moved = Motion(words.text("the-path"), np.array([0.5]), other[None])
     drawn = drawn_of(StandScene(robot, stand, None, [moved]))
     for qpos, motion in zip((stand.qpos, other), drawn["motions"], strict=True):
         numbers = np.frombuffer(base64.b64decode(motion["frames"]), "<i2") / 32767

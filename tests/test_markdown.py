@@ -25,27 +25,27 @@ from pupper_analysis.report.document import (
     Sides,
     Table,
 )
-from pupper_analysis.report.html.words import text
 from pupper_analysis.report.markdown import MOST_LETTERS, MOST_ROWS, markdown
+from pupper_analysis.report.words import text
 
 TABLE = Table(
-    text("Motor torques"),
+    text("motor-torques"),
     (Column(text("joint"), left=True), Column(text("torque"), "N m"), Column(text("verdict"))),
     (
         (Name("knee_1"), Number("-0.1234", -0.1234, share=0.5), text("ok")),
-        (Name("hip"), Number("9.9", 9.9, "bad"), text("DIFFERS").marked("bad")),
+        (Name("hip"), Number("9.9", 9.9, "bad"), text("differs").marked("bad")),
     ),
-    (text("Directions about the vertical, of the base: forward 0°, left 90°."),),
+    (text("push-directions"),),
 )
 PLACES = (Place(Name("a.urdf:5"), Name('<mass value="1"/>'), "models/a.urdf:5"),)
 DOCUMENT = Document(
-    text("Stance"),
+    text("stance"),
     Name("v3"),
     (
         TABLE,
-        Sides(Said("mass 1 kg"), PLACES, (text("no change"),), text("OK").marked("warn")),
-        Lines((Said("it sank"),), "bad", text("Objections"), detail=True),
-        Listing(text("What would change"), "-a\n+```b", "diff"),
+        Sides(Said("mass 1 kg"), PLACES, (text("no-change"),), text("all-ok").marked("warn")),
+        Lines((Said("it sank"),), "bad", text("objections"), detail=True),
+        Listing(text("what-would-change"), "-a\n+```b", "diff"),
     ),
     passed=False,
     verdict=text("FAILS"),
@@ -56,7 +56,7 @@ DOCUMENT = Document(
 
 
 def test_a_document() -> None:
-    report = Report(text("Report"), (DOCUMENT,))
+    report = Report(text("report"), (DOCUMENT,))
     assert (
         markdown(report)
         == """\
@@ -103,7 +103,7 @@ def test_a_document() -> None:
 
 
 def test_where_several_are_compared_each_is_told_in_short() -> None:
-    shown = markdown(Report(text("Report"), (DOCUMENT, DOCUMENT), (TABLE,)))
+    shown = markdown(Report(text("report"), (DOCUMENT, DOCUMENT), (TABLE,)))
     assert shown.count("Motor torques") == 1
     assert shown.count("### ❌ FAILS v3") == 2
 
@@ -160,9 +160,9 @@ def test_no_name_acts(name: str) -> None:
 def test_a_comment_has_room_for_it() -> None:
     rows = tuple((Name("x" * 500), Number("1", 1.0), Name("")) for _ in range(3 * MOST_ROWS))
     long = replace(TABLE, rows=rows)
-    shown = markdown(Report(text("Report"), (replace(DOCUMENT, blocks=(long,)),)))
+    shown = markdown(Report(text("report"), (replace(DOCUMENT, blocks=(long,)),)))
     assert f"*{2 * MOST_ROWS} more rows: `--json` has them.*" in shown
-    shown = markdown(Report(text("Report"), (replace(DOCUMENT, blocks=(long,) * 3),)))
+    shown = markdown(Report(text("report"), (replace(DOCUMENT, blocks=(long,) * 3),)))
     assert len(shown) < MOST_LETTERS
     assert shown.startswith("### ❌ FAILS v3\n\n- **it fell over**")
     assert "`--json` has all numbers" in shown

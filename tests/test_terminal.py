@@ -13,8 +13,8 @@ from rich.cells import cell_len
 
 import pupper_analysis as pa
 from pupper_analysis.report.document import Column, Document, Lines, Name, Number, Said, Table
-from pupper_analysis.report.html.words import text
 from pupper_analysis.report.terminal import MOST_NOTES, SafeConsole, print_document
+from pupper_analysis.report.words import text
 
 
 def table(columns: int, rows: int = 12, letters: int = 7, **options: bool) -> Table:

@@ -4,7 +4,15 @@ Whoever finds something makes a ``Diagnostic`` by ``diagnose``, with a code of t
 in English and in Simplified Chinese, are in ``catalogue/*.toml`` and nowhere else.
 """
 
-from pupper_analysis.diagnostics.catalogue import LANGUAGES, Entry, codes, entry, term
+from pupper_analysis.diagnostics.catalogue import (
+    LANGUAGES,
+    Entry,
+    codes,
+    entry,
+    is_term,
+    phrase,
+    term,
+)
 from pupper_analysis.diagnostics.diagnostic import (
     Diagnostic,
     Group,
@@ -18,6 +26,7 @@ from pupper_analysis.diagnostics.diagnostic import (
     diagnose,
     grouped,
 )
+from pupper_analysis.diagnostics.templates import fill
 from pupper_analysis.diagnostics.values import UNLIMITED, bound
 
 __all__ = [
@@ -37,6 +46,9 @@ __all__ = [
     "codes",
     "diagnose",
     "entry",
+    "fill",
     "grouped",
+    "is_term",
+    "phrase",
     "term",
 ]

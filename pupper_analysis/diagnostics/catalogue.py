@@ -1,4 +1,6 @@
-"""The catalogue of diagnostics: per code its severity and its words in each language.
+"""The catalogue: all that is told to a reader, under keys, in each language.
+
+Diagnostics: per code its severity and its words.
 
 A file a room: ``catalogue/statics.toml`` has what ``statics`` finds. An entry is a table:
 
@@ -8,8 +10,10 @@ A file a room: ``catalogue/statics.toml`` has what ``statics`` finds. An entry i
     zh = "..."
 
 ``severity`` is ``note`` where it is left out, and ``group`` ``found`` for notes and ``wrong`` for
-all else. See ``templates`` for what may stand in braces. ``terms.toml`` has the words for kinds of
-things, such as ``joint``.
+all else. See ``templates`` for what may stand in braces.
+
+Other files have a line per entry, ``key = { en = "...", zh = "..." }``: ``terms.toml`` the words
+for kinds of things, such as ``joint``; ``texts.toml`` headings, labels and remarks of documents.
 """
 
 from __future__ import annotations
@@ -25,7 +29,10 @@ from types import MappingProxyType
 LANGUAGES = ("en", "zh")
 
 _TABLE = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
-_TERMS = "terms.toml"
+_LINE = re.compile(r'^"?([^"\n]+?)"? = (\{ en = .*\})$', re.MULTILINE)
+_TERMS, _TEXTS = "terms.toml", "texts.toml"
+LINED = (_TERMS, _TEXTS)
+"""Files with a line per entry."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +71,21 @@ def entry(code: str) -> Entry:
 
 def term(name: str, language: str) -> str:
     """Returns a word for a kind of thing; the name itself where the catalogue has none."""
-    return _terms().get(name, {}).get(language, name)
+    return _line(_TERMS, name)[language] if name in lines(_TERMS) else name
+
+
+def is_term(name: str) -> bool:
+    """Tells whether the catalogue has a word for a kind of thing."""
+    return name in lines(_TERMS)
+
+
+def phrase(key: str, language: str) -> str:
+    """Returns the template of a text of documents and pages, or a term.
+
+    Raises:
+        KeyError: If the catalogue has neither.
+    """
+    return _line(_TEXTS if key in lines(_TEXTS) else _TERMS, key)[language]
 
 
 @cache
@@ -72,17 +93,24 @@ def _tables() -> Mapping[str, str]:
     """Returns {code: its table's text}.
 
     TOML is slow to read (1,000 entries take 50 ms, a tenth of a command's start), and a command
-    says a few things only: tables are told apart by their headers and read when they are needed.
+    says a few things only: entries are told apart by their headers and read when they are needed.
     """
     tables: dict[str, str] = {}
     for file in files(__package__).joinpath("catalogue").iterdir():
-        if file.name.endswith(".toml") and file.name != _TERMS:
+        if file.name.endswith(".toml") and file.name not in LINED:
             _, *parts = _TABLE.split(file.read_text(encoding="utf-8"))
             tables.update(zip(parts[::2], parts[1::2], strict=True))
     return MappingProxyType(tables)
 
 
 @cache
-def _terms() -> Mapping[str, Mapping[str, str]]:
-    file = files(__package__).joinpath("catalogue", _TERMS)
-    return MappingProxyType(tomllib.loads(file.read_text(encoding="utf-8")))
+def lines(file: str) -> Mapping[str, str]:
+    """Returns {key: its entry as TOML} of a file with a line per entry."""
+    text = files(__package__).joinpath("catalogue", file).read_text(encoding="utf-8")
+    return MappingProxyType(dict(_LINE.findall(text)))
+
+
+@cache
+def _line(file: str, key: str) -> Mapping[str, str]:
+    words: dict[str, str] = tomllib.loads(f"entry = {lines(file)[key]}")["entry"]
+    return MappingProxyType(words)

@@ -17,37 +17,37 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.task import StandTask
 
 PLACES = {
-    "centre": "com over the centre of the feet",
-    "inside": "com anywhere in the support polygon",
-    "offset": "base at an offset",
+    "centre": "place-centre",
+    "inside": "place-inside",
+    "offset": "place-offset",
 }
 """{what decides where the base is: what it is called}."""
 
 LABELS = {
-    "height": ("height (mm)", "Of the base, above the mean of the contact points."),
-    "roll": ("roll (°)", "About x, forward."),
-    "pitch": ("pitch (°)", "About y, left: positive looks down."),
-    "yaw": ("yaw (°)", "About z, up, against the feet."),
-    "offset_x": ("offset x (mm)", "Of the base from the centre of the feet, forward."),
-    "offset_y": ("offset y (mm)", "Of the base from the centre of the feet, to the left."),
-    "com_margin": ("com margin (mm)", "How far inside the support polygon the com must be."),
-    "joint_margin": ("off joint limits (°)", "How far all joints must be off their limits."),
-    "ground_clearance": ("off the ground (mm)", "How high all but the feet must be."),
-    "self_clearance": ("links apart (mm)", "How far apart links must be; 0: not looked at."),
-    "move_x": ("move x (mm)", "Of the chosen foot, off its nominal place, forward."),
-    "move_y": ("move y (mm)", "Of the chosen foot, off its nominal place, to the left."),
-    "step": ("on a step (mm)", "How high the ground is under the chosen foot."),
-    "lift_height": ("how high (mm)", "Of the chosen foot, lifted above the ground."),
-    "slope": ("slope (°)", "Of the ground."),
-    "uphill": ("uphill (°)", "Where it rises, about z from x."),
-    "payload": ("payload (kg)", "A mass welded to the base."),
-    "payload_x": ("at x (mm)", "Where the payload is, in the base's frame."),
-    "payload_y": ("at y (mm)", "Where the payload is, in the base's frame."),
-    "payload_z": ("at z (mm)", "Where the payload is, in the base's frame."),
-    "leg_scale": ("leg length", "Factor on the length and the mass of thighs and calves."),
-    "torso_mass_scale": ("torso mass", "Factor on the torso's mass."),
-    "kp": ("kp (N m/rad)", "Stiffness of all servos."),
-    "kd": ("kd (N m s/rad)", "Damping of all servos."),
+    "height": ("slider-height", "hint-height"),
+    "roll": ("slider-roll", "hint-roll"),
+    "pitch": ("slider-pitch", "hint-pitch"),
+    "yaw": ("slider-yaw", "hint-yaw"),
+    "offset_x": ("slider-offset-x", "hint-offset-x"),
+    "offset_y": ("slider-offset-y", "hint-offset-y"),
+    "com_margin": ("slider-com-margin", "hint-com-margin"),
+    "joint_margin": ("slider-joint-margin", "hint-joint-margin"),
+    "ground_clearance": ("slider-ground-clearance", "hint-ground-clearance"),
+    "self_clearance": ("slider-self-clearance", "hint-self-clearance"),
+    "move_x": ("slider-move-x", "hint-move-x"),
+    "move_y": ("slider-move-y", "hint-move-y"),
+    "step": ("slider-step", "hint-step"),
+    "lift_height": ("slider-lift-height", "hint-lift-height"),
+    "slope": ("slider-slope", "hint-slope"),
+    "uphill": ("slider-uphill", "hint-uphill"),
+    "payload": ("slider-payload", "hint-payload"),
+    "payload_x": ("slider-payload-x", "hint-payload-place"),
+    "payload_y": ("slider-payload-y", "hint-payload-place"),
+    "payload_z": ("slider-payload-z", "hint-payload-place"),
+    "leg_scale": ("slider-leg-scale", "hint-leg-scale"),
+    "torso_mass_scale": ("slider-torso-mass-scale", "hint-torso-mass-scale"),
+    "kp": ("slider-kp", "hint-kp"),
+    "kd": ("slider-kd", "hint-kd"),
 }
 """{slider: (what it is called, what it is about)}."""
 
@@ -90,21 +90,19 @@ class Controls:
         """Adds what says how it stands, where viser adds next."""
         gui, say = self._gui, self._say
         self._places = {say(label): name for name, label in PLACES.items()}
-        with gui.add_folder(say("Base")):
+        with gui.add_folder(say("base-title")):
             self._add("height", "roll", "pitch", "yaw")
-        with gui.add_folder(say("Where")):
-            self.place = gui.add_dropdown(say("what counts"), list(self._places))
+        with gui.add_folder(say("where")):
+            self.place = gui.add_dropdown(say("what-counts"), list(self._places))
             self._add("offset_x", "offset_y")
-        with gui.add_folder(say("Feet")):
-            self.foot = gui.add_dropdown(
-                say("foot"), list(self._feet), hint=say("What is below is about this foot.")
-            )
+        with gui.add_folder(say("feet")):
+            self.foot = gui.add_dropdown(say("foot"), list(self._feet), hint=say("hint-foot"))
             self._add("move_x", "move_y", "step")
-            self.lifted = gui.add_checkbox(say("lifted"), False, hint=say("It does not carry."))
+            self.lifted = gui.add_checkbox(say("lifted"), False, hint=say("hint-lifted"))
             self._add("lift_height")
-        with gui.add_folder(say("Ground")):
+        with gui.add_folder(say("ground")):
             self._add("slope", "uphill")
-        with gui.add_folder(say("Margins")):
+        with gui.add_folder(say("margins")):
             self._add("com_margin", "joint_margin", "ground_clearance", "self_clearance")
         self.place.on_update(self._when(lambda s: replace(s, place=self._places[self.place.value])))
         self.lifted.on_update(self._when(self._with_lift))
@@ -113,14 +111,14 @@ class Controls:
     def body(self) -> None:
         """Adds what says what it carries, and which robot it is."""
         gui, say = self._gui, self._say
-        with gui.add_folder(say("Payload")):
+        with gui.add_folder(say("payload-title")):
             self._add("payload", "payload_x", "payload_y", "payload_z")
         if self._scales:
-            with gui.add_folder(say("Legs and torso")):
+            with gui.add_folder(say("legs-and-torso")):
                 self._add(*self._scales)
-        with gui.add_folder(say("Servos")):
+        with gui.add_folder(say("servos")):
             self._add("kp", "kd")
-            own = gui.add_button(say("The model's own servos"))
+            own = gui.add_button(say("own-servos"))
         own.on_click(lambda _: self.put(replace(self.state, kp=None, kd=None), told=True))
 
     def _add(self, *names: str) -> None:
@@ -271,7 +269,7 @@ class Controls:
             marked = name in places
             label = self._say(LABELS[name][0])
             found = self._say.either(f"{value:g}" for value in dict.fromkeys(places.get(name, ())))
-            far = self._say("{label} ◆ {values} possible", label=label, values=found)
+            far = self._say("label-values-possible", label=label, values=found)
             handle.label = far if marked else label
             mark(handle, places.get(name, ()))
 

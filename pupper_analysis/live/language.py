@@ -11,7 +11,7 @@ from pupper_analysis.live.door import without_folders
 from pupper_analysis.report.document import Text
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.html import sentences
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.stance.task import StandTask
 
 NAMES = {"en": "English", "zh": "中文"}
@@ -32,17 +32,17 @@ class Language:
         if self.code not in NAMES:
             raise ConfigurationError("language", diagnose("language-unknown", language=self.code))
 
-    def __call__(self, english: str, **values: object) -> str:
+    def __call__(self, key: str, **values: object) -> str:
         """Returns a text of the page.
 
         Args:
-            english: A key of the catalogue.
+            key: The catalogue's.
             **values: What stands in its braces.
 
         Raises:
             KeyError: If the catalogue lacks it.
         """
-        return self._of(text(english, **values))
+        return self._of(text(key, **values))
 
     def sentence(self, told: Diagnostic | str) -> str:
         """Returns what a result says; in English, where nobody has said it otherwise."""
@@ -60,11 +60,11 @@ class Language:
 
     def demands(self, demands: str) -> str:
         """Returns demands that a refusal joins with ``and``."""
-        return self(" and ").join(self.sentence(demand) for demand in demands.split(" and "))
+        return self("and").join(self.sentence(demand) for demand in demands.split(" and "))
 
     def either(self, choices: Iterable[str]) -> str:
         """Returns choices with the word for *or* between them."""
-        return self(" or ").join(choices)
+        return self("or").join(choices)
 
     def _of(self, words: Text) -> str:
         return words.zh if self.code == "zh" else words.en

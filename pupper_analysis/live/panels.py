@@ -79,22 +79,22 @@ class Panels:
         if before is not None:
             clear_but_tabs(gui, before.tabs)
         left = gui.add_panel()
-        with left.add_tab(say("What it takes")):
-            self._numbers = gui.add_html(text.waiting(say("solving …")))
+        with left.add_tab(say("what-it-takes")):
+            self._numbers = gui.add_html(text.waiting(say("solving")))
         left.dock_left()
         left.set_width(330)
         self.controls = Controls(gui, robot, model.source.scales, say, acts.changed)
         gui.add_html(text.PHONE)
         self._brief = gui.add_html("")
         other = gui.add_button(say.other.name, color="gray")
-        names = (say("Stance"), say("Body"), "MuJoCo", say("Share"))
+        names = (say("stance"), say("body"), "MuJoCo", say("share-title"))
         kept = None if before is None else before.tabs
         self.tabs: Any
         self.tabs, (stance, body, simulated, share) = named_tabs(gui, names, other, kept)
         with stance:
             self.controls.stance()
-            self._nearest = gui.add_button(say("Go to the nearest stance"), visible=False)
-            reset = gui.add_button(say("Reset all"), color="gray")
+            self._nearest = gui.add_button(say("go-to-the-nearest-stance"), visible=False)
+            reset = gui.add_button(say("reset-all"), color="gray")
         with body:
             self.controls.body()
         with simulated:
@@ -110,21 +110,21 @@ class Panels:
     def _simulation(self, gui: Any, mass: float) -> None:
         acts, say = self._acts, self.say
         self._feedforward = gui.add_checkbox(
-            say("feed-forward"), False, hint=say("Command q* + torque / kp, not q* alone.")
+            say("feed-forward"), False, hint=say("hint-feed-forward")
         )
-        simulate = gui.add_button(say("Simulate"), hint=say("12 s of MuJoCo."))
+        simulate = gui.add_button(say("simulate"), hint=say("hint-simulate"))
         most = max(1.0, round(2.0 * mass, 1))  # N s: 2 m/s tip over what is about as high as v3
-        with gui.add_folder(say("Push")):
-            self._impulse = gui.add_slider(say("impulse (N s)"), 0.0, most, most / 100, most / 10)
+        with gui.add_folder(say("push")):
+            self._impulse = gui.add_slider(say("impulse-n"), 0.0, most, most / 100, most / 10)
             self._direction = gui.add_slider(
-                say("towards (°)"), -180.0, 180.0, 5.0, 90.0, hint=say("0 is forward, 90 is left.")
+                say("towards-deg"), -180.0, 180.0, 5.0, 90.0, hint=say("hint-towards")
             )
-            push = gui.add_button(say("Push it"))
-        self._beside = gui.add_checkbox(say("beside the prediction"), True)
-        labels = gui.add_checkbox(say("torques at all joints"), False)
-        self._time = gui.add_slider(say("time (s)"), 0.0, 1.0, 0.01, 0.0, visible=False)
-        self._again = gui.add_button(say("Play again"), visible=False, color="gray")
-        self._result = gui.add_html(text.nothing(say("Not simulated yet.")))
+            push = gui.add_button(say("push-it"))
+        self._beside = gui.add_checkbox(say("beside-the-prediction"), True)
+        labels = gui.add_checkbox(say("torques-at-all-joints"), False)
+        self._time = gui.add_slider(say("time-s"), 0.0, 1.0, 0.01, 0.0, visible=False)
+        self._again = gui.add_button(say("play-again"), visible=False, color="gray")
+        self._result = gui.add_html(text.nothing(say("not-simulated-yet")))
         simulate.on_click(lambda _: acts.simulate())
         push.on_click(lambda _: acts.push())
         labels.on_update(lambda event: acts.draw_again(bool(event.target.value)))
@@ -137,16 +137,16 @@ class Panels:
 
     def _share(self, gui: Any) -> None:
         say = self.say
-        self._state = gui.add_text(say("state"), "", hint=say("Change it, or paste another one."))
-        self._link = gui.add_text(say("link to it"), "", hint=say("Opens a page with this state."))
-        self._live = gui.add_text(say("this page"), "", multiline=True)
-        self._command = gui.add_text(say("as a command"), "", multiline=True)
-        self._python = gui.add_text(say("as Python"), "", multiline=True)
+        self._state = gui.add_text(say("state"), "", hint=say("change-it-or-paste-another"))
+        self._link = gui.add_text(say("link-to"), "", hint=say("opens-a-page"))
+        self._live = gui.add_text(say("this-page"), "", multiline=True)
+        self._command = gui.add_text(say("as-a-command"), "", multiline=True)
+        self._python = gui.add_text(say("as-python"), "", multiline=True)
         self._state.on_update(self._state_typed)
         for label, name in (
-            (say("Save the Python"), "stance.py"),
-            (say("Save all as JSON"), "stance.json"),
-            (say("Save the torques as CSV"), "torques.csv"),
+            (say("save-the-python"), "stance.py"),
+            (say("save-all-as-json"), "stance.json"),
+            (say("save-the-torques-as-csv"), "torques.csv"),
         ):
             button = gui.add_button(label)
             button.on_click(lambda _, n=name: self._save(n))
@@ -160,7 +160,7 @@ class Panels:
         answer, sag = self._acts.export()
         source = self._model.source
         if answer is None or (answer.statics is None and name != "stance.py"):
-            self.notify("Nothing to save", self.say("There is no stance in balance."))
+            self.notify("nothing-to-save", self.say("there-is-no-stance"))
             return
         content = {
             "stance.py": lambda: export.python(source, answer.state),
@@ -220,7 +220,7 @@ class Panels:
         self.limits(None)
         if answer.robot is not None:
             self.controls.follow(answer.robot)
-        self._result.content = text.nothing(self.say("Not simulated yet."))
+        self._result.content = text.nothing(self.say("not-simulated-yet"))
         self.simulated(0.0)
         self._state.value = str(state)
         self._link.value = export.link(self._address, state, self.say.code)

@@ -82,7 +82,7 @@ class Session:
         self._panels.controls.put(state, told=False)
         if problem is not None:
             say = self._panels.say
-            self._panels.notify("This state cannot be shown", say.sentence(problem))
+            self._panels.notify("this-state-cannot-be-shown", say.sentence(problem))
         number = next(_numbers)
         self.threads = [
             threading.Thread(target=work, name=f"live-{number}-{name}", daemon=True)
@@ -135,7 +135,7 @@ class Session:
         try:
             self._panels.controls.put(parse(words), told=True)
         except PupperAnalysisError as error:
-            self._panels.notify("This is no state", self._panels.say.sentence(error.diagnostic))
+            self._panels.notify("this-is-no-state", self._panels.say.sentence(error.diagnostic))
 
     def go_to_nearest(self) -> None:
         """Goes to the ghost."""
@@ -153,16 +153,16 @@ class Session:
 
     def simulate(self) -> None:
         """Simulates the stance."""
-        self._do("simulating …", self._simulate)
+        self._do("simulating", self._simulate)
 
     def push(self) -> None:
         """Pushes the stance."""
-        self._do("pushing …", self._push)
+        self._do("pushing", self._push)
 
     def _do(self, words: str, job: Callable[[Answer], None]) -> None:
         with self._lock:
             if self._answer is None or self._answer.statics is None:
-                said = "There is no stance that could be simulated."
+                said = "nothing-to-simulate"
                 self._panels.result(text.nothing(self._panels.say(said)))
                 return
             self._panels.result(text.waiting(self._panels.say(words)))
@@ -214,7 +214,7 @@ class Session:
                     return  # it has moved on, or the page is closed
         if not self._model.made(state):
             with self._lock:
-                self._panels.status(text.waiting(self._panels.say("making the robot …")))
+                self._panels.status(text.waiting(self._panels.say("making-the-robot")))
         self._show(self._model.answer(state))
 
     def _safely(self, work: Callable[[], None]) -> None:

@@ -102,7 +102,7 @@ def verdict(say: Language, answer: Answer, judged: Verdict | None) -> str:
     if judged is not None:
         return ruling(say, judged)
     if answer.unreachable:
-        return box("bad", say("Out of reach."))
+        return box("bad", say("out-of-reach"))
     refusal = answer.refusal
     return box("bad", "" if refusal is None else say.sentence(refusal.diagnostic))
 
@@ -153,32 +153,32 @@ def brief(say: Language, answer: Answer, judged: Verdict | None) -> str:
 
 def _stance(say: Language, stand: Stand, statics: GravityCompensation | None) -> str:
     known = [
-        (say("height of the base"), f"{1e3 * (stand.task.height or 0.0):.1f} mm"),
-        (say("com margin"), f"{1e3 * stand.com_margin:.1f} mm"),
+        (say("height-of-the-base"), f"{1e3 * (stand.task.height or 0.0):.1f} mm"),
+        (say("com-margin"), f"{1e3 * stand.com_margin:.1f} mm"),
     ]
     if stand.ground_clearance is not None:
         clearance = f"{1e3 * stand.ground_clearance.distance:.1f} mm"
-        known.append((say("ground clearance"), clearance))
+        known.append((say("ground-clearance"), clearance))
     if stand.self_clearance is not None:
         clearance = f"{1e3 * stand.self_clearance.distance:.1f} mm"
-        known.append((say("distance between links"), clearance))
+        known.append((say("distance-between-links"), clearance))
     if statics is not None and statics.friction_utilisation:
         share = max(statics.friction_utilisation.values())
-        known.append((say("friction used"), f"{100 * share:.1f} %"))
+        known.append((say("friction-used"), f"{100 * share:.1f} %"))
     return rows(known)
 
 
 def _sag(say: Language, sag: Sag | None) -> str:
-    title = headed(say("Predicted sag, without feed-forward"))
+    title = headed(say("predicted-sag-without-feed-forward"))
     if sag is None:
-        return title + box("wait", say("being worked out …"))
+        return title + box("wait", say("being-worked-out"))
     if sag.settled is None:
         return title + box("bad", say.sentence(sag.unsettled))
     settled = sag.settled
     parts = [
-        (say("loss of height"), f"{1e3 * settled.height_loss:.2f} mm"),
-        (say("in the servos"), f"{1e3 * settled.servo_sag:.2f} mm"),
-        (say("in the contacts"), f"{1e3 * settled.contact_sag:.2f} mm"),
+        (say("loss-of-height"), f"{1e3 * settled.height_loss:.2f} mm"),
+        (say("in-the-servos"), f"{1e3 * settled.servo_sag:.2f} mm"),
+        (say("in-the-contacts"), f"{1e3 * settled.contact_sag:.2f} mm"),
     ]
     failures = "".join(box("bad", say.sentence(failure)) for failure in settled.failures)
     return title + rows(parts) + failures
@@ -203,7 +203,7 @@ def _torques(say: Language, answer: Answer, statics: GravityCompensation) -> str
             f'<tr><td>{said(name)}</td><td class="n">{torque:+.4f}</td>'
             f'<td class="n">{used}</td><td style="width:4.6em">{bar}</td></tr>'
         )
-    head = headed(say("Motor torques (N m), and parts of their limits"))
+    head = headed(say("motor-torques-n-m"))
     return f'{head}<table class="torques">{"".join(body)}</table>{_legend(say)}'
 
 
@@ -222,7 +222,7 @@ def _forces(say: Language, statics: GravityCompensation) -> str:
     body = [
         (foot, f"{np.linalg.norm(load.force):.2f} N") for foot, load in statics.foot_loads.items()
     ]
-    return headed(say("Contact forces")) + rows(body)
+    return headed(say("contact-forces-title")) + rows(body)
 
 
 def refusal(
@@ -238,24 +238,24 @@ def refusal(
     """
     head = title(answer)
     if pending:
-        wait = say("finding out what is in the way, and how far it can go …")
-        return page(head, box("bad", say("Out of reach.")), box("wait", wait))
+        wait = say("explaining")
+        return page(head, box("bad", say("out-of-reach")), box("wait", wait))
     if error is None:
-        return page(head, box("good", say("It is in reach after all.")))
+        return page(head, box("good", say("it-is-in-reach-after")))
     missing = [(foot, f"{1e3 * gap:.1f} mm") for foot, gap in error.shortfall.items() if gap > 0]
-    parts = [head, box("bad", say("Out of reach."))]
+    parts = [head, box("bad", say("out-of-reach"))]
     if error.possible:
         demands = say.either(say.demands(demand) for demand in error.possible)
-        parts.append(headed(say("In the way: {demands}", demands=demands)))
-        parts.append(line(say("Possible with all else as asked:")))
+        parts.append(headed(say("in-the-way-demands", demands=demands)))
+        parts.append(line(say("possible-with-all-else")))
         parts += [line(f"• {_possible(say, answer.state, one)}") for one in error.limits.values()]
     if missing:
-        parts += [headed(say("Feet miss their places by")), rows(missing)]
+        parts += [headed(say("feet-miss-their-places")), rows(missing)]
     if error.at_limit:
-        parts += [headed(say("Joints at a limit")), line(_at_limits(answer, error.at_limit))]
+        parts += [headed(say("joints-at-a-limit")), line(_at_limits(answer, error.at_limit))]
     parts += [line(say.sentence(str(text))) for text in error.blocked]
     if error.nearest is not None:
-        parts += [headed(say("The ghost: the nearest stance in reach")),
+        parts += [headed(say("the-ghost-the-nearest-stance")),
                   line(say.task(error.nearest.task))]  # fmt: skip
     return page(*parts)
 
@@ -294,42 +294,42 @@ def simulation(say: Language, stance: Stance, *, feedforward: bool) -> str:
     """
     report = stance.verification if feedforward else stance.sagging
     if feedforward:
-        title = "MuJoCo, {time} s with feed-forward"
+        title = "simulation-with-feed-forward"
         expected = (stance.sunk or stance.stand).qpos[2]
     else:
-        title = "MuJoCo, {time} s without feed-forward"
+        title = "simulation-without-feed-forward"
         expected = None if stance.settled is None else stance.settled.base_height
     parts = [headed(say(title, time=f"{report.duration:.0f}")), ruling(say, stance.verdict)]
     table = [
         (
-            say("base at, predicted"),
+            say("base-at-predicted"),
             "-" if expected is None else f"{1e3 * float(expected):.2f} mm",
         ),
-        (say("base at, simulated"), f"{1e3 * report.base_height:.2f} mm"),
-        (say("its change at the end"), f"{1e3 * report.height_drift:+.3f} mm/s"),
-        (say("largest joint error"), f"{report.joint_error:.1e} rad"),
+        (say("base-at-simulated"), f"{1e3 * report.base_height:.2f} mm"),
+        (say("its-change-at-the-end"), f"{1e3 * report.height_drift:+.3f} mm/s"),
+        (say("largest-joint-error"), f"{report.joint_error:.1e} rad"),
     ]
     if report.feedforward:
-        of = say("{share} % of the largest", share=f"{100 * report.torque_error:.2f}")
-        table.append((say("torque error"), of))
-        table.append((say("foot force error"), f"{100 * report.force_error:.2f} %"))
-    return page(*parts, rows(table), line(say("Orange: as simulated.")))
+        of = say("share-of-the-largest", share=f"{100 * report.torque_error:.2f}")
+        table.append((say("torque-error"), of))
+        table.append((say("foot-force-error"), f"{100 * report.force_error:.2f} %"))
+    return page(*parts, rows(table), line(say("orange-as-simulated")))
 
 
 def push(say: Language, trial: PushTrial) -> str:
     """Returns what came of a push."""
     title = say(
-        "Pushed with {impulse} N s towards {direction}°",
+        "pushed-with",
         impulse=f"{trial.impulse:.2f}",
         direction=f"{math.degrees(trial.direction):.0f}",
     )
     parts = [
         headed(title),
-        box("good", say("it recovers"))
+        box("good", say("it-recovers"))
         if trial.failure is None
         else box("bad", say.sentence(trial.failure)),
-        rows([(say("change of velocity"), f"{trial.velocity_step:.2f} m/s")]),
-        line(say("Orange: as simulated.")),
+        rows([(say("change-of-velocity"), f"{trial.velocity_step:.2f} m/s")]),
+        line(say("orange-as-simulated")),
     ]
     return page(*parts)
 
@@ -342,7 +342,7 @@ def failure(say: Language, error: PupperAnalysisError) -> str:
 def unforeseen(say: Language, error: Exception) -> str:
     """Returns that something went wrong that should not."""
     what = without_folders(f"{type(error).__name__}: {error}".rstrip(": "))
-    return page(box("bad", say("unforeseen: {what}. This is a bug: please report it.", what=what)))
+    return page(box("bad", say("unforeseen", what=what)))
 
 
 def waiting(text: str) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.report.document import Cell, Column, Name, Table, number
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 def variants_table(variants: Iterable[tuple[VariantSpec, Robot]]) -> Table:
     """Returns what variants there are."""
     return Table(
-        text("Variants"),
+        text("variants"),
         (
             Column(text("variant"), left=True),
             Column(text("base"), left=True),
             Column(Name("leg_scale"), "1"),
             Column(Name("torso_mass_scale"), "1"),
             Column(text("mass"), "kg"),
-            Column(text("stand height"), "m"),
+            Column(text("stand-height"), "m"),
         ),
         tuple(
             (
@@ -144,17 +144,17 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
     """Returns the table that compares robots: a row each, so that it can be sorted."""
     columns = (
         ("mass", "kg", "total_mass", ".3f", 1.0),
-        ("mass ratio", "1", "mass_ratio", ".3f", 1.0),
-        ("thigh ratio, hip to knee", "1", "thigh_ratio", ".3f", 1.0),
-        ("thigh ratio, drawn shape", "1", "thigh_shape_ratio", ".3f", 1.0),
-        ("stand height", "m", "height", ".4f", 1.0),
-        ("peak torque", "N m", "peak_torque", ".3f", 1.0),
-        ("peak utilisation", "%", "peak_utilisation", ".1f", 100.0),
-        ("servo sag", "mm", "servo_sag", ".3f", 1e3),
-        ("contact softness", "mm", "contact_sag", ".3f", 1e3),
-        ("torque off prediction", "%", "torque_error", ".3f", 100.0),
-        ("foot force off prediction", "%", "force_error", ".3f", 100.0),
-        ("cross-check, worst", "1", "cross_check", ".1e", 1.0),
+        ("mass-ratio", "1", "mass_ratio", ".3f", 1.0),
+        ("thigh-ratio-hip-to-knee", "1", "thigh_ratio", ".3f", 1.0),
+        ("thigh-ratio-drawn-shape", "1", "thigh_shape_ratio", ".3f", 1.0),
+        ("stand-height", "m", "height", ".4f", 1.0),
+        ("peak-torque", "N m", "peak_torque", ".3f", 1.0),
+        ("peak-utilisation", "%", "peak_utilisation", ".1f", 100.0),
+        ("servo-sag", "mm", "servo_sag", ".3f", 1e3),
+        ("contact-softness", "mm", "contact_sag", ".3f", 1e3),
+        ("torque-off-prediction", "%", "torque_error", ".3f", 100.0),
+        ("foot-force-off-prediction", "%", "force_error", ".3f", 100.0),
+        ("cross-check-worst", "1", "cross_check", ".1e", 1.0),
     )
     cells: list[tuple[Cell, ...]] = []
     for row in rows:
@@ -165,11 +165,11 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
         verdict = text(_verdict(row)).marked("good" if row.verified else "bad")
         cells.append((Name(row.name), verdict, stands, *numbers))
     return Table(
-        text("Comparison (ratios to the unscaled base model)"),
+        text("comparison-ratios-to-the-unscaled"),
         (
             Column(text("variant"), left=True),
             Column(text("verdict"), left=True),
-            Column(text("without feed-forward"), left=True),
+            Column(text("without-feed-forward"), left=True),
             *(Column(text(name), unit) for name, unit, *_ in columns),
         ),
         tuple(cells),

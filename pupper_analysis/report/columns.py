@@ -16,7 +16,7 @@ from rich.text import Text
 
 from pupper_analysis.report.document import Cell, Column, Name, Number, Table
 from pupper_analysis.report.formats import visible
-from pupper_analysis.report.html.words import english
+from pupper_analysis.report.words import english
 
 GAP = 2
 """Characters between columns."""

@@ -9,25 +9,25 @@ from pupper_analysis.guard.remarks import Remark, State
 from pupper_analysis.report.audit import LEVELS
 from pupper_analysis.report.document import Name, Text
 from pupper_analysis.report.formats import Annotation, Case
-from pupper_analysis.report.html.words import joined, text
 from pupper_analysis.report.sarif import from_root
+from pupper_analysis.report.words import joined, text
 
 
 def summary(check: RepositoryCheck) -> Text:
     """Returns how much was found, in a line."""
     counts = {state: sum(r.state is state for r in check.remarks) for state in State}
     minor = sum(r.state is not State.KNOWN and not r.fails for r in check.remarks)
-    parts = [text("{count} to mend", count=check.failures)]
+    parts = [text("count-to-mend", count=check.failures)]
     if minor:
-        parts.append(text("{count} of less severity than fails", count=minor))
+        parts.append(text("count-of-less-severity-than", count=minor))
     if counts[State.KNOWN]:
-        parts.append(text("{count} known", count=counts[State.KNOWN]))
+        parts.append(text("count-known", count=counts[State.KNOWN]))
     if check.stale:
-        parts.append(text("{count} stale", count=len(check.stale)))
+        parts.append(text("count-stale", count=len(check.stale)))
     found = joined(parts)
     if check.updated:
         baseline = Name(str(check.baseline))
-        return text("{found}; the baseline is written: {file}", found=found, file=baseline)
+        return text("found-the-baseline-is-written", found=found, file=baseline)
     return found
 
 
@@ -36,13 +36,13 @@ def before_in_words(remark: Remark) -> Text:
     before = remark.before or {}
     sentence = before.get("message")
     if sentence is not None:  # of an older version
-        return text("the baseline has: {values}", values=sentence)
+        return text("the-baseline-has-values", values=sentence)
     known = before.get("values", before)
     if "code" in before:
         now = remark.values.get("values", {})
         known = {name: value for name, value in known.items() if now.get(name) != value}
     values = ", ".join(f"{name} {value}" for name, value in known.items())
-    return text("the baseline has: {values}", values=values or before.get("code", ""))
+    return text("the-baseline-has-values", values=values or before.get("code", ""))
 
 
 def _what_of_stale(check: RepositoryCheck) -> str:
@@ -101,8 +101,7 @@ def remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[Annota
 def outdated(check: RepositoryCheck) -> Text:
     """Returns how to renew a baseline that an older version wrote."""
     return text(
-        "{count} entries of the baseline are sentences of an older version, which other words make "
-        "other ones: pupper-analysis check --update-baseline renews it",
+        "count-entries-of-the-baseline",
         count=check.outdated,
     )
 

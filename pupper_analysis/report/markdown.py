@@ -25,7 +25,7 @@ from pupper_analysis.report.document import (
     Words,
 )
 from pupper_analysis.report.formats import visible
-from pupper_analysis.report.html.words import english
+from pupper_analysis.report.words import english
 
 SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
 """Before a verdict."""

@@ -10,7 +10,7 @@ from typing import Any
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.joint_drives import MadeServo
 from pupper_analysis.report.document import Text
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.robot.as_published import Cause, OwnRun, Published, ServoSource, ServosUsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Ending, Verdict, VerdictCode

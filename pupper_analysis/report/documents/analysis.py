@@ -17,8 +17,8 @@ from pupper_analysis.report.documents.simulated import (
 )
 from pupper_analysis.report.documents.sources import files, is_derived, joint_places, page
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.html.words import text, word
 from pupper_analysis.report.verdict import verdict_lines
+from pupper_analysis.report.words import text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 
@@ -45,7 +45,7 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         _check(analysis),
     ]
     return doc.Document(
-        text("Analysis"),
+        text("analysis"),
         doc.Name(analysis.name),
         tuple(blocks),
         passed=analysis.verified,
@@ -63,17 +63,16 @@ def _key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     limited = bool(share.any())
     most = int(np.argmax(share if limited else np.abs(statics.joint_torques)))
     peak = text(
-        "{mass} kg; peak torque {torque} N m at {joint}",
+        "mass-kg-peak-torque-torque",
         mass=f"{analysis.total_mass:.3f}",
         torque=f"{statics.joint_torques[most]:+.3f}",
         joint=doc.Name(statics.joint_names[most]),
     )
     if limited:
-        peak = text("{peak}, {share} of its limit", peak=peak, share=f"{share[most]:.1%}")
+        peak = text("peak-share-of-its-limit", peak=peak, share=f"{share[most]:.1%}")
     yield peak
     yield text(
-        "stands {height} mm high, in MuJoCo {held}; commanded the same joints without "
-        "feed-forward {let_go}",
+        "stands-height-mm-high",
         height=f"{1e3 * analysis.stand.qpos[2]:.1f}",
         held=_height(analysis.verification),
         let_go=_height(analysis.sagging),
@@ -81,7 +80,7 @@ def _key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     check = analysis.check
     worst = next(one for one in check.quantities if one.name == check.worst)
     yield text(
-        "URDF and MJCF: worst deviation {relative} ({quantity})",
+        "urdf-and-mjcf-worst-deviation",
         relative=f"{worst.relative:.1e}",
         quantity=word(worst.name),
     )
@@ -98,7 +97,7 @@ def _surprises(analysis: Analysis) -> Iterable[doc.Words]:
     torques = np.abs(analysis.statics.joint_torques)
     most = int(np.argmax(torques))
     yield text(
-        "Standing, {joint} holds {standing} N m; hanging by its base it would hold {hanging} N m.",
+        "standing-against-hanging",
         joint=doc.Name(analysis.joints[most].name),
         standing=f"{analysis.statics.joint_torques[most]:+.3f}",
         hanging=f"{analysis.hanging_torques[most]:+.3f}",
@@ -106,14 +105,13 @@ def _surprises(analysis: Analysis) -> Iterable[doc.Words]:
     without = analysis.sagging
     if without.passed:
         yield text(
-            "Commanded the pose alone, without feed-forward, it loses {loss} mm of height: "
-            "{servo} mm in the servos, {contact} mm in the soft contacts.",
+            "sag-without-feed-forward",
             loss=_millimetre_digits(without.height_loss),
             servo=_millimetre_digits(without.servo_sag),
             contact=_millimetre_digits(without.contact_sag),
         )
     else:
-        yield text("Commanded the pose alone, without feed-forward, it does not stand:")
+        yield text("does-not-stand-without-feed-forward")
         yield from map(doc.Said, without.failures)
 
 
@@ -125,8 +123,7 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
     yield doc.Lines(
         (
             text(
-                "nq = {nq}, nv = {nv}, nu = {nu}; mass {mass} kg; com at zero angles, from the "
-                "base ({com}) m",
+                "model-sizes",
                 nq=analysis.nq,
                 nv=analysis.nv,
                 nu=analysis.nu,
@@ -134,7 +131,7 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
                 com=doc.vector(analysis.center_of_mass, "+.4f"),
             ),
             text(
-                "thigh {thigh}, calf {calf}",
+                "thigh-thigh-calf-calf",
                 thigh=_millimetres(analysis.thigh_length),
                 calf=_millimetres(analysis.calf_length),
             ),
@@ -143,15 +140,15 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
     )
     yield _joints(analysis, robot)
     yield doc.Table(
-        text("Masses of the bodies"),
+        text("masses-of-the-bodies"),
         (
-            doc.Column(text("base, or joint that moves it"), left=True),
+            doc.Column(text("base-or-joint-that-moves"), left=True),
             doc.Column(text("mass"), "kg"),
         ),
         tuple(
             (doc.Name(name), doc.number(mass, ".3f")) for name, mass in analysis.link_masses.items()
         ),
-        (text("Fixed links are counted with what they are fixed to."),),
+        (text("fixed-links-are-counted"),),
         (files(robot), page("physics.md", "Scaling a robot")),
     )
 
@@ -181,15 +178,15 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
         where = places.get(joint.name, ("", ""))
         rows.append((*cells, *map(doc.Name, where)) if places else tuple(cells))
     located = (
-        doc.Column(text("line of the URDF"), left=True),
-        doc.Column(text("line of the MJCF"), left=True),
+        doc.Column(text("line-of-the-urdf"), left=True),
+        doc.Column(text("line-of-the-mjcf"), left=True),
     )
     origins = (joint.effort_origin for joint in analysis.joints)
-    notes: list[doc.Words] = [text("Axes at zero angles, in the base's frame.")]
+    notes: list[doc.Words] = [text("axes-at-zero-angles")]
     if robot is not None and is_derived(robot):
-        notes.append(text("The lines are those of the files, without the changes."))
+        notes.append(text("source-lines-of-files"))
     return doc.Table(
-        text("Joints, in actuator order"),
+        text("joints-in-actuator-order"),
         (
             doc.Column(text("joint"), left=True),
             doc.Column(text("motion"), left=True),
@@ -204,9 +201,9 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
             *(located if places else ()),
         ),
         tuple(rows),
-        (*notes, text("effort: {origins}", origins=origins_text(origins))),
+        (*notes, text("effort-origins", origins=origins_text(origins))),
         (
-            text("Limits from the URDF, efforts from both; armature and the rest from the MJCF."),
+            text("source-joints"),
             page("conventions.md", "Coordinates"),
         ),
     )
@@ -219,14 +216,14 @@ def _millimetres(length: float | None) -> str:
 def _stand(analysis: Analysis) -> doc.Block:
     stand = analysis.stand
     rows = (
-        ("feet off their targets, by Pinocchio", "m", stand.foot_error),
-        ("feet off their targets, by MuJoCo", "m", analysis.verification.mujoco_foot_error),
-        ("orientation of the base", "rad", stand.orientation_error),
-        ("height of the base", "m", stand.height_error),
+        ("feet-off-their-targets-by-pinocchio", "m", stand.foot_error),
+        ("feet-off-their-targets", "m", analysis.verification.mujoco_foot_error),
+        ("orientation-of-the-base", "rad", stand.orientation_error),
+        ("height-of-the-base", "m", stand.height_error),
         ("com", "m", stand.com_error),
     )
     return doc.Table(
-        text("Errors of the solved stand (PlaCo, {count} iterations)", count=stand.iterations),
+        text("errors-of-the-solved-stand", count=stand.iterations),
         (
             doc.Column(text("deviation"), left=True),
             doc.Column(text("value")),
@@ -235,7 +232,7 @@ def _stand(analysis: Analysis) -> doc.Block:
         tuple((text(name), doc.number(value, ".1e"), doc.Name(unit)) for name, unit, value in rows),
         (task_text(stand.task),),
         (
-            text("Solved on Pinocchio's model of the URDF, and computed anew on MuJoCo's."),
+            text("source-stand"),
             page("stances.md", "What the simulation says"),
         ),
     )
@@ -252,17 +249,17 @@ def _jacobians(analysis: Analysis) -> doc.Block:
         for foot, jacobian in analysis.foot_jacobians.items()
     ]
     return doc.Table(
-        text("Foot Jacobians, in world axes, by the joints of the leg"),
+        text("foot-jacobians-in-world-axes"),
         (
             doc.Column(text("foot"), left=True),
             *(doc.Column(doc.Name(f"v{axis}"), "m/rad", left=True) for axis in "xyz"),
-            doc.Column(text("singular values"), "m/rad", left=True),
+            doc.Column(text("singular-values"), "m/rad", left=True),
             doc.Column(text("condition"), "1"),
         ),
         tuple(rows),
         (),
         (
-            text("Pinocchio's, of the URDF; the cross-check compares them with MuJoCo's."),
+            text("source-jacobians"),
             page("conventions.md", "Frames and feet"),
         ),
     )
@@ -282,20 +279,19 @@ def _check(analysis: Analysis) -> doc.Block:
                 doc.number(quantity.deviation, ".1e"),
                 doc.Name(quantity.unit),
                 doc.Number(f"{quantity.relative:.1e}", quantity.relative),
-                text("ok") if quantity.passed else text("DIFFERS").marked("bad"),
+                text("ok") if quantity.passed else text("differs").marked("bad"),
             )
         )
     return doc.Table(
         text(
-            "Cross-check: URDF and MJCF, each in Pinocchio and in MuJoCo, at {count} random "
-            "configurations; tolerance {tolerance}",
+            "cross-check-urdf-and-mjcf",
             count=check.configurations,
             tolerance=f"{check.tolerance:g}",
         ),
         (
             doc.Column(text("quantity"), left=True),
-            doc.Column(text("worst at"), left=True),
-            doc.Column(text("deviation of"), left=True),
+            doc.Column(text("worst-at"), left=True),
+            doc.Column(text("deviation-of"), left=True),
             doc.Column(text("scale")),
             doc.Column(text("deviation")),
             doc.Column(text("unit"), left=True),
@@ -305,7 +301,7 @@ def _check(analysis: Analysis) -> doc.Block:
         tuple(rows),
         tuple(map(doc.Said, check.notes)),
         (
-            text("Two models in two engines; kinematics also by yourdfpy."),
+            text("source-cross-check"),
             page("physics.md", "The cross-check"),
         ),
     )

@@ -11,7 +11,7 @@ from pupper_analysis.diagnostics import LANGUAGES, Diagnostic, term
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.sources import page, quoted
-from pupper_analysis.report.html.words import joined, text, word
+from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.robot.robot import Robot
 
 MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
@@ -25,21 +25,21 @@ SHOWN = 40
 def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
     """Returns what is wrong in one file; see ``build``."""
     counts = [
-        text("{count} {severity}", count=count, severity=word(_plural(severity, count)))
+        text("count-severity", count=count, severity=word(_plural(severity, count)))
         for severity, count in audit.counts.items()
     ]
-    rules = text("by {count} rules", count=len(audit.rules_run))
+    rules = text("by-count-rules", count=len(audit.rules_run))
     blocks: list[doc.Block] = list(_groups(audit))
     if audit.findings:
         blocks.append(_findings(audit))
     suspect = bool(audit.counts.get(Severity.WARNING))
-    passed = text("SUSPECT") if suspect else text("SOUND")  # no error, but likely a slip
+    passed = text("suspect") if suspect else text("sound")  # no error, but likely a slip
     return doc.Document(
-        text("Audit"),
+        text("audit"),
         doc.Name(Path(audit.file).name),
         tuple(blocks),
         passed=audit.passed,
-        verdict=passed if audit.passed else text("UNSOUND"),
+        verdict=passed if audit.passed else text("unsound"),
         warned=audit.passed and suspect,
         told=(joined([*counts, rules]),),
         notes=tuple(map(doc.Said, audit.notes)),
@@ -62,7 +62,7 @@ def _groups(audit: Audit) -> Iterable[doc.Sides]:
     shown = 0
     for (rule, _), alike in rules.items():
         why, todo = rule_words(rule, "why"), rule_words(rule, "todo")
-        advice: tuple[doc.Words, ...] = (text("{why} {todo}", why=why, todo=todo).marked("quiet"),)
+        advice: tuple[doc.Words, ...] = (text("why-todo", why=why, todo=todo).marked("quiet"),)
         for place, group in enumerate(alike.values(), start=1):
             sides = _alike(audit, group, advice if place == len(alike) else ())
             yield replace(sides, detail=shown >= SHOWN)
@@ -73,14 +73,14 @@ def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
     """Returns findings of which only the element is another."""
     first, *others = group
     told = doc.Said(first.diagnostic)
-    said = text("{element}: {message}", element=element(first.diagnostic), message=told)
+    said = text("element-message", element=element(first.diagnostic), message=told)
     if others:
         names = joined(element(other.diagnostic) for other in others)
-        said = text("{finding}; likewise {names}", finding=said, names=names)
+        said = text("finding-likewise-names", finding=said, names=names)
     place, path = _place(first)
     quote = doc.Name(quoted(path, audit.file))
     tag = text(
-        "{severity} {rule}",
+        "severity-rule",
         severity=word(str(first.severity)),
         rule=first.rule,
     ).marked(MARKS[first.severity])
@@ -120,15 +120,15 @@ def _findings(audit: Audit) -> doc.Table:
         for order, one in enumerate(audit.findings, start=1)
     ]
     return doc.Table(
-        text("Findings, the worst first"),
+        text("findings"),
         (
-            doc.Column(text("no."), "1"),
+            doc.Column(text("ordinal"), "1"),
             doc.Column(text("severity"), left=True),
             doc.Column(text("line"), left=True),
             doc.Column(text("of"), left=True),
             doc.Column(text("finding"), left=True),
             doc.Column(text("rule"), left=True),
-            doc.Column(text("what the rule looks for"), left=True),
+            doc.Column(text("what-the-rule-looks"), left=True),
         ),
         tuple(rows),
         (),
@@ -140,12 +140,12 @@ def _findings(audit: Audit) -> doc.Table:
 def rules_table() -> doc.Table:
     """Returns all rules."""
     return doc.Table(
-        text("{count} rules; --disable RULE leaves one out", count=len(RULES)),
+        text("count-rules-disable-rule-leaves", count=len(RULES)),
         (
             doc.Column(text("rule"), left=True),
             doc.Column(text("severity"), left=True),
             doc.Column(text("formats"), left=True),
-            doc.Column(text("what the rule looks for"), left=True),
+            doc.Column(text("what-the-rule-looks"), left=True),
         ),
         tuple(
             (

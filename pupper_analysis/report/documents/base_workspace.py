@@ -9,7 +9,7 @@ from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.standing import robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace
 
@@ -24,7 +24,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         ends = (doc.number(end, "+.1f", scale=scale) for end in (interval.low, interval.high))
         rows.append((text(direction), *ends, doc.Name("°" if angle else "mm")))
     table = doc.Table(
-        text("How far the base can go, each alone"),
+        text("how-far-the-base"),
         (
             doc.Column(text("direction"), left=True),
             doc.Column(text("from")),
@@ -32,15 +32,10 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
             doc.Column(text("unit"), left=True),
         ),
         tuple(rows),
-        (
-            text(
-                "Of reach and balance alone, whatever motors and servos hold: stand, with a pose "
-                "of these, tells whether it holds."
-            ),
-        ),
+        (text("of-reach-and-balance-alone"),),
     )
     return doc.Document(
-        text("Workspace"),
+        text("workspace"),
         doc.Name("" if robot is None else robot.name),
         (table, view_block(robot, workspace.start, None)),
         told=(task_text(workspace.start.task),),

@@ -14,14 +14,14 @@ from pupper_analysis.report.documents.loaded_stance import (
 )
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.stance import stance_document
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.optimize.best import BestStance
 from pupper_analysis.stance.optimize.search import Objective
 
 _WHAT = {
-    Objective.UTILISATION: "peak motor utilisation",
-    Objective.MARGIN: "distance of the com from the support polygon's edge",
+    Objective.UTILISATION: "peak-motor-utilisation",
+    Objective.MARGIN: "distance-of-the-com",
     Objective.PAYLOAD: "payload",
 }
 
@@ -42,7 +42,7 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
         verdict = verdict if loaded.passed else loaded.verdict
     return replace(
         found,
-        kind=text("Best stance"),
+        kind=text("best-stance"),
         blocks=blocks,
         passed=study.passed,
         verdict=verdict,
@@ -57,7 +57,7 @@ def _search(best: BestStance) -> doc.Text:
         unit = " m" if best.objective is Objective.MARGIN else ""
         values = (f"{best.value:.4g}{unit}", f"{best.nominal_value:.4g}{unit}")
     return text(
-        "best of {count} stances: {what} {value}, against {nominal} as asked",
+        "best-of-count-stances",
         count=best.evaluations,
         what=text(_WHAT[best.objective]),
         value=values[0],
@@ -74,9 +74,9 @@ def _coordinates(best: BestStance) -> doc.Table:
         rows.append((doc.Name(name), cell, doc.Name("°" if angle else "mm")))
     notes: tuple[doc.Words, ...] = ()
     if best.active:
-        notes = (text("at its limit: {names}", names=doc.Name(", ".join(best.active))),)
+        notes = (text("at-its-limit-names", names=doc.Name(", ".join(best.active))),)
     return doc.Table(
-        text("Where the best stance is"),
+        text("where-the-best-stance"),
         (
             doc.Column(text("coordinate"), left=True),
             doc.Column(text("value")),

@@ -27,14 +27,11 @@ from pupper_analysis.report.comparison import (
 )
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.sources import page, quoted
-from pupper_analysis.report.html.words import joined, text, word
+from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.results import short
 from pupper_analysis.robot.robot import Robot
 
-_OVERLAY = (
-    "Shapes are the MJCF's, at zero angles; bodies with differences are coloured. Lines join the "
-    "URDF's joints, from the same root; a joint's frame may sit anywhere on its axis."
-)
+_OVERLAY = "overlay-note"
 
 SHORT, SHOWN = 20, 40
 """Groups of differences whose lines are shown side by side, in a short view and in any; the table
@@ -60,22 +57,21 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
     said = (*matching_notes(comparison), *comparison.check.notes)
     notes: list[doc.Words] = list(map(doc.Said, said))
     notes += [
-        text("the engines differ on one model: {engine}", engine=doc.Said(engine))
-        for engine in comparison.engines
+        text("the-engines-differ-on-one", engine=doc.Said(engine)) for engine in comparison.engines
     ]
-    differ = text("ONE ROBOT, OTHER COORDINATES") if same else text("DISAGREE")
+    differ = text("one-robot-other-coordinates") if same else text("disagree")
     return doc.Document(
-        text("Cross-check"),
-        text("{urdf} and {mjcf}", urdf=_file(comparison.urdf), mjcf=_file(comparison.mjcf)),
+        text("cross-check"),
+        text("urdf-and-mjcf", urdf=_file(comparison.urdf), mjcf=_file(comparison.mjcf)),
         tuple(_blocks(comparison)),
         passed=agree,
-        verdict=text("AGREE") if agree else differ,
+        verdict=text("agree") if agree else differ,
         warned=same and not agree,
         told=(
             doc.Said(first_to_mend(comparison, causes, groups)),
-            text("1 difference")
+            text("1-difference")
             if len(comparison.differences) == 1
-            else text("{count} differences", count=len(comparison.differences)),
+            else text("count-differences", count=len(comparison.differences)),
             *_explained(comparison),
         ),
         notes=tuple(notes),
@@ -89,30 +85,28 @@ def _file(path: str) -> doc.Name:
 def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
     """Yields what differs, what is to be mended first, first; then how much that explains."""
     causes, groups = by_cause(comparison)
-    files = {"URDF: {file}": comparison.urdf, "MJCF: {file}": comparison.mjcf}
+    files = {"urdf-file": comparison.urdf, "mjcf-file": comparison.mjcf}
     named = tuple(text(said, file=doc.Name(file)) for said, file in files.items())
     yield doc.Lines(named, detail=True)
-    yield doc.View(
-        text("The two files over each other"), doc.OverlayScene(comparison), text(_OVERLAY)
-    )
+    yield doc.View(text("overlay-title"), doc.OverlayScene(comparison), text(_OVERLAY))
     for part in comparison.parts:
-        off = text("{part}; it was taken off to compare the rest", part=doc.Said(part))
-        yield doc.Lines((off,), "bad", text("Only in one file"))
+        off = text("part-it-was-taken-off", part=doc.Said(part))
+        yield doc.Lines((off,), "bad", text("only-in-one-file"))
     for cause in causes:
         first = comparison.differences[cause.differences[0]]
-        made = text("This alone makes {count} differences.", count=len(cause.differences))
-        such = text("the {kind} of {element}:", kind=word(first.kind), element=first.element)
+        made = text("this-alone-makes-count-differences", count=len(cause.differences))
+        such = text("the-kind-of-element", kind=word(first.kind), element=first.element)
         yield _sides(comparison, first, doc.Said(cause.diagnostic), made, such)
     for place, group in enumerate(groups[:SHOWN]):
         sides = _sides(comparison, group[0], doc.Said(group[0].diagnostic), *_likewise(group))
         yield replace(sides, detail=place >= SHORT)
     if len(groups) > SHOWN:
-        more = text("{count} more are in the table alone.", count=len(groups) - SHOWN)
+        more = text("count-more-are-in-the-table", count=len(groups) - SHOWN)
         yield doc.Lines((more,), detail=True)
     if comparison.differences:
         yield _differences(comparison)
     if comparison.objections:
-        yield doc.Lines(tuple(map(doc.Said, comparison.objections)), "bad", text("Objections"))
+        yield doc.Lines(tuple(map(doc.Said, comparison.objections)), "bad", text("objections"))
     yield _quantities(comparison)
 
 
@@ -122,8 +116,8 @@ def _likewise(group: list[Difference]) -> Iterable[doc.Words]:
         names = [doc.Name(difference.element) for difference in group[1 : GROUPED + 1]]
         listed = joined(names)
         if len(group) > GROUPED + 1:
-            listed = text("{names} …", names=listed)
-        yield text("likewise on {count} more: {names}", count=len(group) - 1, names=listed)
+            listed = text("names", names=listed)
+        yield text("likewise-on-count-more-names", count=len(group) - 1, names=listed)
 
 
 def _sides(
@@ -137,7 +131,7 @@ def _sides(
     ):
         line = quoted(place, *paths)
         shown = doc.Name(line) if line else doc.Name(f"{short(value)} {difference.unit}")
-        named = doc.Name(_short(place)) if place else text("not in the file")
+        named = doc.Name(_short(place)) if place else text("not-in-the-file")
         columns.append(doc.Place(named, shown, place or ""))
     made_of = map(doc.Said, difference.made_of)
     return doc.Sides(title, tuple(columns), (*notes, *made_of, _effects(difference)))
@@ -166,17 +160,17 @@ def _differences(comparison: Comparison) -> doc.Table:
             )
         )
     return doc.Table(
-        text("All differences, what is to be mended first, first"),
+        text("all-differences"),
         (
-            doc.Column(text("no."), "1"),
+            doc.Column(text("ordinal"), "1"),
             doc.Column(text("kind"), left=True),
             doc.Column(text("of"), left=True),
-            doc.Column(text("in the URDF")),
-            doc.Column(text("in the MJCF")),
+            doc.Column(text("in-the-urdf")),
+            doc.Column(text("in-the-mjcf")),
             doc.Column(text("unit"), left=True),
-            doc.Column(text("greatest relative effect"), "1"),
-            doc.Column(text("line of the URDF"), left=True),
-            doc.Column(text("line of the MJCF"), left=True),
+            doc.Column(text("greatest-relative-effect"), "1"),
+            doc.Column(text("line-of-the-urdf"), left=True),
+            doc.Column(text("line-of-the-mjcf"), left=True),
         ),
         tuple(rows),
         (),
@@ -201,13 +195,12 @@ def _explained(comparison: Comparison) -> Iterable[doc.Words]:
     if not comparison.differences:
         return
     explained = text(
-        "explained: {share} % of the deviation; with the MJCF's values in the URDF's model {left} "
-        "is left",
+        "explained-share-of-the-deviation",
         share=f"{100 * comparison.explained:.6g}",
         left=f"{max(comparison.left.values()):.1e}",
     )
     if not comparison.complete:
-        missing = "{explained}, so something is missing in this list"
+        missing = "explained-so-something-is-missing"
         explained = text(missing, explained=explained).marked("bad")
     yield explained
 
@@ -228,13 +221,13 @@ def _quantities(comparison: Comparison) -> doc.Table:
     ]
     return doc.Table(
         text(
-            "Deviation relative to each quantity's scale, at {count} random configurations",
+            "deviation-title",
             count=check.configurations,
         ),
         (
             doc.Column(text("quantity"), left=True),
             *(doc.Column(word(side), "1", detail=side in _ONE_FILE) for side in sides),
-            doc.Column(text("worst at"), left=True),
+            doc.Column(text("worst-at"), left=True),
         ),
         tuple(rows),
         (),

@@ -8,7 +8,7 @@ from pathlib import Path
 from pupper_analysis.convert.conversion import Conversion
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.registry import build
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 
 
@@ -18,10 +18,10 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
     blocks = []
     if conversion.left:
         left = tuple(map(doc.Said, conversion.left))
-        blocks.append(doc.Lines(left, "warn", text("What is left")))
+        blocks.append(doc.Lines(left, "warn", text("what-is-left")))
     return doc.Document(
-        text("Conversion"),
-        text("{old} and {new}", old=_name(conversion.source), new=_name(conversion.output)),
+        text("conversion"),
+        text("old-and-new", old=_name(conversion.source), new=_name(conversion.output)),
         tuple(blocks),
         passed=conversion.passed,
         verdict=text(_verdict(conversion)),
@@ -33,8 +33,8 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
 
 def _verdict(conversion: Conversion) -> str:
     if not conversion.agree:
-        return "DISAGREE"
-    return "AGREE" if conversion.passed else "FAILED"
+        return "disagree"
+    return "agree" if conversion.passed else "FAILED"
 
 
 def _name(path: str) -> doc.Name:
@@ -45,21 +45,18 @@ def _proof(conversion: Conversion) -> Iterable[doc.Words]:
     """Says how near the new file is to the source, and whether its robot stands."""
     compared = conversion.comparison
     near = text(
-        "differences from {source}: {count}; the dynamics deviate by {worst}",
+        "differences-from-source-count",
         source=doc.Name(conversion.source),
         count=len(compared.differences),
         worst=f"{max(compared.deviations.values()):.1e}",
     )
     if repairs := len(conversion.repairs):
-        near = text("{near}; repaired inertials: {count}", near=near, count=repairs)
+        near = text("near-repaired-inertials-count", near=near, count=repairs)
     yield near
     stood = conversion.verification
     if stood is not None:
         yield text(
-            "STANDS for {seconds} s in MuJoCo, {height} m high; torques as predicted to {torque}"
-            if stood.passed
-            else "DOES NOT STAND for {seconds} s in MuJoCo, {height} m high; torques as predicted "
-            "to {torque}",
+            "stands-for-seconds" if stood.passed else "does-not-stand-for-seconds",
             seconds=f"{stood.duration:g}",
             height=f"{stood.base_height:.4f}",
             torque=f"{stood.torque_error:.1e}",
@@ -67,8 +64,7 @@ def _proof(conversion: Conversion) -> Iterable[doc.Words]:
     kept = conversion.kept
     if kept is not None and not kept.failures and (least := kept.stability.least_damped):
         yield text(
-            "FORGETS A NUDGE of {speed} m/s and rad/s from its keyframe: the least damping ratio "
-            "is {damping}, at {frequency} Hz",
+            "forgets-a-nudge-of-speed",
             speed=f"{kept.nudge.speed:g}",
             damping=f"{least.damping_ratio:.2g}",
             frequency=f"{least.frequency:.2g}",

@@ -7,7 +7,7 @@ import os
 
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.registry import build
-from pupper_analysis.report.html.words import joined, text
+from pupper_analysis.report.words import joined, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.estimate import Estimate
 
@@ -25,17 +25,17 @@ def estimate_document(
     count = workers or os.cpu_count() or 1
     told = [
         text(
-            "{count} designs, of which {there} are there",
+            "count-designs-of-which-there",
             count=expected.designs,
             there=expected.there,
         ),
         text(
-            "{mean} ms each on average of a few that were timed here, {slowest} ms the slowest",
+            "mean-ms-each-on-average",
             mean=f"{1e3 * expected.seconds_each:.0f}",
             slowest=f"{1e3 * expected.slowest:.0f}",
         ),
         text(
-            "about {time} on {count} workers",
+            "about-time-on-count-workers",
             time=duration(expected.seconds(count)),
             count=count,
         ),
@@ -43,15 +43,14 @@ def estimate_document(
     if expected.left_out:
         told.append(
             text(
-                "not imported, and so neither timed nor counted: {names}, code that runs without "
-                "--dry-run",
+                "not-timed",
                 names=joined(map(doc.Name, expected.left_out)),
             )
         )
     if expected.failures:
         kinds = joined(map(doc.Said, expected.failures))
-        told.append(text("of those that were timed some failed: {kinds}", kinds=kinds))
-    return doc.Document(text("Study of designs"), text("what it would take"), (), told=tuple(told))
+        told.append(text("timed-that-failed", kinds=kinds))
+    return doc.Document(text("study-of-designs"), text("estimate-title"), (), told=tuple(told))
 
 
 def duration(seconds: float) -> str:

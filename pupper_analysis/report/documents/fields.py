@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.values import value_cell
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.results import Result, Tabular
 
 MOST_ROWS = 500
@@ -36,7 +36,7 @@ def fields_of(result: Result) -> doc.Document:
         (
             doc.Column(text("field"), left=True),
             doc.Column(text("value"), left=True),
-            doc.Column(text("meaning and unit"), left=True),
+            doc.Column(text("meaning-and-unit"), left=True),
         ),
         tuple(rows),
     )
@@ -46,15 +46,15 @@ def fields_of(result: Result) -> doc.Document:
         cells = list(zip(*columns.values(), strict=True))[:MOST_ROWS]
         blocks.append(
             doc.Table(
-                text("As a table"),
+                text("as-a-table"),
                 tuple(doc.Column(doc.Name(key)) for key in columns),
                 tuple(tuple(map(value_cell, row)) for row in cells),
-                (text("Units are those of the fields."),),
+                (text("units-are-those"),),
             )
         )
     passed = getattr(result, "passed", None)
-    verdict = None if passed is None else text("PASSED") if passed else text("FAILED")
-    return doc.Document(text("Result"), doc.Name(""), tuple(blocks), passed=passed, verdict=verdict)
+    verdict = None if passed is None else text("passed") if passed else text("FAILED")
+    return doc.Document(text("result"), doc.Name(""), tuple(blocks), passed=passed, verdict=verdict)
 
 
 def meanings(kind: type) -> dict[str, str]:

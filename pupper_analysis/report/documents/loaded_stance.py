@@ -11,7 +11,7 @@ from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.standing import made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.html.words import joined, text
+from pupper_analysis.report.words import joined, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.payload.limit import PayloadLimit
 
@@ -24,11 +24,11 @@ def payload_document(loaded: LoadedStance, robot: Robot | None = None) -> doc.Do
     """Returns what a stance can carry; see ``build``."""
     limit = payload_text(loaded.payload)
     return doc.Document(
-        text("Payload"),
+        text("payload-title"),
         doc.Name(loaded.name),
         (view_block(robot, loaded.stand, None), payload_table(loaded), *_buckling(loaded)),
         passed=loaded.passed,
-        verdict=text("CARRIES") if loaded.passed else text("FAILS"),
+        verdict=text("carries") if loaded.passed else text("FAILS"),
         failures=() if loaded.passed else tuple(_trial(loaded)),
         told=(
             limit,
@@ -44,9 +44,9 @@ def payload_text(payload: PayloadLimit) -> doc.Text:
     """Returns the greatest mass, where it is, and what gives way beyond it."""
     failure: doc.Words = doc.Said(payload.failure.value)
     if payload.where:
-        failure = text("{failure} ({where})", failure=failure, where=", ".join(payload.where))
+        failure = text("failure-where", failure=failure, where=", ".join(payload.where))
     return text(
-        "payload at ({place}) mm of the base: {mass}, then {failure}",
+        "payload-at-place",
         place=", ".join(f"{1e3 * value:.0f}" for value in payload.point),
         mass=kilograms(payload.mass),
         failure=failure,
@@ -58,25 +58,23 @@ def payload_table(loaded: LoadedStance) -> doc.Table:
     payload = loaded.payload
     bounds = [
         ("motors", payload.motors.mass),
-        ("servos' stiffness", payload.servos.mass),
+        ("servos-stiffness", payload.servos.mass),
         ("contacts", payload.contacts.mass),
     ]
     shared = payload.shared
     if shared is not None and payload.motors.mass * _MORE < shared.mass < math.inf:
-        bounds.insert(1, ("motors, if the legs share it as these can", shared.mass))
-    notes: list[doc.Words] = [
-        text("Static, at the motors' peak torque as the files state it; rounded down.")
-    ]
+        bounds.insert(1, ("motors-if-the-legs-share", shared.mass))
+    notes: list[doc.Words] = [text("payload-is-static")]
     if payload.unlimited:
         notes.append(
             text(
-                "Motors without effort limit, which set no payload: {count} ({joints}).",
+                "motors-without-effort-limit",
                 count=len(payload.unlimited),
                 joints=joined(map(doc.Name, payload.unlimited)),
             )
         )
     return doc.Table(
-        text("What bounds the payload"),
+        text("what-bounds-the-payload"),
         (doc.Column(text("bound"), left=True), doc.Column(text("payload"))),
         tuple((text(name), kilograms(mass)) for name, mass in bounds),
         tuple(notes),
@@ -100,12 +98,12 @@ def _buckling(loaded: LoadedStance) -> Iterable[doc.Table]:
         for one in loaded.buckling
     ]
     yield doc.Table(
-        text("How fast it buckles on its servos: in what time a deviation doubles"),
+        text("how-fast-it-buckles"),
         (
             doc.Column(text("payload"), "kg"),
-            doc.Column(text("of the servos' limit"), "1"),
-            doc.Column(text("doubles in"), "s"),
-            doc.Column(text("without dry friction"), "s"),
+            doc.Column(text("of-the-servos-limit"), "1"),
+            doc.Column(text("doubles-in"), "s"),
+            doc.Column(text("without-dry-friction"), "s"),
         ),
         tuple(rows),
     )
@@ -114,7 +112,7 @@ def _buckling(loaded: LoadedStance) -> Iterable[doc.Table]:
 def kilograms(mass: float) -> doc.Words:
     """Returns a mass that can be borne (kg), rounded down: what is told is borne."""
     if math.isinf(mass):
-        return text("no limit")
+        return text("no-limit")
     return doc.Name(f"{math.floor(100 * mass) / 100:.2f} kg")
 
 
@@ -126,13 +124,13 @@ def _trial(loaded: LoadedStance) -> Iterable[doc.Words]:
     mass, seconds = kilograms(trial.mass), f"{trial.duration:g}"
     if trial.failure is None:
         yield text(
-            "simulated with {mass} on it, {seconds} s, nudged: it stays up",
+            "simulated-with-mass",
             mass=mass,
             seconds=seconds,
         )
     else:
         yield text(
-            "simulated with {mass} on it, {seconds} s, nudged: at {time} s {failure} ({where})",
+            "simulated-with-mass-on-it-seconds",
             mass=mass,
             seconds=seconds,
             time=f"{trial.time:.2f}",

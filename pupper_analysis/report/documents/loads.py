@@ -9,7 +9,7 @@ from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.sources import page
-from pupper_analysis.report.html.words import joined, text
+from pupper_analysis.report.words import joined, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
@@ -28,8 +28,7 @@ def utilisation(share: float) -> doc.Number:
 def proof(verification: StandVerification) -> doc.Text:
     """Returns how predicted torques and forces are verified."""
     return text(
-        "Verified by MuJoCo's simulation of {seconds} s: torques within {torque}, vertical foot "
-        "forces within {force} of the prediction.",
+        "source-verified",
         seconds=f"{verification.duration:g}",
         torque=f"{verification.torque_error:.2%}",
         force=f"{verification.force_error:.2%}",
@@ -55,7 +54,7 @@ def load_blocks(
         more: Further columns, {column: (nu,)}.
     """
     source = (
-        text("By Pinocchio from the URDF; torque limits are the least of both files."),
+        text("source-torques"),
         page("physics.md", "Standing is not hanging"),
         proof(verification),
     )
@@ -72,24 +71,23 @@ def load_blocks(
         for index, name in enumerate(statics.joint_names)
     ]
     torques = doc.Table(
-        text("Motor torques"),
+        text("motor-torques"),
         (
             doc.Column(text("joint"), left=True),
             doc.Column(text("torque"), "N m"),
             doc.Column(text("limit"), "N m"),
             doc.Column(text("utilisation"), "%"),
             doc.Column(text("simulated"), "N m"),
-            doc.Column(text("minimum peak"), "N m"),
+            doc.Column(text("minimum-peak"), "N m"),
             *more,
         ),
         tuple(rows),
         (
             text(
-                "torque: with the least tangential forces at the feet, which last; minimum peak: "
-                "with the contact forces of least peak utilisation, {peak}.",
+                "torque-distributions",
                 peak=f"{minimum_peak.motor_utilisation.max():.1%}",
             ),
-            text("limit: {origins}", origins=origins_text(origins)),
+            text("limit-origins", origins=origins_text(origins)),
         ),
         source,
     )
@@ -105,11 +103,11 @@ def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
     counts = Counter(None if one is None else (one.attribute, one.file) for one in origins)
     listed = []
     for origin, count in counts.most_common():
-        place = text("no limit")
+        place = text("no-limit")
         if origin is not None:
-            place = text("{attribute} in the {file}", attribute=origin[0], file=origin[1])
+            place = text("attribute-in-the-file", attribute=origin[0], file=origin[1])
         several = len(counts) > 1
-        listed.append(text("{place} ({count})", place=place, count=count) if several else place)
+        listed.append(text("place-count", place=place, count=count) if several else place)
     return joined(listed)
 
 
@@ -127,12 +125,12 @@ def torque_plot(
         for index, name in enumerate(statics.joint_names)
     ]
     return plots.BarPlot(
-        text("Motor torques against their limits"),
+        text("motor-torques-against-their-limits"),
         plots.Axis(text("torque"), "N m", "+.3f"),
         bars,
         (
-            text("predicted (Pinocchio)"),
-            text("simulated (MuJoCo, with feed-forward)"),
+            text("predicted-by-pinocchio"),
+            text("simulated-by-mujoco"),
             text("limit"),
         ),
     )
@@ -156,7 +154,7 @@ def _contacts(
     ]
     notes = [
         text(
-            "centre of pressure of {foot}: {place} m",
+            "centre-of-pressure-of-foot",
             foot=doc.Name(foot),
             place=doc.vector(load.centre_of_pressure, "+.4f"),
         )
@@ -166,24 +164,23 @@ def _contacts(
     margin = "-" if statics.com_margin is None else f"{1e3 * statics.com_margin:.1f} mm"
     notes.append(
         text(
-            "balance residual {force} N, {torque} N m (in MuJoCo's terms {mujoco}); com {margin} "
-            "inside the support polygon",
+            "balance-residual",
             force=f"{statics.residual_force:.1e}",
             torque=f"{statics.residual_torque:.1e}",
             mujoco=f"{verification.mujoco_residual:.1e}",
             margin=margin,
         )
     )
-    axes = [doc.Column(text("force {axis}", axis=axis), "N") for axis in "xyz"]
-    simulated = [doc.Column(text("simulated {axis}", axis=axis), "N") for axis in "xyz"]
+    axes = [doc.Column(text("force-axis", axis=axis), "N") for axis in "xyz"]
+    simulated = [doc.Column(text("simulated-axis", axis=axis), "N") for axis in "xyz"]
     table = doc.Table(
-        text("Contact forces on the feet, in world axes"),
+        text("contact-forces-on-the-feet"),
         (
             doc.Column(text("foot"), left=True),
             *axes,
-            doc.Column(text("friction used"), "%"),
+            doc.Column(text("friction-used"), "%"),
             *simulated,
-            doc.Column(text("minimum peak, x y z"), "N", left=True, detail=True),
+            doc.Column(text("minimum-peak-x-y-z"), "N", left=True, detail=True),
         ),
         tuple(rows),
         tuple(notes),
@@ -210,10 +207,7 @@ def view_block(
         motions: What can be stepped through.
     """
     return doc.View(
-        text("The stand in three dimensions"),
+        text("view-title"),
         None if robot is None else doc.StandScene(robot, stand, statics, motions),
-        text(
-            "Shapes, masses and joint axes are those of the MJCF; contact forces, com and support "
-            "polygon are the prediction's."
-        ),
+        text("view-note"),
     )

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.html.words import joined, text, word
+from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.study.cells import labelled, measures_in
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def measured_document(
         numbers = (doc.number(float(value), ".5g") for value in ends)
         rows.append((doc.Name(labelled(measure)), *numbers, doc.number(len(column), ".0f")))
     measured = doc.Table(
-        text("What was measured"),
+        text("what-was-measured"),
         (
             doc.Column(text("measure"), left=True),
             doc.Column(text("least")),
@@ -43,14 +43,13 @@ def measured_document(
     kinds = table["failure"].dropna().value_counts().to_dict()
     ordered = sorted(kinds.items(), key=lambda item: (-int(item[1]), str(item[0])))
     told = text(
-        "{count} designs, of which {failed} failed",
+        "count-designs-of-which-failed",
         count=len(table),
         failed=sum(int(count) for _, count in ordered),
     )
     if ordered:
         named = joined(
-            text("{count} {kind}", count=int(count), kind=word(str(kind)))
-            for kind, count in ordered
+            text("count-kind", count=int(count), kind=word(str(kind))) for kind, count in ordered
         )
-        told = text("{designs}: {kinds}", designs=told, kinds=named)
-    return doc.Document(text("Study of designs"), doc.Name(name), (measured,), told=(told,))
+        told = text("designs-kinds", designs=told, kinds=named)
+    return doc.Document(text("study-of-designs"), doc.Name(name), (measured,), told=(told,))

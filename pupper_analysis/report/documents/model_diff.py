@@ -9,7 +9,7 @@ from pupper_analysis.checks.versions.compare import ModelChange, ModelDiff
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.sources import quoted
-from pupper_analysis.report.html.words import joined, text, word
+from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.results import short
 from pupper_analysis.robot.robot import Robot
 
@@ -21,14 +21,14 @@ _FELT = 1e-3
 def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
     """Returns what has changed, and what it does to mass and torques; see ``build``."""
     count = len(diff.changes)
-    changes = text("1 change") if count == 1 else text("{count} changes", count=count)
+    changes = text("1-change") if count == 1 else text("count-changes", count=count)
     return doc.Document(
-        text("Changes"),
-        text("{old} and {new}", old=doc.Name(diff.old), new=doc.Name(diff.new)),
+        text("changes"),
+        text("old-and-new", old=doc.Name(diff.old), new=doc.Name(diff.new)),
         tuple(_blocks(diff)),
         passed=diff.same,
-        verdict=text("SAME") if diff.same else text("DIFFERENT"),
-        told=(text("no change") if diff.same else changes, *_mass(diff)),
+        verdict=text("same") if diff.same else text("different"),
+        told=(text("no-change") if diff.same else changes, *_mass(diff)),
         notes=tuple(map(doc.Said, diff.notes)),
     )
 
@@ -36,9 +36,9 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
 def _mass(diff: ModelDiff) -> Iterable[doc.Words]:
     if not diff.same:
         old, new = diff.mass
-        mass = text("mass: {old} kg, now {new} kg", old=f"{old:.6g}", new=f"{new:.6g}")
+        mass = text("mass-old-kg-now-new", old=f"{old:.6g}", new=f"{new:.6g}")
         if change := _percent(old, new):
-            mass = text("{mass} ({change})", mass=mass, change=change)
+            mass = text("mass-change", mass=mass, change=change)
         yield mass
 
 
@@ -57,7 +57,7 @@ def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
     if not diff.complete:
         name = max(diff.left, key=lambda quantity: diff.left[quantity])
         left = text(
-            "{left} of {quantity} is left that no change explains",
+            "left-of-quantity-is-left",
             left=f"{diff.left[name]:.1e}",
             quantity=word(name),
         )
@@ -66,19 +66,19 @@ def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
 
 def _place(file: str, place: str, value: object, unit: str) -> doc.Place:
     line = quoted(place, file) or f"{short(value)} {unit}".rstrip()
-    named = doc.Name(Path(place).name) if place else text("not in the file")
+    named = doc.Name(Path(place).name) if place else text("not-in-the-file")
     return doc.Place(named, doc.Name("-" if value is None else line), place)
 
 
 def _effects(change: ModelChange) -> doc.Text:
     if not change.effects:
-        return text("no effect on the dynamics of the tree of joints").marked("quiet")
+        return text("no-effect-on-the-dynamics").marked("quiet")
     effects = sorted(change.effects.items(), key=lambda item: -item[1].relative)
     listed = joined(
-        text("{quantity} by {effect}", quantity=word(name), effect=f"{effect.relative:.1e}")
+        text("quantity-by-effect", quantity=word(name), effect=f"{effect.relative:.1e}")
         for name, effect in effects
     )
-    return text("alone it changes {effects}", effects=listed)
+    return text("alone-it-changes-effects", effects=listed)
 
 
 def _percent(old: float, new: float) -> str:
@@ -93,7 +93,7 @@ def _torques(diff: ModelDiff) -> Iterable[doc.Block]:
         if abs(pair[1] - pair[0]) > _FELT * max(pair)
     }
     if not changed:
-        yield doc.Lines((text("the torques that hold its links in the air are what they were"),))
+        yield doc.Lines((text("the-torques-that-hold"),))
         return
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -105,7 +105,7 @@ def _torques(diff: ModelDiff) -> Iterable[doc.Block]:
         for name, (old, new) in changed.items()
     ]
     yield doc.Table(
-        text("Greatest torque that holds the links in the air, base level and held"),
+        text("greatest-torque-that-holds"),
         (
             doc.Column(text("joint"), left=True),
             doc.Column(text("old"), "N m"),

@@ -11,7 +11,7 @@ from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.standing import made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.tracking import PathTracking
 from pupper_analysis.stance.path.stance_path import StancePath
@@ -21,13 +21,13 @@ from pupper_analysis.stance.path.stance_path import StancePath
 def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     """Returns the path to a stance, which its view steps through; see ``build``."""
     path, tracking = there.path, there.tracking
-    motion = doc.Motion(text("the path"), path.time, path.qpos)
+    motion = doc.Motion(text("the-path"), path.time, path.qpos)
     return doc.Document(
-        text("Path to a stance"),
+        text("path-to-a-stance"),
         doc.Name(there.name),
         (view_block(robot, there.stand, None, [motion]), *path_blocks(path, tracking)),
         passed=there.passed,
-        verdict=text("TRACKED") if there.passed else text("FAILED"),
+        verdict=text("tracked") if there.passed else text("FAILED"),
         failures=tuple(map(doc.Said, tracking.failures)),
         told=(task_text(there.stand.task), *_least_time(there), *made_up(there.servos)),
         notes=robot_notes(robot),
@@ -43,11 +43,11 @@ def tracking_document(name: str, path: StancePath, tracking: PathTracking) -> do
         tracking: What became of it in simulation.
     """
     return doc.Document(
-        text("Path"),
+        text("path"),
         doc.Name(name),
         path_blocks(path, tracking),
         passed=tracking.passed,
-        verdict=text("TRACKED") if tracking.passed else text("FAILED"),
+        verdict=text("tracked") if tracking.passed else text("FAILED"),
         failures=tuple(map(doc.Said, tracking.failures)),
     )
 
@@ -56,8 +56,7 @@ def _least_time(there: PathThere) -> Iterable[doc.Words]:
     if there.binding is None:
         return
     yield text(
-        "least time {time} s, with {reserve} of every limit in reserve: bound by {binding}; "
-        "{bound} s if the acceleration could jump",
+        "least-time-time",
         time=f"{there.path.time[-1]:.3g}",
         reserve=f"{there.reserve:.0%}",
         binding=doc.Said(str(there.binding)),
@@ -81,13 +80,13 @@ def path_blocks(path: StancePath, tracking: PathTracking) -> tuple[doc.Block, ..
         _planned(path),
         _tracked(tracking),
         plots.LinePlot(
-            text("Height of the base along the path"),
+            text("height-of-the-base-along"),
             time,
-            plots.Axis(text("base height"), "mm", ".2f"),
-            [plots.Series(text("base height"), path.time, 1e3 * path.qpos[:, 2])],
+            plots.Axis(text("base-height"), "mm", ".2f"),
+            [plots.Series(text("base-height"), path.time, 1e3 * path.qpos[:, 2])],
         ),
         plots.LinePlot(
-            text("Load of the feet along the path"),
+            text("load-of-the-feet-along"),
             time,
             plots.Axis(text("load"), "N", ".2f"),
             feet,
@@ -97,42 +96,42 @@ def path_blocks(path: StancePath, tracking: PathTracking) -> tuple[doc.Block, ..
 
 def _planned(path: StancePath) -> doc.Table:
     peak = text(
-        "greatest torque of motors in motion: {joint} at {time} s",
+        "greatest-torque-of-motors",
         joint=doc.Name(path.peak_joint),
         time=f"{path.peak_time:.2f}",
     )
     lowest = path.loads.min(axis=0)
     loads = (
-        (text("least load of {foot}", foot=doc.Name(foot)), "N", low, ".2f")
+        (text("least-load-of-foot", foot=doc.Name(foot)), "N", low, ".2f")
         for foot, low in zip(path.feet, lowest, strict=True)
     )
     return _facts(
-        text("The path"),
+        text("the-path-title"),
         (text("time"), "s", float(path.time[-1]), ".4g"),
         (text("samples"), "1", float(len(path.time)), ".0f"),
         (peak, "%", 100 * path.peak_utilisation, ".1f"),
-        (text("greatest speed of joints"), "%", 100 * path.peak_speed_utilisation, ".1f"),
-        (text("least com margin"), "mm", 1e3 * float(path.com_margin.min()), ".1f"),
+        (text("greatest-speed-of-joints"), "%", 100 * path.peak_speed_utilisation, ".1f"),
+        (text("least-com-margin"), "mm", 1e3 * float(path.com_margin.min()), ".1f"),
         (
-            text("least margin of the zero-moment point"),
+            text("least-margin-of-the-zero"),
             "mm",
             1e3 * float(path.zmp_margin.min()),
             ".1f",
         ),
         *loads,
-        note=text("Torques and speeds are in parts of their limits."),
+        note=text("torques-and-speeds"),
     )
 
 
 def _tracked(tracking: PathTracking) -> doc.Table:
     return _facts(
-        text("How it is followed in MuJoCo"),
-        (text("torque error, of the largest"), "%", 100 * tracking.torque_error, ".1f"),
-        (text("joint error"), "rad", tracking.joint_error, ".3f"),
-        (text("joint error, rms"), "rad", tracking.joint_error_rms, ".3f"),
-        (text("error of height"), "mm", 1e3 * tracking.height_error, ".1f"),
-        (text("error of orientation"), "rad", tracking.orientation_error, ".3f"),
-        (text("foot slip"), "mm", 1e3 * max(tracking.foot_slip.values()), ".1f"),
+        text("how-it-is-followed"),
+        (text("torque-error-of-the-largest"), "%", 100 * tracking.torque_error, ".1f"),
+        (text("joint-error"), "rad", tracking.joint_error, ".3f"),
+        (text("joint-error-rms"), "rad", tracking.joint_error_rms, ".3f"),
+        (text("error-of-height"), "mm", 1e3 * tracking.height_error, ".1f"),
+        (text("error-of-orientation"), "rad", tracking.orientation_error, ".3f"),
+        (text("foot-slip"), "mm", 1e3 * max(tracking.foot_slip.values()), ".1f"),
     )
 
 

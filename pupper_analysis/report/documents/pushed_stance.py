@@ -15,8 +15,8 @@ from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.registry import build, compare
 from pupper_analysis.report.documents.standing import ground_text, made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.html.words import text
 from pupper_analysis.report.verdict import verdict_lines
+from pupper_analysis.report.words import text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.push import PushRecovery
@@ -26,7 +26,7 @@ from pupper_analysis.simulation.push import PushRecovery
 def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Document:
     """Returns how hard a stance can be pushed, each way; see ``build``."""
     return doc.Document(
-        text("Pushes"),
+        text("pushes"),
         doc.Name(pushed.name),
         (
             view_block(robot, pushed.stand, None),
@@ -34,7 +34,7 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
             push_plot({pushed.name: pushed.recovery}, pushed.name),
         ),
         passed=pushed.passed,
-        verdict=text("LASTS") if pushed.passed else text("FAILS"),
+        verdict=text("lasts") if pushed.passed else text("FAILS"),
         failures=tuple(_against(pushed)),
         told=(
             *_weakest(pushed),
@@ -51,18 +51,17 @@ def _against(pushed: PushedStance) -> Iterable[doc.Words]:
     if not pushed.passed:
         yield from verdict_lines(pushed.verdict)
     if pushed.recovery.unpushed:
-        yield text("it does not stand, so it withstands no push")
+        yield text("it-does-not-stand-so")
 
 
 def _weakest(pushed: PushedStance) -> Iterable[doc.Words]:
     """Says which way it is the weakest, and how it fails then."""
     recovery = pushed.recovery
     if recovery.unpushed:
-        yield text("of {mass} kg", mass=f"{recovery.mass:.2f}")
+        yield text("of-mass-kg", mass=f"{recovery.mass:.2f}")
         return
     yield text(
-        "weakest at {direction}°: {impulse} N s, {speed} m/s of its {mass} kg; then {failure} (a "
-        "rigid robot tips at {tipping} N s)",
+        "weakest-at-directiondeg-impulse",
         direction=f"{math.degrees(recovery.weakest_direction):.0f}",
         impulse=f"{recovery.weakest_impulse:.2f}",
         speed=f"{recovery.weakest_impulse / recovery.mass:.2f}",
@@ -85,20 +84,19 @@ def _table(pushed: PushedStance) -> doc.Table:
         for index, angle in enumerate(recovery.directions)
     ]
     return doc.Table(
-        text("Largest push that the stand survives"),
+        text("largest-push-that-the-stand"),
         (
             doc.Column(text("direction"), "°"),
             doc.Column(text("impulse"), "N s"),
-            doc.Column(text("step of velocity"), "m/s"),
-            doc.Column(text("a rigid robot tips at"), "N s"),
-            doc.Column(text("how it fails then"), left=True),
+            doc.Column(text("step-of-velocity"), "m/s"),
+            doc.Column(text("a-rigid-robot-tips"), "N s"),
+            doc.Column(text("failure-then"), left=True),
         ),
         tuple(rows),
-        (text("Directions about the vertical, of the base: forward 0°, left 90°."),),
+        (text("push-directions"),),
         (
             text(
-                "Each is found by simulations in MuJoCo ({count} in all), of {seconds} s each; a "
-                "push of {resolution} N s more fails.",
+                "each-is-found-by-simulations",
                 count=recovery.rollouts,
                 seconds=f"{recovery.duration:g}",
                 resolution=f"{recovery.resolution:g}",
@@ -127,13 +125,13 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> plots.Direction
     ]
     tips = pushed[rigid]
     if np.isfinite(tips.tipping_estimate).all():
-        name = text("{name}, were it rigid: tipping estimate", name=doc.Name(rigid))
+        name = text("tipping-estimate", name=doc.Name(rigid))
         series.append(plots.Series(name, tips.directions, tips.tipping_estimate, reference=True))
     return plots.DirectionPlot(
-        text("Largest push that the stand survives, from above: forward is up"),
+        text("largest-push-that-the-stand-survives"),
         plots.Axis(text("impulse"), "N s", ".2f"),
         series,
-        text("impulse in the weakest direction (the larger point)"),
+        text("impulse-in-weakest-direction"),
     )
 
 
@@ -157,13 +155,13 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
         for index, angle in enumerate(directions)
     ]
     table = doc.Table(
-        text("Largest push that the stand survives"),
+        text("largest-push-that-the-stand"),
         (
             doc.Column(text("direction"), "°"),
             *(doc.Column(doc.Name(one.name), "N s") for one in pushes),
         ),
         tuple(rows),
-        (text("Directions about the vertical, of the base: forward 0°, left 90°."),),
+        (text("push-directions"),),
     )
     recoveries = {one.name: one.recovery for one in pushes}
     return table, push_plot(recoveries, first.name)

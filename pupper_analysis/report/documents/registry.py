@@ -15,7 +15,7 @@ from importlib import import_module
 from importlib.util import find_spec
 
 from pupper_analysis.report.document import Block, Document, Name, Report, Words
-from pupper_analysis.report.html.words import english, joined, text
+from pupper_analysis.report.words import english, joined, text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -91,13 +91,13 @@ def report(
 def _title(documents: Sequence[Document]) -> Words:
     """Returns what documents are, and what of: a page's title."""
     if not documents:
-        return text("Report")
+        return text("report")
     kinds = {english(one.kind) for one in documents}
-    kind = documents[0].kind if len(kinds) == 1 else text("Report")
+    kind = documents[0].kind if len(kinds) == 1 else text("report")
     named = [one.title for one in documents[:MOST_NAMES]]
     if len(documents) > MOST_NAMES:
-        named.append(text("{count} more", count=len(documents) - MOST_NAMES))
-    return text("{kind}: {names}", kind=kind, names=joined(named))
+        named.append(text("count-more", count=len(documents) - MOST_NAMES))
+    return text("kind-names", kind=kind, names=joined(named))
 
 
 def _load_builder(kind: type) -> None:

@@ -14,7 +14,7 @@ from pupper_analysis.report.documents.audit import MARKS, element, rule_words
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.sources import quoted
 from pupper_analysis.report.guard import before_in_words, from_the_root, outdated, summary
-from pupper_analysis.report.html.words import joined, text, word
+from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.robot.robot import Robot
 
 
@@ -23,31 +23,31 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
     """Returns what fails, with its place, and how much is known; see ``build``."""
     blocks: list[doc.Block] = [_group(group) for group in _groups(check.remarks)]
     if check.stale:
-        after = "--update-baseline takes it out"
+        after = "update-baseline-takes-it-out"
         if check.updated:
-            after = "it was taken out"
+            after = "it-was-taken-out"
         stale = (
-            text("{entry}: it does not occur any more; {after}", entry=doc.Name(str(entry)),
+            text("entry-it-does-not-occur", entry=doc.Name(str(entry)),
                  after=text(after))
             for entry in check.stale
         )  # fmt: skip
         blocks.append(doc.Lines(tuple(stale), "warn", text("stale")))
     if check.outdated:
-        blocks.append(doc.Lines((outdated(check),), "warn", text("Notes")))
+        blocks.append(doc.Lines((outdated(check),), "warn", text("notes-title")))
     blocks.append(_pairs(check.pairs))
     notes = tuple(
-        text("{name}: {note}", name=doc.Name(pair.name), note=doc.Said(note))
+        text("name-note", name=doc.Name(pair.name), note=doc.Said(note))
         for pair in check.pairs
         for note in pair.notes
     )
     if notes:
-        blocks.append(doc.Lines(notes, title=text("Notes"), detail=True))
+        blocks.append(doc.Lines(notes, title=text("notes-title"), detail=True))
     return doc.Document(
-        text("Check of a repository"),
+        text("check-of-a-repository"),
         doc.Name(Path(check.config).name),
         tuple(blocks),
         passed=check.passed,
-        verdict=text("PASSED") if check.passed else text("FAILED"),
+        verdict=text("passed") if check.passed else text("FAILED"),
         told=(summary(check),),
     )
 
@@ -67,11 +67,11 @@ def _group(group: list[Remark]) -> doc.Sides:
     notes: list[doc.Words] = []
     if others:
         names = joined(doc.Name(remark.element) for remark in others)
-        notes.append(text("likewise on {count} more: {names}", count=len(others), names=names))
+        notes.append(text("likewise-on-count-more-names", count=len(others), names=names))
     if first.before is not None:
         notes.append(before_in_words(first))
     tag = text(
-        "{severity} {check} {kind} ({state})",
+        "severity-check-kind-state",
         severity=word(str(first.severity)),
         check=first.check,
         kind=first.kind,
@@ -88,7 +88,7 @@ def _group(group: list[Remark]) -> doc.Sides:
     )
     told: doc.Words = doc.Said(first.diagnostic)
     if first.check == "audit" and first.kind in RULES:
-        told = text("{element}: {message}", element=element(first.diagnostic), message=told)
+        told = text("element-message", element=element(first.diagnostic), message=told)
         notes.append(rule_words(first.kind, "todo"))
     sides = doc.Sides(told, columns, tuple(notes), tag)
     return replace(sides, detail=not any(remark.fails for remark in group))
@@ -98,14 +98,14 @@ def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
     """Returns what was checked."""
     listed = list(pairs)
     agree: dict[bool | None, doc.Cell] = {
-        True: text("they agree"),
-        False: text("they differ"),
+        True: text("they-agree"),
+        False: text("they-differ"),
         None: doc.Name(""),
     }
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(pair.name),
-            text("FAILED").marked("bad") if pair.failures else text("OK").marked("good"),
+            text("FAILED").marked("bad") if pair.failures else text("all-ok").marked("good"),
             doc.number(pair.failures, "g"),
             doc.number(pair.known, "g"),
             agree[pair.agree],
@@ -114,19 +114,19 @@ def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
         for pair in listed
     ]
     off = tuple(
-        text("{name}: {rule} is switched off: {reason}", name=doc.Name(pair.name),
+        text("name-rule-is-switched-off", name=doc.Name(pair.name),
              rule=doc.Name(rule), reason=doc.Name(reason))
         for pair in listed
         for rule, reason in pair.disabled.items()
     )  # fmt: skip
     return doc.Table(
-        text("What was checked"),
+        text("what-was-checked"),
         (
             doc.Column(text("pair"), left=True),
             doc.Column(text("verdict"), left=True),
-            doc.Column(text("to mend"), "1"),
+            doc.Column(text("to-mend"), "1"),
             doc.Column(text("known"), "1"),
-            doc.Column(text("the files"), left=True),
+            doc.Column(text("the-files"), left=True),
             doc.Column(text("files"), left=True),
         ),
         tuple(rows),

@@ -12,7 +12,7 @@ from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.loads import proof
 from pupper_analysis.report.documents.sources import page
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.simulation.gain_sweep import GainSweep
 from pupper_analysis.simulation.verify import StandVerification
 
@@ -24,8 +24,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
     verdicts = tuple(text("stands") if one.passed else text("FAILED").marked("bad") for one in both)
     table = doc.Table(
         text(
-            "MuJoCo, {seconds} s on the floating base ({integrator}, {step} ms; kp {kp} N m/rad, "
-            "kd {kd} N m s/rad)",
+            "simulation-with-gains",
             seconds=f"{run.duration:g}",
             integrator=doc.Name(run.integrator),
             step=f"{1e3 * run.timestep:g}",
@@ -34,7 +33,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
         ),
         (
             doc.Column(text("quantity"), left=True),
-            doc.Column(text("with feed-forward")),
+            doc.Column(text("with-feed-forward")),
             doc.Column(text("without")),
             doc.Column(text("unit"), left=True),
         ),
@@ -44,7 +43,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
     )
     yield table
     for one, title in zip(
-        both, ("with feed-forward it fails", "without feed-forward it fails"), strict=True
+        both, ("with-feed-forward-it-fails", "without-feed-forward-it-fails"), strict=True
     ):
         if one.failures:
             yield doc.Lines(tuple(map(doc.Said, one.failures)), "warn", text(title))
@@ -60,7 +59,7 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> plots.LinePlo
     """
     series = [
         plots.Series(
-            text("with feed-forward") if run.feedforward else text("without"),
+            text("with-feed-forward") if run.feedforward else text("without"),
             run.time,
             1e3 * run.height,
             note=_lost(run),
@@ -74,17 +73,17 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> plots.LinePlo
         plots.Series(text("task"), ends, np.full(2, 1e3 * task), note=asked, reference=True)
     )
     return plots.LinePlot(
-        text("Height of the simulated base"),
+        text("height-of-the-simulated-base"),
         plots.Axis(text("time"), "s", ".2f"),
-        plots.Axis(text("base height"), "mm", ".2f"),
+        plots.Axis(text("base-height"), "mm", ".2f"),
         series,
-        text("numbers: height lost, mean of the last second"),
+        text("plot-height-lost"),
     )
 
 
 def _lost(run: StandVerification) -> doc.Words:
     lost = doc.number(run.height_loss, ".2f", scale=1e3).text
-    return text("{loss} mm, fails", loss=lost) if run.failures else doc.Name(f"{lost} mm")
+    return text("loss-fails", loss=lost) if run.failures else doc.Name(f"{lost} mm")
 
 
 def _interval(values: doc.Array) -> str:
@@ -102,8 +101,8 @@ def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:
         ]
         for row in zip(sweep.lasts, sweep.doubling_time, sweep.damping_ratio, strict=True)
     ]
-    title = text("Damping ratio of the least damped mode by servo gains")
-    how = text("Of the undisturbed stand, by the eigenvalues of a step of MuJoCo.")
+    title = text("damping-ratio-of-the-least")
+    how = text("of-the-undisturbed-stand")
     yield _by_gains(sweep, title, "1", damping, [how])
     yield from _sweep_plot(sweep)
 
@@ -121,32 +120,28 @@ def deviation_table(sweep: GainSweep) -> doc.Table:
     ]
     restless = (np.isfinite(sweep.height_deviation) & ~sweep.lasts).any()
     notes: list[doc.Words] = [
-        text("Marked are gains at which it comes to no stable rest."),
+        text("marked-gains-come-to-no-rest"),
     ] * bool(restless)
     notes += [
         text(
-            "Standard deviation of the base's height in the last of {seconds} s, under {force} N "
-            "at {frequency} Hz ({integrator}).",
+            "standard-deviation-of-the-bases",
             seconds=f"{sweep.duration:g}",
             force=f"{sweep.amplitude:g}",
             frequency=f"{sweep.frequency:g}",
             integrator=doc.Name(sweep.integrator),
         ),
-        text(
-            "Stiffer servos move less, without end: delay, noise and torque, which end it, are not "
-            "in it."
-        ),
-        text("Each cell is a simulation of its own in MuJoCo."),
+        text("stiffer-servos-move-less"),
+        text("source-gain-sweep"),
     ]
-    return _by_gains(sweep, text("Height deviation by servo gains"), "mm", deviations, notes)
+    return _by_gains(sweep, text("height-deviation-by-servo-gains"), "mm", deviations, notes)
 
 
 def _damping_cell(lasts: bool, doubling_time: float, damping_ratio: float) -> doc.Cell:
     """Returns how a pair of gains is damped, or that it does not last."""
     if math.isnan(doubling_time):
-        return text("does not rest").marked("bad")
+        return text("does-not-rest").marked("bad")
     if not lasts:
-        return text("doubles in {time} s", time=f"{doubling_time:.2g}").marked("bad")
+        return text("doubles-in-time", time=f"{doubling_time:.2g}").marked("bad")
     return doc.number(damping_ratio if math.isfinite(damping_ratio) else None, ".2f")
 
 
@@ -161,7 +156,7 @@ def _by_gains(
     return doc.Table(
         title,
         (
-            doc.Column(text("kp \\ kd"), "N m/rad \\ N m s/rad", left=True),
+            doc.Column(text("kp-kd"), "N m/rad \\ N m s/rad", left=True),
             *(doc.Column(doc.Name(f"kd {kd:g}"), unit) for kd in sweep.kd),
         ),
         tuple((doc.number(kp, "g"), *row) for kp, row in zip(sweep.kp, cells, strict=True)),
@@ -177,9 +172,9 @@ def _sweep_plot(sweep: GainSweep) -> Iterable[doc.Block]:
     ]
     if finite and len(sweep.kd) > 1:
         yield plots.LinePlot(
-            text("Height deviation by servo gains"),
+            text("height-deviation-by-servo-gains"),
             plots.Axis(text("kd"), "N m s/rad", "g", log=bool(sweep.kd.min() > 0)),
-            plots.Axis(text("height deviation"), "mm", ".4f", log=True),
+            plots.Axis(text("height-deviation"), "mm", ".4f", log=True),
             [
                 plots.Series(
                     doc.Name(f"kp {kp:g} N m/rad"), sweep.kd, _positive(1e3 * row), points=True
@@ -198,9 +193,9 @@ def motions_of(runs: Sequence[StandVerification]) -> list[doc.Motion]:
     """Returns the simulated motions."""
     return [
         doc.Motion(
-            text("simulated, with feed-forward")
+            text("simulated-with-feed-forward")
             if run.feedforward
-            else text("simulated, without feed-forward"),
+            else text("simulated-without-feed-forward"),
             run.motion_time,
             run.motion,
         )
@@ -217,22 +212,22 @@ def run_rows(runs: Sequence[StandVerification]) -> tuple[tuple[doc.Cell, ...], .
 
 
 _QUANTITIES: tuple[tuple[str, str, Callable[[StandVerification], float], str, float], ...] = (
-    ("base height", "m", lambda run: run.base_height, ".5f", 1.0),
-    ("loss of height", "mm", lambda run: run.height_loss, ".3f", 1e3),
-    ("of it servo sag", "mm", lambda run: run.servo_sag, ".3f", 1e3),
-    ("of it contact softness", "mm", lambda run: run.contact_sag, ".3f", 1e3),
+    ("base-height", "m", lambda run: run.base_height, ".5f", 1.0),
+    ("loss-of-height", "mm", lambda run: run.height_loss, ".3f", 1e3),
+    ("of-it-servo-sag", "mm", lambda run: run.servo_sag, ".3f", 1e3),
+    ("of-it-contact-softness", "mm", lambda run: run.contact_sag, ".3f", 1e3),
     (
-        "deviation of height, last second (< 5 mm = stable)",
+        "deviation-of-height-last-second",
         "mm",
         lambda run: run.height_deviation,
         ".5f",
         1e3,
     ),
-    ("drift of height, last second", "mm/s", lambda run: run.height_drift, "+.4f", 1e3),
-    ("tilt against the task", "°", lambda run: math.degrees(run.tilt), ".4f", 1.0),
-    ("foot slip", "mm", lambda run: max(run.foot_slip.values()), ".4f", 1e3),
-    ("joint error", "rad", lambda run: run.joint_error, ".1e", 1.0),
-    ("torque off prediction, of the largest", "%", lambda run: run.torque_error, ".3f", 100.0),
-    ("vertical foot force off prediction", "%", lambda run: run.force_error, ".3f", 100.0),
+    ("drift-of-height-last-second", "mm/s", lambda run: run.height_drift, "+.4f", 1e3),
+    ("tilt-against-the-task", "°", lambda run: math.degrees(run.tilt), ".4f", 1.0),
+    ("foot-slip", "mm", lambda run: max(run.foot_slip.values()), ".4f", 1e3),
+    ("joint-error", "rad", lambda run: run.joint_error, ".1e", 1.0),
+    ("torque-off-prediction-of-the-largest", "%", lambda run: run.torque_error, ".3f", 100.0),
+    ("vertical-foot-force-off-prediction", "%", lambda run: run.force_error, ".3f", 100.0),
 )
 """What is shown of a run: name, unit, value in SI units, its format, and what it is scaled by."""

@@ -10,7 +10,7 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.standard_input import content, is_held
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.report.document import Name, Text
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 
 MOST_LETTERS, MOST_LINES = 400, 8
@@ -19,21 +19,21 @@ MOST_LETTERS, MOST_LINES = 400, 8
 
 def page(name: str, heading: str) -> Text:
     """Returns where the documentation says how something is computed."""
-    return text("Computed as in docs/{page}, “{heading}”.", page=name, heading=Name(heading))
+    return text("source-docs", page=name, heading=Name(heading))
 
 
 def files(robot: Robot | None) -> Text:
     """Returns which two files a robot is from."""
     if robot is None:
-        return text("From the robot's URDF and MJCF.")
+        return text("source-own-files")
     description = robot.description
     names = {
         "urdf": Name(description.urdf_source.name),
         "mjcf": Name(description.mjcf_source.name),
     }
     if is_derived(robot):
-        return text("Made from {urdf} (URDF) and {mjcf} (MJCF), with changes.", **names)
-    return text("From {urdf} (URDF) and {mjcf} (MJCF).", **names)
+        return text("source-changed-files", **names)
+    return text("source-files", **names)
 
 
 def is_derived(robot: Robot) -> bool:

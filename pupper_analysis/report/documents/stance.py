@@ -12,8 +12,8 @@ from pupper_analysis.report.documents.simulated import height_plot, motions_of, 
 from pupper_analysis.report.documents.sources import page
 from pupper_analysis.report.documents.standing import ground_text, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.html.words import joined, text
 from pupper_analysis.report.verdict import verdict_lines, verdict_word
+from pupper_analysis.report.words import joined, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN
@@ -42,7 +42,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     ]
     verdict = verdict_lines(stance.verdict)
     return doc.Document(
-        text("Stance"),
+        text("stance"),
         doc.Name(stance.name),
         tuple(blocks),
         passed=stance.passed,
@@ -60,10 +60,10 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
 def _simulated(run: StandVerification) -> doc.Table:
     """Returns what the simulation made of the stand."""
     return doc.Table(
-        text("MuJoCo, {seconds} s on the floating base", seconds=f"{run.duration:g}"),
+        text("simulation", seconds=f"{run.duration:g}"),
         (
             doc.Column(text("quantity"), left=True),
-            doc.Column(text("with feed-forward")),
+            doc.Column(text("with-feed-forward")),
             doc.Column(text("unit"), left=True),
         ),
         run_rows([run]),
@@ -77,8 +77,7 @@ def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
     """Says that the two models are not of one robot, if by the MJCF the stand is out of balance."""
     if run.mujoco_residual > DISAGREEMENT:
         yield text(
-            "the two models disagree: by the MJCF {residual} N (or N m) of the balance are left; "
-            "pupper-analysis crosscheck says why",
+            "the-two-models-disagree",
             residual=f"{run.mujoco_residual:.1e}",
         )
 
@@ -87,46 +86,44 @@ def _told(stance: Stance) -> Iterable[doc.Words]:
     settled = stance.settled
     if settled is None:
         unsettled = doc.Said(stance.unsettled)
-        yield text("without feed-forward, no sag is predicted: {why}", why=unsettled)
+        yield text("no-sag-predicted", why=unsettled)
     else:
         settles = text(
-            "commanded these joints alone it settles at {height} m: servos give {servo} mm, the "
-            "ground {contact} mm",
+            "settles-at",
             height=f"{settled.base_height:.5f}",
             servo=f"{1e3 * settled.servo_sag:.2f}",
             contact=f"{1e3 * settled.contact_sag:.2f}",
         )
         if settled.failures:
-            why = joined(map(doc.Said, settled.failures), "; ")
-            settles = text("{settles}; but {why}", settles=settles, why=why)
+            why = joined(map(doc.Said, settled.failures), "semicolon")
+            settles = text("settles-but", settles=settles, why=why)
         elif settled.release_margin < RELEASE_MARGIN:
             settles = text(
-                "{settles}, if it is let down slowly (let go at once, feet slip in the fall)",
+                "settles-if-let-down-slowly",
                 settles=settles,
             )
         yield settles
     if stance.minimum_stiffness is not None:
         yield text(
-            "minimum stiffness of servos that carry it without feed-forward: {kp} N m/rad",
+            "minimum-stiffness-of-servos",
             kp=f"{stance.minimum_stiffness:.2f}",
         )
     near, links = stance.stand.ground_clearance, stance.stand.self_clearance
     if near is not None:
         yield text(
-            "lowest part but the feet: {link}, {distance} mm",
+            "lowest-part-but-the-feet",
             link=doc.Name(near.links[0]),
             distance=f"{1e3 * near.distance:.1f}",
         )
     if links is not None:
         yield text(
-            "nearest links: {links}, {distance} mm apart",
+            "nearest-links-links-distance",
             links=doc.Name(" / ".join(links.links)),
             distance=f"{1e3 * links.distance:.1f}",
         )
     if stance.loops_open is not None:
         yield text(
-            "the MJCF's loops and couplings are open in it by up to {most} m or rad, as their "
-            "softness has it",
+            "the-mjcfs-loops-and-couplings",
             most=f"{stance.loops_open:.2g}",
         )
     yield ground_text(stance.sunk.depths.values() if stance.sunk else ())

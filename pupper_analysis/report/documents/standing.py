@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from pupper_analysis.diagnostics import grouped
 from pupper_analysis.report.document import Said, Text, Words
 from pupper_analysis.report.documents.sources import files
-from pupper_analysis.report.html.words import text
 from pupper_analysis.report.verdict import clause_text, of_the_file, on_servos
+from pupper_analysis.report.words import text
 from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
 
@@ -27,13 +27,9 @@ def ground_text(depths: Iterable[float]) -> Text:
     """Says on which ground it was simulated, of feet that sink in by ``depths`` (m), or do not."""
     deepest = max(depths, default=0.0)
     if not deepest:
-        return text(
-            "feet sunk into MuJoCo's soft ground would be out of reach: simulated with joints for "
-            "rigid ground"
-        )
+        return text("feet-sunk-into-mujocos-soft")
     return text(
-        "all this is on MuJoCo's soft ground, with legs longer by what the feet sink in (at most "
-        "{depth} mm)",
+        "all-this-is-on-mujocos",
         depth=f"{1e3 * deepest:.2f}",
     )
 

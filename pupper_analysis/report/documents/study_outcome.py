@@ -12,7 +12,7 @@ from pupper_analysis.report import plots
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.sources import page
 from pupper_analysis.report.documents.study_plots import LINES, front_plot, study_plots
-from pupper_analysis.report.html.words import text, word
+from pupper_analysis.report.words import text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.cells import labelled, standing, unit_of
 from pupper_analysis.study.outcome import StudyOutcome
@@ -21,15 +21,9 @@ from pupper_analysis.study.tolerance import Chance
 if TYPE_CHECKING:
     import pandas as pd
 
-_ALONE = (
-    "Alone: the variance of the means over the number's values, in parts of the whole, among the "
-    "designs of which it was measured."
-)
+_ALONE = "alone-the-variance"
 
-_PARTIAL = (
-    "Of the designs in a cell that is crossed by lines some do not stand: the mean is of the "
-    "others alone."
-)
+_PARTIAL = "of-the-designs"
 
 MOST_ROWS = 300
 """Of a table of designs: more than anyone reads, and pages stay small."""
@@ -47,17 +41,17 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     blocks.append(_designs(outcome))
     failed = sum(one.designs for one in outcome.failures)
     told: list[doc.Words] = [
-        text("{count} designs, of which {failed} failed", count=len(outcome.table), failed=failed)
+        text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
     ]
     if len(outcome.table) < outcome.designs:
         left = outcome.designs - len(outcome.table)
-        told.append(text("{count} more are not measured yet", count=left))
+        told.append(text("count-more-are-not-measured", count=left))
     if outcome.certainty is not None:
         both = outcome.certainty.both
-        told.append(text("It stands, with all motors under their limits, in {share} of designs",
+        told.append(text("it-stands-with-all-motors",
                          share=f"{both.probability:.1%}"))  # fmt: skip
     return doc.Document(
-        text("Study of designs"), doc.Name(outcome.robot), tuple(blocks), told=tuple(told)
+        text("study-of-designs"), doc.Name(outcome.robot), tuple(blocks), told=tuple(told)
     )
 
 
@@ -75,12 +69,12 @@ def _variables(outcome: StudyOutcome) -> doc.Table:
             (doc.Name(labelled(name)), text(kind), doc.Name(listed), doc.number(count, ".0f"))
         )
     return doc.Table(
-        text("What varies"),
+        text("what-varies"),
         (
             doc.Column(text("number"), left=True),
             doc.Column(text("how"), left=True),
-            doc.Column(text("range or values"), left=True),
-            doc.Column(text("different values"), "1"),
+            doc.Column(text("range-or-values"), left=True),
+            doc.Column(text("different-values"), "1"),
         ),
         tuple(rows),
         (),
@@ -108,7 +102,7 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
         for one in outcome.measured
     ]
     return doc.Table(
-        text("What was measured"),
+        text("what-was-measured"),
         (
             doc.Column(text("measure"), left=True),
             doc.Column(text("least")),
@@ -124,7 +118,7 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
 
 def _failures(outcome: StudyOutcome) -> list[doc.Block]:
     if not outcome.failures:
-        return [doc.Lines((text("No design failed."),))]
+        return [doc.Lines((text("no-design-failed"),))]
     rows: list[tuple[doc.Cell, ...]] = [
         (
             word(one.kind),
@@ -137,13 +131,13 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
     ]
     return [
         doc.Table(
-            text("What failed, by kind"),
+            text("what-failed-by-kind"),
             (
                 doc.Column(text("failure"), left=True),
                 doc.Column(text("measure"), left=True),
                 doc.Column(text("designs"), "1"),
                 doc.Column(text("share"), "1"),
-                doc.Column(text("reason of the first"), left=True),
+                doc.Column(text("reason-of-the-first"), left=True),
             ),
             tuple(rows),
         )
@@ -163,7 +157,7 @@ def _front(outcome: StudyOutcome) -> list[doc.Block]:
     if not objectives or front.empty:
         return []
     ways = ", ".join(f"{name} ({sense})" for name, sense in objectives.items())
-    title = text("Designs worth building: no other beats them in {objectives}", objectives=ways)
+    title = text("designs-worth-building-no-other", objectives=ways)
     blocks: list[doc.Block] = []
     if len(objectives) == 2:
         blocks.append(front_plot(standing(outcome.table), front, objectives))
@@ -202,15 +196,15 @@ def _shares(outcome: StudyOutcome) -> list[doc.Block]:
         doc.Column(text("alone"), "1"),
     ]
     if linear:
-        columns.append(doc.Column(text("by derivatives"), "1"))
-        notes.append(text("By derivatives: for small spreads, without any sample."))
+        columns.append(doc.Column(text("by-derivatives"), "1"))
+        notes.append(text("shares-by-derivatives"))
     if sobol:
         columns += [
-            doc.Column(text("Sobol, alone"), "1"),
-            doc.Column(text("Sobol, in all"), "1"),
-            doc.Column(text("± 95 %"), "1"),
+            doc.Column(text("sobol-alone"), "1"),
+            doc.Column(text("sobol-in"), "1"),
+            doc.Column(text("confidence"), "1"),
         ]
-    title = text("Which number matters: shares of each measure's variance")
+    title = text("which-number-matters-shares")
     return [doc.Table(title, tuple(columns), tuple(rows), tuple(notes), _source())]
 
 
@@ -235,19 +229,19 @@ def _sure(outcome: StudyOutcome) -> list[doc.Block]:
     found = outcome.certainty
     if found is not None:
         rows: list[tuple[doc.Text | doc.Name, Chance]] = [
-            (text("It stays up on its servos"), found.stands),
-            (text("All motors are under their limits"), found.all_motors),
-            (text("Both"), found.both),
+            (text("it-stays-up"), found.stands),
+            (text("all-motors-are-under-their"), found.all_motors),
+            (text("both"), found.both),
             *((doc.Name(joint), one) for joint, one in found.motors.items()),
         ]
         blocks.append(
             doc.Table(
-                text("How sure the stand is"),
+                text("how-sure-the-stand"),
                 (
                     doc.Column(text("what"), left=True),
                     doc.Column(text("probability"), "1"),
-                    doc.Column(text("at least (95 %)"), "1"),
-                    doc.Column(text("at most (95 %)"), "1"),
+                    doc.Column(text("at-least-95"), "1"),
+                    doc.Column(text("at-most-95"), "1"),
                 ),
                 tuple(_chance(name, one) for name, one in rows),
                 (),
@@ -277,8 +271,7 @@ def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) 
         listed = _listed(kind, numbers)
         rows.append((doc.Name(labelled(name)), text(kind), doc.Name(listed)))
     sure = text(
-        "With {scale} of the study's spreads it stands, with all motors under their limits, in "
-        "{share} of {count} designs.",
+        "with-scale-of-the-studys",
         scale=f"{outcome.tolerance.scale:.1%}",
         share=f"{outcome.tolerance.chance.probability:.1%}",
         count=outcome.tolerance.chance.designs,
@@ -287,16 +280,16 @@ def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) 
     if outcome.tolerance.without:
         notes.append(
             text(
-                "These change none of the criteria, and so have no range here: {names}.",
+                "these-change-none",
                 names=doc.Name(", ".join(outcome.tolerance.without)),
             )
         )
     return doc.Table(
-        text("The tightest tolerance that is needed"),
+        text("the-tightest-tolerance"),
         (
             doc.Column(text("number"), left=True),
             doc.Column(text("how"), left=True),
-            doc.Column(text("range or values"), left=True),
+            doc.Column(text("range-or-values"), left=True),
         ),
         tuple(rows),
         tuple(notes),
@@ -307,7 +300,7 @@ def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) 
 def _designs(outcome: StudyOutcome) -> doc.Table:
     measured = [one.measure for one in outcome.measured]
     columns = [*outcome.variables, *measured]
-    return replace(_table(text("Designs"), outcome.table, columns), detail=True)
+    return replace(_table(text("designs-title"), outcome.table, columns), detail=True)
 
 
 def _table(title: doc.Words, table: pd.DataFrame, columns: Sequence[str]) -> doc.Table:
@@ -326,7 +319,7 @@ def _table(title: doc.Words, table: pd.DataFrame, columns: Sequence[str]) -> doc
             cells.append(word(kind) if isinstance(kind, str) else doc.Name(""))
         rows.append(tuple(cells))
     heads = [
-        doc.Column(text("no."), "1"),
+        doc.Column(text("ordinal"), "1"),
         *(doc.Column(doc.Name(name), unit_of(name)) for name in places),
     ]
     if failed:
@@ -334,5 +327,5 @@ def _table(title: doc.Words, table: pd.DataFrame, columns: Sequence[str]) -> doc
     notes: tuple[doc.Words, ...] = ()
     if len(table) > MOST_ROWS:
         left = len(table) - MOST_ROWS
-        notes = (text("{count} more are in the study's folder: read_study reads all.", count=left),)
+        notes = (text("count-more-are-in-the-studys", count=left),)
     return doc.Table(title, tuple(heads), tuple(rows), notes)

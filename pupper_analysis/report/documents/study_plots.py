@@ -9,7 +9,7 @@ import numpy as np
 
 from pupper_analysis.report import plots
 from pupper_analysis.report.document import Name, Text
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.study.cells import (
     Panel,
     check_columns,
@@ -69,7 +69,7 @@ def end_plots(
         ConfigurationError: If a column is not there, or the table is empty.
     """
     kinds = end_map(table, x, y).kinds
-    title = text("What becomes of designs over {x} and {y}", x=Name(x), y=Name(y))
+    title = text("what-becomes-of-designs-over", x=Name(x), y=Name(y))
     return [
         plots.EndsPlot(title, end_map(one.table, x, y), x, y, kinds, _part(one))
         for one in panels(table, variables, x, y)
@@ -91,7 +91,7 @@ def mean_plots(
     known = np.concatenate([one.means[np.isfinite(one.means)] for _, one in maps])
     ends = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     named = Name(labelled(measure))
-    title = text("{measure} over {x} and {y}", measure=named, x=Name(x), y=Name(y))
+    title = text("measure-over-x-and-y", measure=named, x=Name(x), y=Name(y))
     return [
         plots.MeansPlot(title, found, x, y, measure, ends, _part(panel)) for panel, found in maps
     ]
@@ -100,7 +100,7 @@ def mean_plots(
 def _part(panel: Panel) -> Text | Name | None:
     """Returns what a map's designs have in common, or what is averaged."""
     if panel.averaged:
-        return text("mean over {names}", names=", ".join(panel.averaged))
+        return text("mean-over", names=", ".join(panel.averaged))
     return Name(panel.values()) if panel.fixed else None
 
 
@@ -111,7 +111,7 @@ def parallel_plot(table: pd.DataFrame, columns: Sequence[str], shade: str) -> pl
         ConfigurationError: If a column is not there, or the table is empty.
     """
     check_columns(table, *columns, shade)
-    title = text("Designs as lines, coloured by {measure}", measure=Name(shade))
+    title = text("designs-as-lines-coloured", measure=Name(shade))
     return plots.ParallelPlot(title, table, columns, shade)
 
 
@@ -136,5 +136,5 @@ def front_plot(
     """
     said = {one: f"{labelled(one)}, {sense}" for one, sense in objectives.items()}
     along, up = (dict(labels or {}).get(one, said[one]) for one in objectives)
-    drawn = title or text("Designs worth building: the front")
+    drawn = title or text("designs-worth-building-the-front")
     return plots.FrontPlot(drawn, table, front, (along, up), list(objectives), name)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.registry import build
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.sync.choices import label, line_at
 from pupper_analysis.sync.models import Sync
@@ -42,22 +42,22 @@ def sync_document(
     count = len(sync.edits)
     would = dry_run or sync.withheld or bool(sync.differences and not chosen)
     written = text(
-        "attributes that would be written: {count}" if would else "attributes written: {count}",
+        "attributes-that-would-be-written" if would else "attributes-written-count",
         count=count,
     )
     told = [written]
     if sync.left:
-        told.append(text("differences left: {count}", count=len(sync.left)))
+        told.append(text("differences-left-count", count=len(sync.left)))
     return doc.Document(
-        text("Sync"),
-        text("URDF and MJCF"),
+        text("sync"),
+        text("both-files"),
         tuple(blocks),
         passed=sync.agree,
-        verdict=text("AGREE") if sync.agree else text("DISAGREE"),
+        verdict=text("agree") if sync.agree else text("disagree"),
         failures=tuple(_withheld(sync)),
         told=tuple(told),
         notes=tuple(
-            text("{difference}: {note}", difference=doc.Said(named), note=doc.Said(note))
+            text("difference-note", difference=doc.Said(named), note=doc.Said(note))
             for named, note in sync.notes.items()
         ),
     )
@@ -67,8 +67,7 @@ def _withheld(sync: Sync) -> Iterable[doc.Words]:
     if sync.withheld:
         failed = sum(left.cause == Cause.NOT_MENDED for left in sync.left)
         yield text(
-            "nothing is written: {count} of the chosen differences cannot be mended, and the rest "
-            "alone would make a robot of two versions; choose what is meant, or add --partial",
+            "nothing-is-written-count",
             count=failed,
         )
 
@@ -85,12 +84,9 @@ def _choices(sync: Sync) -> Iterable[doc.Block]:
     kind = f'"{kind}"' if " " in kind else kind
     yield doc.Lines(
         (
-            text(
-                "Nothing was changed. --take urdf takes the URDF's values and writes them into the "
-                "MJCF, --take mjcf the other way; for some alone:"
-            ),
+            text("nothing-was-changed-take-urdf"),
             doc.Name(f'--take mjcf:1   --take urdf:"{first}"   --take mjcf:{kind}'),
-            text("with --dry-run it shows what it would change."),
+            text("with-dry-run-it-shows"),
         )
     )
 
@@ -99,24 +95,24 @@ def _done(sync: Sync, dry_run: bool) -> Iterable[doc.Block]:
     """Yields what was written, or would be, and what is left."""
     if dry_run:
         if sync.diff:
-            yield doc.Listing(text("What would change"), sync.diff, "diff")
+            yield doc.Listing(text("what-would-change"), sync.diff, "diff")
     elif sync.edits and not sync.withheld:
         edits = []
         for edit in sync.edits:
             old = "(not stated)" if edit.old is None else edit.old
             said = f"{edit.file}:{edit.line}: {edit.element}: {edit.attribute}: {old} -> {edit.new}"
             edits.append(doc.Name(said))
-        yield doc.Lines(tuple(edits), title=text("What was written"))
+        yield doc.Lines(tuple(edits), title=text("what-was-written"))
     if sync.backups:
-        kept = (text("the old file is kept: {file}", file=doc.Name(one)) for one in sync.backups)
+        kept = (text("the-old-file-is-kept", file=doc.Name(one)) for one in sync.backups)
         yield doc.Lines(tuple(kept))
     if sync.left:
         yield doc.Lines(
             tuple(
-                text("{difference}: {note}", difference=doc.Said(left.difference),
+                text("difference-note", difference=doc.Said(left.difference),
                      note=doc.Said(left.reason))
                 for left in sync.left
             ),
             "bad",
-            text("What is left"),
+            text("what-is-left"),
         )  # fmt: skip

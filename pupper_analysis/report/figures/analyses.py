@@ -19,7 +19,7 @@ from pupper_analysis.report.documents.loads import torque_plot
 from pupper_analysis.report.documents.simulated import deviation_table, height_plot
 from pupper_analysis.report.figures import style
 from pupper_analysis.report.figures.drawing import draw, looks_of
-from pupper_analysis.report.html.words import english
+from pupper_analysis.report.words import english
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis

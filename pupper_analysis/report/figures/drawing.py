@@ -17,8 +17,8 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, NullLoca
 from numpy.typing import NDArray
 
 from pupper_analysis.report.figures import style
-from pupper_analysis.report.html.words import english
 from pupper_analysis.report.plots import Axis, BarPlot, DirectionPlot, LinePlot, Plot, Series
+from pupper_analysis.report.words import english
 
 Array = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.report.figures import style
 from pupper_analysis.report.figures.drawing import draw
-from pupper_analysis.report.html.words import english
 from pupper_analysis.report.plots import EndsPlot, FrontPlot, MeansPlot, ParallelPlot
+from pupper_analysis.report.words import english
 from pupper_analysis.study.cells import Cells, EndMap, labelled
 
 Array = NDArray[np.float64]

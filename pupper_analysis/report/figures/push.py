@@ -9,7 +9,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.report.documents.pushed_stance import push_plot
 from pupper_analysis.report.figures import style
 from pupper_analysis.report.figures.drawing import draw
-from pupper_analysis.report.html.words import english
+from pupper_analysis.report.words import english
 from pupper_analysis.simulation.push import PushRecovery
 
 

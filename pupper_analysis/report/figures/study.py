@@ -16,8 +16,8 @@ from pupper_analysis.report.documents import study_plots
 from pupper_analysis.report.figures import style
 from pupper_analysis.report.figures.drawing import draw, plot_figure
 from pupper_analysis.report.figures.maps import ALL_MEASURED, put_scale
-from pupper_analysis.report.html.words import english
 from pupper_analysis.report.plots import EndsPlot, MeansPlot, Plot
+from pupper_analysis.report.words import english
 from pupper_analysis.study.cells import check_columns, spread_in, standing
 from pupper_analysis.study.pareto import pareto_front
 

@@ -22,8 +22,8 @@ from pupper_analysis.report.html.plots import (
     ticks,
     word_at,
 )
-from pupper_analysis.report.html.words import text, word
 from pupper_analysis.report.plots import EndsPlot, FrontPlot, MeansPlot, ParallelPlot
+from pupper_analysis.report.words import text, word
 from pupper_analysis.study.cells import Cells, labelled, span
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def _ends(plot: EndsPlot) -> Drawing:
 
     grid = _Grid(found.x, found.y)
     marks = [*grid.cells(filled), *grid.axes(x, y)]
-    named = [text("all measured") if not kind else word(kind) for kind in found.kinds]
+    named = [text("all-measured") if not kind else word(kind) for kind in found.kinds]
     for kind, name in enumerate(
         named
     ):  # where it is the most frequent: what it is, and of how many
@@ -125,9 +125,7 @@ def _ends(plot: EndsPlot) -> Drawing:
 
 def _titled(plot: MeansPlot | EndsPlot) -> Words:
     """Returns a map's title, and of which designs it is."""
-    return (
-        plot.title if plot.part is None else text("{name}: {note}", name=plot.title, note=plot.part)
-    )
+    return plot.title if plot.part is None else text("name-note", name=plot.title, note=plot.part)
 
 
 @draw.register
@@ -152,7 +150,7 @@ def _parallel(plot: ParallelPlot) -> Drawing:
             "class": "series pc",
             "points": np.round(np.column_stack([across[known], up]), 1).tolist(),
             "labels": [_plain(f"{columns[i]} {numbers[row, i]:.4g}") for i in known],
-            "name": text("design {number}", number=int(places[row]) + 1),
+            "name": text("design-number", number=int(places[row]) + 1),
             "stroke": colour(tone) if math.isfinite(values[row]) else "#8a8a8a",
         }
         marks.append(mark)
@@ -197,7 +195,7 @@ def _front(plot: FrontPlot) -> Drawing:
     cloud = _evenly(known, MOST_DOTS)
     for part, style, name in (
         (cloud, "s0", text("designs")),
-        (front, "s1", text("no other design beats these")),
+        (front, "s1", text("no-other-design-beats-these")),
     ):
         numbers = part[[x, y]].to_numpy(float)
         points = place(numbers)
@@ -208,7 +206,7 @@ def _front(plot: FrontPlot) -> Drawing:
         size = 3.5 if style == "s1" else 2.0
         marks += [{"tag": "circle", "class": f"dot {style}", "cx": cx, "cy": cy, "r": size}
                   for cx, cy in points.tolist()]  # fmt: skip
-    legend = ((text("designs"), "s0"), (text("no other design beats these"), "s1"))
+    legend = ((text("designs"), "s0"), (text("no-other-design-beats-these"), "s1"))
     return Drawing(plot.title, WIDTH, MAP_HEIGHT, tuple(marks), legend)
 
 

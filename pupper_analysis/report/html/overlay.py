@@ -25,7 +25,7 @@ from pupper_analysis.report.html.scene import (
     scene_of,
     short_numbers,
 )
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def _overlay(scene: OverlayScene) -> dict[str, Any] | None:
         "bodies": bodies,
         "geoms": geoms,
         "meshes": meshes,
-        "motions": [packed(text("zero angles"), np.zeros(1), poses)],
+        "motions": [packed(text("zero-angles"), np.zeros(1), poses)],
         "joints": _joints(comparison, model),
         "contacts": [],
         "lines": [short_numbers(line) for line in placed],

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.report.document import Name, Text, Words, number
-from pupper_analysis.report.html.words import text
 from pupper_analysis.report.plots import Axis, BarPlot, DirectionPlot, LinePlot, Plot, Series
+from pupper_analysis.report.words import text
 
 Array = NDArray[np.float64]
 Mark = Mapping[str, Any]
@@ -211,7 +211,7 @@ def _legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
     """Returns each line's name, with what it comes to, and its style."""
     return tuple(
         (
-            one.name if one.note is None else text("{name}: {note}", name=one.name, note=one.note),
+            one.name if one.note is None else text("name-note", name=one.name, note=one.note),
             f"s{index % STYLES}",
         )
         for index, one in enumerate(series)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pupper_analysis.analysis.robot import joint_summaries
 from pupper_analysis.report.document import Motion, StandScene, Text
 from pupper_analysis.report.formats import visible
-from pupper_analysis.report.html.words import text
+from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -66,7 +66,7 @@ def _stand(scene: StandScene) -> dict[str, Any]:
     robot.mj_convention.set_state(data, stand.qpos)
     mujoco.mj_kinematics(model, data)
     low, high = extent_of(model, data)
-    still = Motion(text("the stand"), np.zeros(1), stand.qpos[None])
+    still = Motion(text("the-stand"), np.zeros(1), stand.qpos[None])
     geoms, meshes = geoms_of(model)
     polygon = support_polygon(points) if len(points) > 2 else points[:, :2]
     return {

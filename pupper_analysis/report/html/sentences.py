@@ -14,7 +14,8 @@ from functools import cache, lru_cache
 from importlib.resources import files
 from types import MappingProxyType
 
-from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.diagnostics import Diagnostic, phrase
+from pupper_analysis.diagnostics.catalogue import LINED, lines
 from pupper_analysis.report.document import Said, Text
 
 _HOLE = re.compile(r"\{(\w+)\}")
@@ -49,9 +50,9 @@ class Pattern:
 
 @cache
 def catalogue() -> Mapping[str, str]:
-    """Returns {English: Simplified Chinese} of the report's own texts."""
-    file = files("pupper_analysis.report.html").joinpath("templates", "chinese.toml")
-    return MappingProxyType(tomllib.loads(file.read_text(encoding="utf-8")))
+    """Returns {English: Simplified Chinese} of the catalogue's texts and terms."""
+    keys = {key: None for file in LINED for key in lines(file)}
+    return MappingProxyType({phrase(key, "en"): phrase(key, "zh") for key in keys})
 
 
 @cache

@@ -23,8 +23,8 @@ from pupper_analysis.report.html import maps, overlay  # noqa: F401  (say how th
 from pupper_analysis.report.html.library import installed_library
 from pupper_analysis.report.html.plots import draw
 from pupper_analysis.report.html.scene import scene_of, shared
-from pupper_analysis.report.html.words import spoken, text
 from pupper_analysis.report.plots import Plot
+from pupper_analysis.report.words import spoken, text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 LANGUAGES = {"en": "en", "zh": "zh-Hans"}
 """The page's languages, and their names in HTML."""
 
-_HINT = "Drag to turn, pinch or Ctrl + wheel to zoom; point at an axis, a force or the com."
-_NO_LIBRARY = "The view in three dimensions is left out: three.js was not found; install meshcat."
+_HINT = "view-hint"
+_NO_LIBRARY = "view-without-three-js"
 
 Reportable = Result | Table
 Reported = Reportable | Mapping[str, Reportable] | Iterable[Reportable]
@@ -142,7 +142,7 @@ def _block(block: Block, scenes: list[dict[str, Any]]) -> Any:
     if not isinstance(block, View):
         return block
     if block.scene is None:
-        left_out = text("The view in three dimensions is left out: no robot was given.")
+        left_out = text("view-without-robot")
         return Lines((left_out,))
     scene = scene_of(block.scene)
     if scene is None:
@@ -155,7 +155,7 @@ def _counted(judged: list[Document]) -> Text | None:
     if len(judged) < 2:  # of one, its own verdict says it
         return None
     good = sum(bool(section.passed) for section in judged)
-    return text("{good} of {count} passed.", good=good, count=len(judged))
+    return text("count-passed", good=good, count=len(judged))
 
 
 def _version() -> str:
@@ -170,32 +170,32 @@ def _interface() -> dict[str, Any]:
     layers = {
         "shapes": text("shapes"),
         "axes": text("joint axes"),
-        "forces": text("contact forces"),
-        "support": text("support polygon and com"),
-        "other": text("joints of the URDF"),
-        "masses": text("masses of the links"),
+        "forces": text("contact-forces"),
+        "support": text("support-polygon-and-com"),
+        "other": text("joints-of-the-urdf"),
+        "masses": text("masses-of-the-links"),
     }
     said = {
-        "best": "the best",
-        "source": "Where these numbers come from",
-        "save_svg": "Save as SVG",
-        "save_png": "Save as PNG",
-        "view_label": "Robot in three dimensions: arrow keys turn it, plus and minus zoom",
+        "best": "the-best",
+        "source": "numbers-source",
+        "save_svg": "save-as-svg",
+        "save_png": "save-as-png",
+        "view_label": "view-label",
         "view_hint": _HINT,
-        "reset": "Reset the view",
+        "reset": "reset-the-view",
         "time": "time",
-        "motion": "motion shown",
+        "motion": "motion-shown",
         "joint_axes": "joint axes",
         "no_library": _NO_LIBRARY,
-        "skip": "Skip to the summary",
-        "theme": "Light or dark",
-        "sections": "Sections",
-        "summary": "Summary",
-        "english_only": "Sentences with a bar before them have no translation.",
-        "made_by": "Made by pupper_analysis. Units are SI, unless a header says otherwise.",
-        "failed": "What failed",
-        "notes": "Notes",
-        "licences": "Licences of the scripts in this file",
+        "skip": "skip-to-the-summary",
+        "theme": "light-or-dark",
+        "sections": "sections",
+        "summary": "summary",
+        "english_only": "english-only",
+        "made_by": "made-by",
+        "failed": "what-failed",
+        "notes": "notes-title",
+        "licences": "licences-of-scripts",
     }
     return {"layers": layers, **{name: text(english) for name, english in said.items()}}
 
@@ -204,13 +204,13 @@ def _spoken() -> dict[str, dict[str, str]]:
     """Returns the words that the page's scripts say, by language."""
     said = {
         "no_library": _NO_LIBRARY,
-        "no_webgl": "The browser has no WebGL: the view in three dimensions is left out.",
+        "no_webgl": "view-without-webgl",
         "position": "position",
         "torque": "torque",
         "mass": "mass",
         "com": "com",
         "force": "force",
-        "same": "no difference",
+        "same": "no-difference",
     }
     motions = ("roll", "pitch", "yaw", "oblique", "along x", "along y", "along z", "oblique slide")
     texts = {name: text(english) for name, english in said.items()}

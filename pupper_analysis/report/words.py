@@ -1,41 +1,35 @@
-"""The report's own texts, in English and in Simplified Chinese.
-
-A text is asked for by its English words, so that none is without a translation: what is not in the
-catalogue is refused.
-"""
+"""Words of documents, in English and in Simplified Chinese: those of the catalogue, by key."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
+from pupper_analysis.diagnostics import fill, is_term, phrase
 from pupper_analysis.report.document import Name, Said, Text, Words
 from pupper_analysis.report.html import sentences
-from pupper_analysis.report.html.sentences import catalogue
 
 
-def text(english: str, **values: object) -> Text:
+def text(key: str, **values: object) -> Text:
     """Returns a text in both languages.
 
     Args:
-        english: A key of the catalogue.
+        key: The catalogue's, of ``texts.toml`` or ``terms.toml``.
         **values: What stands in its braces; a ``Text`` in its own two languages.
 
-    Its Chinese is made when it is asked for, and that raises KeyError if the catalogue lacks it.
+    Its Chinese is made when it is asked for.
+
+    Raises:
+        KeyError: If the catalogue lacks it.
     """
-    return Text(
-        english.format(**{name: _in(value, "en") for name, value in values.items()}),
-        lambda: catalogue()[english].format(
-            **{name: _in(value, "zh") for name, value in values.items()}
-        ),
-    )
+    return Text(_filled(key, values, "en"), lambda: _filled(key, values, "zh"))
 
 
-def word(english: str) -> Text | Name:
-    """Returns a word of a result's in both languages, or as it is, where the catalogue lacks it."""
-    return text(english) if english in catalogue() else Name(english)
+def word(name: str) -> Text | Name:
+    """Returns a word of a result's in both languages, or as it is, where it is no term."""
+    return text(name) if is_term(name) else Name(name)
 
 
-def joined(parts: Iterable[Words], comma: str = ", ") -> Text:
+def joined(parts: Iterable[Words], comma: str = "comma") -> Text:
     """Returns words as a list, with each language's own comma (or what else is a text)."""
     listed = list(parts)
     between = text(comma)
@@ -53,6 +47,12 @@ def english(words: Words) -> str:
 def spoken(words: Words) -> Words:
     """Returns words with what a result says in both languages, where somebody has translated it."""
     return sentences.said(words.text) if isinstance(words, Said) else words
+
+
+def _filled(key: str, values: dict[str, object], language: str) -> str:
+    template = phrase(key, language)
+    said = {name: _in(value, language) for name, value in values.items()}
+    return fill(template, said, language) if said else template
 
 
 def _in(value: object, language: str) -> object:
