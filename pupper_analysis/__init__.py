@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pupper_analysis.checks.audit import Audit, audit_model
     from pupper_analysis.checks.compare import Comparison, compare_models
     from pupper_analysis.checks.engines import CrossCheck, cross_check
-    from pupper_analysis.checks.tolerances import Tolerances
     from pupper_analysis.checks.versions.compare import ModelDiff, diff_models
     from pupper_analysis.convert.conversion import Conversion
     from pupper_analysis.convert.model import convert_model
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
         VariantError,
     )
     from pupper_analysis.guard.check import RepositoryCheck, check_repository
+    from pupper_analysis.matching.tolerances import Tolerances
     from pupper_analysis.prepare.load import load_robot
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.pupper.studies import Study
@@ -165,7 +165,7 @@ _HOME = {
     "held_stand": "stance.sunk",
     "sunk_stand": "stance.sunk",
     "compare_models": "checks.compare",
-    "Tolerances": "checks.tolerances",
+    "Tolerances": "matching.tolerances",
     "ModelDiff": "checks.versions.compare",
     "diff_models": "checks.versions.compare",
     "OutputError": "errors",

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from pupper_analysis.checks.attribution import explain
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Explanation
-from pupper_analysis.checks.matching import Match, match
-from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.matching.match import Match, match
+from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot.robot import Robot

@@ -29,8 +29,8 @@ from robots import (
 from pupper_analysis.checks import engines as crosscheck
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Difference
-from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.matching.tolerances import Tolerances
 
 SHANK = quadruped()["shank2"]
 

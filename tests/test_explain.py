@@ -39,8 +39,8 @@ from pupper_analysis.checks import changes as explain_module
 from pupper_analysis.checks.attribution import explain
 from pupper_analysis.checks.differences import Difference, Explanation
 from pupper_analysis.checks.states import random_states
-from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.matching.tolerances import Tolerances
 
 GRAVITY = 9.81
 WEIGHT = sum(part.mass for part in quadruped().values()) * GRAVITY

@@ -37,9 +37,9 @@ from pupper_analysis.checks.passive import find as extras_module
 from pupper_analysis.checks.passive.extra import as_it_is, without
 from pupper_analysis.checks.passive.find import extras
 from pupper_analysis.checks.passive.mimics import split_mimics
-from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.states import random_states
-from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.tolerances import Tolerances
 
 GRAVITY, LENGTH, MASS = 9.81, 0.5, 2.0  # of the pendulum
 ROD = MASS * LENGTH**2 + 1e-3 + 0.01  # its moment of inertia about the hinge, with the rotor

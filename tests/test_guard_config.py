@@ -15,11 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pupper_analysis.checks.audit import Severity
-from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.guard import config
 from pupper_analysis.guard.config import find_config, read_config
 from pupper_analysis.guard.toml import read_toml, toml_table, toml_value
+from pupper_analysis.matching.tolerances import Tolerances
 
 LEAST = '[[pair]]\nname = "a"\nurdf = "a.urdf"\n'
 

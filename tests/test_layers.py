@@ -26,6 +26,7 @@ ROOMS = (
     ),  # serve all
     ("models",),
     ("robot",),
+    ("matching",),
     ("statics",),
     ("stance",),
     ("simulation",),

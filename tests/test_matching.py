@@ -29,8 +29,8 @@ from robots import (
 )
 
 from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.checks.matching import read_mapping
 from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.matching.match import read_mapping
 
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
 JOINTS = {f"{kind}{leg}" for kind in ("hip", "knee") for leg in range(4)}
@@ -798,7 +798,7 @@ def test_continuous_joints(tmp_path: Path) -> None:
 
 def test_nothing_is_changed_in_the_files_that_were_read(tmp_path: Path) -> None:
     """Matching works on copies: the same files can be matched again."""
-    from pupper_analysis.checks.matching import match
+    from pupper_analysis.matching.match import match
     from pupper_analysis.models.mjcf_file import read_mjcf
     from pupper_analysis.models.urdf_file import read_urdf
 

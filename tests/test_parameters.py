@@ -33,8 +33,8 @@ import pupper_analysis as pa
 from pupper_analysis.checks.attribution import explain
 from pupper_analysis.checks.changes import changes_between
 from pupper_analysis.checks.compare import compare_models
-from pupper_analysis.checks.tolerances import Tolerances
-from pupper_analysis.checks.trees import trees
+from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.matching.trees import trees
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf

@@ -19,10 +19,10 @@ import pupper_analysis as pa
 from pupper_analysis.checks.attribution import _entries
 from pupper_analysis.checks.behaviour import Behaviour
 from pupper_analysis.checks.engines import URDF_MUJOCO, URDF_READ, cross_check
-from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.size import MOST_IN_PINOCCHIO, affordable, size_notes, some_of
 from pupper_analysis.checks.states import random_states
-from pupper_analysis.checks.trees import trees
+from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.trees import trees
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.robot.structure import Structure
 

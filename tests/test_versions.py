@@ -32,8 +32,8 @@ from robots import (
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.checks.trees import trees
 from pupper_analysis.checks.versions.behaviour import Trial
+from pupper_analysis.matching.trees import trees
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.parameters import from_pinocchio, renamed, to_pinocchio, with_fixed
 

@@ -8,21 +8,23 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.alignment import Alignment, aligned
 from pupper_analysis.checks.armature import armature_differences, armature_of
 from pupper_analysis.checks.behaviour import Behaviour, MujocoBehaviour, still_acting
 from pupper_analysis.checks.changes import changes_between, patched_with
-from pupper_analysis.checks.conventions import Conventions, convention_changes
+from pupper_analysis.checks.convention_changes import convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, Explanation, Judge
 from pupper_analysis.checks.passive.extra import Extra, as_it_is, without
 from pupper_analysis.checks.passive.find import extras
-from pupper_analysis.checks.passive.mimics import Mimics, split_mimics
-from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.checks.passive.mimics import split_mimics
 from pupper_analysis.checks.size import Entries, affordable, is_large
 from pupper_analysis.checks.states import random_states
-from pupper_analysis.checks.tolerances import Tolerances
-from pupper_analysis.checks.trees import trees
 from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.matching.alignment import Alignment, aligned
+from pupper_analysis.matching.conventions import Conventions
+from pupper_analysis.matching.mimics import Mimics
+from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.matching.trees import trees
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.robot.robot import Robot

@@ -11,7 +11,6 @@ import pinocchio as pin
 
 from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.checks.differences import Difference, Effect, Stated
-from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.words import (
     FORMATS,
     Sides,
@@ -20,10 +19,10 @@ from pupper_analysis.checks.words import (
     pair,
     quaternion_order,
     ratio,
-    vector,
     vectors,
 )
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
+from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.parameters import Body, Joint, Parameters
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 
@@ -225,7 +224,7 @@ def _placements(
             "joint-frame-turned",
             subject=("joint", name),
             angle=Quantity(angle, "rad"),
-            axis=vector(turn / angle),
+            axis=Vector.rounded(turn / angle),
             about_its_axis=about,
             guess=quaternion_order(one.rotation, two.rotation),
         )

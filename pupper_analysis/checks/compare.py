@@ -9,19 +9,20 @@ from pathlib import Path
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.checks.attribution import EXPLAINED, align, explain
-from pupper_analysis.checks.conventions import Conventions, convention_changes
+from pupper_analysis.checks.convention_changes import convention_changes
 from pupper_analysis.checks.differences import CONVENTIONS, Difference, Explanation
 from pupper_analysis.checks.engines import OF_ONE_MODEL, OF_THE_MJCF, CrossCheck, cross_check
-from pupper_analysis.checks.matching import Match, match
 from pupper_analysis.checks.mount import Mount, mount_of
 from pupper_analysis.checks.notes import armature_notes, unstated_notes
 from pupper_analysis.checks.patterns import Cause, causes
 from pupper_analysis.checks.places import mjcf_place, path_of, shares, urdf_place
 from pupper_analysis.checks.states import check_states
-from pupper_analysis.checks.tolerances import Tolerances
-from pupper_analysis.checks.trees import trees
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.matching.conventions import Conventions
+from pupper_analysis.matching.match import Match, match
+from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.matching.trees import trees
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf

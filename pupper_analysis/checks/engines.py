@@ -29,12 +29,13 @@ from pupper_analysis.checks.backends.quantities import Evaluation, Quantity
 from pupper_analysis.checks.backends.yourdfpy import yourdfpy_evaluation
 from pupper_analysis.checks.passive.extra import as_it_is, without
 from pupper_analysis.checks.passive.find import extras
-from pupper_analysis.checks.passive.mimics import Mimics, split_mimics, urdf_mimics
-from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.checks.passive.mimics import split_mimics
 from pupper_analysis.checks.size import affordable, is_large, size_notes, some_of
 from pupper_analysis.checks.states import States, check_states, random_states
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.matching.mimics import Mimics, urdf_mimics
+from pupper_analysis.matching.reference import Reference
 from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mujoco_tree import MujocoTree

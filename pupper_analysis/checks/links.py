@@ -15,7 +15,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_tensor
-from pupper_analysis.checks.matching_places import poses_at_zero
+from pupper_analysis.matching.places import poses_at_zero
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.parameters import Body, Parameters
 from pupper_analysis.models.urdf_tree import UrdfTree, origin_of

@@ -13,11 +13,11 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.matching import Match
-from pupper_analysis.checks.matching_places import poses_at_zero
-from pupper_analysis.checks.tolerances import Tolerances
-from pupper_analysis.checks.trees import base_pose, trees
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.matching.match import Match
+from pupper_analysis.matching.places import poses_at_zero
+from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.matching.trees import base_pose, trees
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.results import Result

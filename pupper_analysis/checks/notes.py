@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from pupper_analysis.checks.differences import Effect, Explanation
-from pupper_analysis.checks.matching import Match
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.matching.match import Match
 
 _VALUES = 6
 """Different values that are listed; of more, the least and the greatest."""

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.checks.differences import Difference
-from pupper_analysis.checks.matching import Match
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.matching.match import Match
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile

@@ -49,12 +49,7 @@ def pair(one: float, two: float, unit: str) -> dict[str, Any]:
 
 def vectors(one: Array, two: Array, unit: str = "1") -> dict[str, Any]:
     """Returns the first's vector and the second's, as values of a diagnostic."""
-    return {"one": vector(one, unit), "two": vector(two, unit)}
-
-
-def vector(values: Array, unit: str = "1") -> Vector:
-    """Returns a vector, rounded to 1e-9."""
-    return Vector(tuple(np.round(values, 9).tolist()), unit)
+    return {"one": Vector.rounded(one, unit), "two": Vector.rounded(two, unit)}
 
 
 def ratio(urdf: float, mjcf: float) -> Diagnostic | None:

@@ -152,8 +152,8 @@ def diff_command(
     \b
     Exit status: 0 they are the same, 1 they are different, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.checks.tolerances import Tolerances
     from pupper_analysis.checks.versions.compare import diff_models
+    from pupper_analysis.matching.tolerances import Tolerances
 
     names = dict(shared.assignment("map", text) for text in pairs)
     tolerances = models.with_changes(Tolerances.strict(), changes)

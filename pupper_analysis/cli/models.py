@@ -12,7 +12,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from pupper_analysis.checks.tolerances import Tolerances
+    from pupper_analysis.matching.tolerances import Tolerances
 
 map_option = click.option(
     "--map",
@@ -125,7 +125,7 @@ def crosscheck(
     alone), 1 they differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.checks.compare import compare_models
-    from pupper_analysis.checks.tolerances import Tolerances
+    from pupper_analysis.matching.tolerances import Tolerances
     from pupper_analysis.report import comparison as comparison_report
     from pupper_analysis.report import formats
 

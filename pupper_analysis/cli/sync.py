@@ -81,7 +81,7 @@ def sync_command(
     \b
     Exit status: 0 they agree afterwards (with --dry-run: would), 1 something is left, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.checks.tolerances import Tolerances
+    from pupper_analysis.matching.tolerances import Tolerances
     from pupper_analysis.report.document import Report
     from pupper_analysis.report.documents.sync import question, sync_document
     from pupper_analysis.sync.models import FINE, sync_models

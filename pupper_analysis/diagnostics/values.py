@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 _SHOWN_IN = {
@@ -70,6 +71,11 @@ class Vector:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", tuple(float(value) for value in self.values))
+
+    @staticmethod
+    def rounded(values: Iterable[float], unit: str = "1") -> Vector:
+        """Returns a vector of numbers rounded to 1e-9: what is beyond says nothing to a reader."""
+        return Vector(tuple(round(float(value), 9) for value in values), unit)
 
     def __format__(self, spec: str) -> str:
         """Returns the numbers in brackets, by default with 6 digits, and the unit.

@@ -10,11 +10,11 @@ from typing import Any, Final
 from lxml import etree
 
 from pupper_analysis.checks.audit import RULES
-from pupper_analysis.checks.matching import read_mapping
-from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.diagnostics import Diagnostic, Severity, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.guard.toml import Key, TomlFile, read_toml
+from pupper_analysis.matching.match import read_mapping
+from pupper_analysis.matching.tolerances import Tolerances
 
 CONFIG: Final = "pupper-analysis.toml"
 """The name under which it is looked for."""

@@ -1,7 +1,7 @@
 """The parameters of a tree of joints, as both files share them: and how those of two files differ.
 
 Fixed children are folded into the body that carries them. Frames of bodies are a matter of choice:
-two files can describe one robot with different link frames. `checks.alignment` brings the frames of
+two files can describe one robot with different link frames. `matching.alignment` brings the frames of
 one set to those of another.
 """
 

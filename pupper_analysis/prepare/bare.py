@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.matching_mjcf import name_all
+from pupper_analysis.matching.mjcf import name_all
 from pupper_analysis.models.joint_drives import Drive, drive_of
 from pupper_analysis.models.joint_kinds import scalar_joints
 from pupper_analysis.models.mjcf import compile_spec, quiet

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES
-from pupper_analysis.checks.matching_mjcf import limbs_on_the_world, mjcf_tree
-from pupper_analysis.checks.matching_names import without_affixes
-from pupper_analysis.checks.matching_places import at_zero
-from pupper_analysis.checks.matching_urdf import urdf_tree
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.matching.mjcf import limbs_on_the_world, mjcf_tree
+from pupper_analysis.matching.names import without_affixes
+from pupper_analysis.matching.places import at_zero
+from pupper_analysis.matching.urdf import urdf_tree
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind, has_free_joint
 from pupper_analysis.models.mjcf import quiet

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked
-from pupper_analysis.checks.matching import match
-from pupper_analysis.checks.matching_mjcf import name_all
-from pupper_analysis.checks.passive.mimics import urdf_mimics
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.matching.match import match
+from pupper_analysis.matching.mimics import urdf_mimics
+from pupper_analysis.matching.mjcf import name_all
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_drives import Drive, MadeServo, drive_of
 from pupper_analysis.models.joint_kinds import JointKind

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import mujoco
 
-from pupper_analysis.checks.matching import Match
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.matching.match import Match
 from pupper_analysis.models.description import Description
 
 _TIME = 5e-3

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import mujoco
 
-from pupper_analysis.checks.matching import Match
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.matching.match import Match
 from pupper_analysis.models.joint_drives import MadeServo
 from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.prepare.drives import span

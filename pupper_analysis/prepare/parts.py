@@ -8,8 +8,8 @@ from dataclasses import replace
 import mujoco
 from lxml import etree
 
-from pupper_analysis.checks.matching import Match
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.matching.match import Match
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.robot.configuration import Configuration

@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.alignment import Alignment
-from pupper_analysis.checks.conventions import with_zero
-from pupper_analysis.checks.matching import Match
-from pupper_analysis.checks.trees import base_pose, trees
+from pupper_analysis.matching.alignment import Alignment
+from pupper_analysis.matching.conventions import with_zero
+from pupper_analysis.matching.match import Match
+from pupper_analysis.matching.trees import base_pose, trees
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.parameters import Body, Joint, Parameters
 from pupper_analysis.sync.inertia import Mass

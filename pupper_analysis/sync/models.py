@@ -9,9 +9,9 @@ from pathlib import Path
 from pupper_analysis.arguments import checked
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Difference
-from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import read_mjcf

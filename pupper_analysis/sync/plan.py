@@ -9,9 +9,9 @@ from pathlib import Path
 
 from pupper_analysis.checks.attribution import align
 from pupper_analysis.checks.differences import LIMITS, OF_BODIES_AND_PLACES
-from pupper_analysis.checks.matching import match
-from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.matching.match import match
+from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.results import Result

@@ -21,9 +21,9 @@ from pupper_analysis.checks.passive.joints import (
     springs,
 )
 from pupper_analysis.checks.passive.others import equalities, flags, flexes, fluid, plugins
-from pupper_analysis.checks.passive.reference import Reference
 from pupper_analysis.checks.passive.scene import Scene
 from pupper_analysis.checks.passive.transmissions import actuators, tendons
+from pupper_analysis.matching.reference import Reference
 
 
 def extras(reference: Reference) -> list[Extra]:

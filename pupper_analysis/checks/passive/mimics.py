@@ -2,30 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import mujoco
 
 from pupper_analysis.checks.passive.extra import Extra
-from pupper_analysis.checks.passive.reference import Reference
-from pupper_analysis.models.urdf_tree import UrdfTree
-
-Mimics = Mapping[str, tuple[str, float, float]]
-"""{joint: (the joint that it follows, multiplier, offset)}: q = multiplier q_other + offset."""
+from pupper_analysis.matching.mimics import Mimics
+from pupper_analysis.matching.reference import Reference
 
 EQUALITY = mujoco.mjtEq
-
-
-def urdf_mimics(root: Any) -> dict[str, tuple[str, float, float]]:
-    """Returns the joints of a parsed URDF that follow others: their ``<mimic>``."""
-    found = {}
-    for name, joint in UrdfTree(root).joints.items():
-        mimic = joint.mimic
-        if mimic is not None and not joint.is_fixed:
-            numbers = (float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0)))
-            found[name] = (str(mimic.get("joint")), *numbers)
-    return found
 
 
 def split_mimics(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from pupper_analysis.checks.passive.reference import Reference
+from pupper_analysis.matching.reference import Reference
 from pupper_analysis.models.joint_kinds import JointKind
 
 DISABLE = mujoco.mjtDisableBit

@@ -19,9 +19,9 @@ from pupper_analysis.checks.patterns.inertials import other_inertials
 from pupper_analysis.checks.patterns.lines import other_lines
 from pupper_analysis.checks.patterns.links import other_links
 from pupper_analysis.checks.patterns.units import other_units
-from pupper_analysis.checks.tolerances import Tolerances
-from pupper_analysis.checks.trees import trees
 from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.matching.trees import trees
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot

@@ -9,8 +9,8 @@ from functools import partial
 import mujoco
 
 from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
-from pupper_analysis.checks.trees import trees
 from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.matching.trees import trees
 
 _SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.alignment import aligned
 from pupper_analysis.checks.changes import changes_between
 from pupper_analysis.checks.links import Links
-from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.matching.alignment import aligned
+from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.robot.robot import Robot
 

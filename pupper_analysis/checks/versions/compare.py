@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from pupper_analysis.arguments import checked
-from pupper_analysis.checks.alignment import aligned
 from pupper_analysis.checks.attribution import EXPLAINED
 from pupper_analysis.checks.changes import changes_between, patched_with
-from pupper_analysis.checks.conventions import convention_changes, conventions
+from pupper_analysis.checks.convention_changes import convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, Judge
-from pupper_analysis.checks.matching_structure import guess_of_trees
-from pupper_analysis.checks.tolerances import Tolerances
 from pupper_analysis.checks.versions.behaviour import Trial
 from pupper_analysis.checks.versions.places import place_in
 from pupper_analysis.checks.versions.revision import Source, opened
@@ -22,6 +19,10 @@ from pupper_analysis.checks.versions.version import Version, version_of
 from pupper_analysis.checks.words import VERSIONS
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.matching.alignment import aligned
+from pupper_analysis.matching.conventions import conventions
+from pupper_analysis.matching.structure import guess_of_trees
+from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.parameters import Parameters, renamed, with_fixed

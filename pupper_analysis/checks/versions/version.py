@@ -10,17 +10,17 @@ import mujoco
 import numpy as np
 from lxml import etree
 
-from pupper_analysis.checks.matching_mjcf import drop_other_objects, hinges, mjcf_tree, name_all
-from pupper_analysis.checks.matching_urdf import (
+from pupper_analysis.checks.passive.find import extras
+from pupper_analysis.checks.passive.scene import Scene
+from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.matching.mimics import urdf_mimics
+from pupper_analysis.matching.mjcf import drop_other_objects, hinges, mjcf_tree, name_all
+from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.urdf import (
     moving_joints,
     urdf_tree,
     without_shapes,
 )
-from pupper_analysis.checks.passive.find import extras
-from pupper_analysis.checks.passive.mimics import urdf_mimics
-from pupper_analysis.checks.passive.reference import Reference
-from pupper_analysis.checks.passive.scene import Scene
-from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import compile_spec

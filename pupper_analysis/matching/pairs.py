@@ -9,10 +9,10 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.checks.matching_names import without_affixes
-from pupper_analysis.checks.matching_structure import guess as guess_by_structure
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.matching.names import without_affixes
+from pupper_analysis.matching.structure import guess as guess_by_structure
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 

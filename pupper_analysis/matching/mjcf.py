@@ -10,10 +10,10 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from pupper_analysis.checks.alignment import with_base
-from pupper_analysis.checks.matching_names import without_affixes
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.matching.alignment import with_base
+from pupper_analysis.matching.names import without_affixes
 from pupper_analysis.models import parameters
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.free_base import delete_joint

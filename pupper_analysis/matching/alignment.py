@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.tolerances import Tolerances
+from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.parameters import Body, Joint, Parameters
 
 Array = NDArray[np.float64]

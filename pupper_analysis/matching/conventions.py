@@ -17,7 +17,8 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.alignment import (
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Vector, diagnose
+from pupper_analysis.matching.alignment import (
     aligned,
     digits,
     digits_in_all,
@@ -26,10 +27,7 @@ from pupper_analysis.checks.alignment import (
     offset_of_limits,
     with_base,
 )
-from pupper_analysis.checks.differences import Difference
-from pupper_analysis.checks.tolerances import Tolerances
-from pupper_analysis.checks.words import FORMATS, Sides, vector
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
 
@@ -294,43 +292,6 @@ def rewrite(root: etree._Element, link: str, found: Conventions, first: Paramete
                     limit.set(word, repr(float(limit.get(word, "0")) - offset))
 
 
-def convention_changes(
-    found: Conventions, first: Parameters, sides: Sides = FORMATS
-) -> Iterator[tuple[Difference, Parameters]]:
-    """Yields each convention as a difference, and the first robot without that change.
-
-    Args:
-        found: The conventions; of a fixed base that shows it, where its frame is is no difference.
-        first: The first robot, in the second's conventions.
-        sides: What the two are called.
-    """
-    if found.base is not None and (first.floating or not found.shown):
-        told = diagnose(
-            "base-frame-elsewhere",
-            subject=("body", first.base),
-            pose=pose_told(found.base),
-            floating=first.floating,
-            shown=found.shown,
-            **sides.named,
-        )
-        pose = np.array(found.base.homogeneous)
-        difference = Difference("base frame", first.base, pose, np.eye(4), "m", told, {})
-        yield difference, with_base(first, found.base.inverse())
-    for name, offset in found.zeros.items():
-        unit = "m" if first.joints[name].slides else "rad"
-        told = diagnose(
-            "joint-zero-elsewhere",
-            subject=("joint", name),
-            offset=Quantity(offset, unit),
-            more=offset > 0,
-            magnitude=Quantity(abs(offset), unit),
-            turn=None if unit == "m" else Quantity(offset, unit),
-            **sides.named,
-        )
-        difference = Difference("zero", name, offset, 0.0, unit, told, {})
-        yield difference, with_zero(first, name, -offset)
-
-
 def pose_told(pose: pin.SE3) -> Diagnostic:
     """Says where a frame is in another."""
     turn = pin.log3(pose.rotation)
@@ -338,8 +299,8 @@ def pose_told(pose: pin.SE3) -> Diagnostic:
     away = float(np.linalg.norm(pose.translation)) > 1e-9
     parts = []
     if away:
-        parts.append(diagnose("pose-at", at=vector(np.array(pose.translation), "m")))
+        parts.append(diagnose("pose-at", at=Vector.rounded(pose.translation, "m")))
     if angle > 1e-9:
-        axis = vector(turn / angle)
+        axis = Vector.rounded(turn / angle)
         parts.append(diagnose("pose-turned", angle=Quantity(angle, "rad"), axis=axis))
     return diagnose("pose", parts=parts)

@@ -12,10 +12,13 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.checks.alignment import with_base
-from pupper_analysis.checks.conventions import Conventions, conventions, pose_told, rewrite
-from pupper_analysis.checks.matching_loops import ball_joints, open_loops
-from pupper_analysis.checks.matching_mjcf import (
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.matching.alignment import with_base
+from pupper_analysis.matching.conventions import Conventions, conventions, pose_told, rewrite
+from pupper_analysis.matching.loops import ball_joints, open_loops
+from pupper_analysis.matching.mimics import Mimics, urdf_mimics
+from pupper_analysis.matching.mjcf import (
     bodies_of,
     drop_other_objects,
     hinges,
@@ -23,22 +26,19 @@ from pupper_analysis.checks.matching_mjcf import (
     mjcf_tree,
     name_all,
 )
-from pupper_analysis.checks.matching_pairs import pair_up
-from pupper_analysis.checks.matching_structure import common_frames
-from pupper_analysis.checks.matching_subtrees import removable, take_off
-from pupper_analysis.checks.matching_urdf import (
+from pupper_analysis.matching.pairs import pair_up
+from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.structure import common_frames
+from pupper_analysis.matching.subtrees import removable, take_off
+from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.matching.trees import base_pose, trees
+from pupper_analysis.matching.urdf import (
     links_of,
     moving_joints,
     strip_roots,
     take_mass_of_base,
     without_shapes,
 )
-from pupper_analysis.checks.passive.mimics import Mimics, urdf_mimics
-from pupper_analysis.checks.passive.reference import Reference
-from pupper_analysis.checks.tolerances import Tolerances
-from pupper_analysis.checks.trees import base_pose, trees
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.free_base import delete_joint, join_free_base

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from pupper_analysis.checks.matching_places import at_zero
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.matching.places import at_zero
 from pupper_analysis.models import parameters
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.places import one_line

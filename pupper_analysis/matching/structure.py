@@ -12,11 +12,11 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from pupper_analysis.checks.alignment import with_base
-from pupper_analysis.checks.conventions import quarters
-from pupper_analysis.checks.matching_mjcf import mjcf_tree
-from pupper_analysis.checks.matching_places import at_zero
-from pupper_analysis.checks.matching_urdf import urdf_tree
+from pupper_analysis.matching.alignment import with_base
+from pupper_analysis.matching.conventions import quarters
+from pupper_analysis.matching.mjcf import mjcf_tree
+from pupper_analysis.matching.places import at_zero
+from pupper_analysis.matching.urdf import urdf_tree
 from pupper_analysis.models.parameters import Parameters
 from pupper_analysis.models.urdf_tree import UrdfTree
 

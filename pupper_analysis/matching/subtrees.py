@@ -10,9 +10,9 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.checks.matching_mjcf import mjcf_tree
-from pupper_analysis.checks.matching_urdf import urdf_tree
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.matching.mjcf import mjcf_tree
+from pupper_analysis.matching.urdf import urdf_tree
 from pupper_analysis.models.free_base import delete_joint
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.urdf_tree import UrdfTree

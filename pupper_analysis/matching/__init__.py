@@ -1,0 +1,1 @@
+"""Two files, one robot: whose joint, body and frame is whose, in which conventions."""
