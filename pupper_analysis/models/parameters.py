@@ -1,8 +1,8 @@
 """The parameters of a tree of joints, as both files share them: and how those of two files differ.
 
 Fixed children are folded into the body that carries them. Frames of bodies are a matter of choice:
-two files can describe one robot with different link frames. `matching.alignment` brings the frames of
-one set to those of another.
+two files can describe one robot with different link frames. `matching.alignment` brings the frames
+of one set to those of another.
 """
 
 from __future__ import annotations
