@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.study.design import ENDS, NUMBERS, OFFSET
 from pupper_analysis.study.measures import MEASURES
@@ -218,7 +219,7 @@ def check_columns(table: pd.DataFrame, *columns: str) -> None:
     """
     for name in columns:
         if name not in table:
-            known = ", ".join(str(column) for column in table.columns)
-            raise ConfigurationError("column", f"there is no {name!r}; there are {known}")
+            told = diagnose("column-unknown", column=name, known=map(str, table.columns))
+            raise ConfigurationError("column", told)
     if table.empty:
-        raise ConfigurationError("table", "it is empty: there is nothing to draw")
+        raise ConfigurationError("table", diagnose("nothing-to-draw"))

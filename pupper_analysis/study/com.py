@@ -9,6 +9,7 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Vector, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.configuration import Configuration
@@ -98,8 +99,13 @@ def check_coms(before: Robot, after: Robot, offsets: Mapping[str, Array]) -> Non
              for joint, offset in offsets.items()), np.zeros(3),
         )  # fmt: skip
         if np.abs(new - old - asked).max() > _SAME:
-            problem = f"the com moved by {new - old} m in the {place}, not by {asked} m"
-            raise ModelError(before.description.mjcf_source, problem)
+            told = diagnose(
+                "com-moved-otherwise",
+                file=place,
+                moved=Vector(tuple(new - old), "m"),
+                asked=Vector(tuple(asked), "m"),
+            )
+            raise ModelError(before.description.mjcf_source, told)
 
 
 def _shares(robot: Robot, joint: str) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import StudyError
 from pupper_analysis.study.store import needed
 
@@ -38,7 +39,8 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[tuple[Execut
                 dashboard_address="127.0.0.1:0",
             )
     except (OSError, ValueError) as error:
-        raise StudyError(scheduler or "-", f"Dask's scheduler does not answer: {error}") from error
+        told = diagnose("scheduler-silent", problem=str(error))
+        raise StudyError(scheduler or "-", told) from error
     logger = logging.getLogger("distributed")
     before = logger.level
     logger.setLevel(logging.CRITICAL)  # what is lost is said in one line, by an error

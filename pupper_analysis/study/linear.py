@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
@@ -78,13 +79,12 @@ def torque_derivatives(
     robot.check_tree("a linear share")
     task = stand.task
     if not task.ground.level or task.com != "centre" or task.offset is not None:
-        problem = "the derivatives are those on level ground, with the com over the feet's centre"
-        raise ConfigurationError("stand", problem)
+        raise ConfigurationError("stand", diagnose("derivatives-of-level-stands"))
     config, held = Configuration(robot, stand.qpos), stand_statics(robot, stand)
     feet = list(stand.stance_feet)
     forces = np.array([held.contact_forces[foot] for foot in feet])
     if (forces @ UP <= 0).any():
-        raise ConfigurationError("stand", "a foot that carries nothing may come to carry")
+        raise ConfigurationError("stand", diagnose("unloaded-foot-may-carry"))
     centres = config.foot_positions()
     arms = np.array([held.contact_points[foot] - centres[foot] for foot in feet])
     wrenches = {
@@ -142,8 +142,7 @@ def _inertial(
         if _BASE in bodies:  # the payload is welded on when the factors have been applied
             grown.append((_BASE, -share * numbers.get("payload", 0.0), load))
     elif named is None or named.kind not in ("inertia", *AXES):  # gravity sees no inertia
-        problem = f"{name!r} has no derivative of torques; masses, coms and the payload have"
-        raise ConfigurationError("vary", problem)
+        raise ConfigurationError("vary", diagnose("no-derivative-of-torques", number=name))
     change = np.zeros((model.njoints - 1, 10))
     mass, moment = 0.0, np.zeros(3)
     if named is not None and named.kind in AXES:
@@ -223,7 +222,7 @@ def _grounded(stand: Stand, forces: Mapping[str, Array], touching: Sequence[str]
     if not stand.task.ground.level or tuple(touching) != tuple(
         foot for foot in forces if foot in stand.stance_feet
     ):
-        raise ConfigurationError("stand", "the derivatives are those of all feet on level ground")
+        raise ConfigurationError("stand", diagnose("derivatives-of-all-feet"))
     return np.array([forces[foot] for foot in stand.stance_feet])
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import Stability
@@ -306,20 +307,20 @@ def measure_of(given: str | Function) -> Measure:
         return MEASURES[given]
     function = _imported(given) if isinstance(given, str) else given
     if not callable(function):
-        raise ConfigurationError("measure", f"{given!r} is neither a name nor a function")
+        raise ConfigurationError("measure", diagnose("measure-no-function", given=repr(given)))
     try:
         inspect.signature(function).bind(None, None)
     except (TypeError, ValueError) as error:
-        problem = f"{given!r} is no function of (robot, stand): {error}"
+        problem = diagnose("measure-of-another-signature", given=repr(given), problem=str(error))
         raise ConfigurationError("measure", problem) from error
     try:
         pickle.dumps(function)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        problem = f"{given!r} cannot be sent to other processes: define it at a module's top"
+        problem = diagnose("measure-not-picklable", given=repr(given))
         raise ConfigurationError("measure", problem) from error
     name = getattr(function, "__name__", type(function).__name__)
     if name in MEASURES:
-        problem = f"the function {name!r} has the name of a measure; give it another"
+        problem = diagnose("measure-name-taken", name=name)
         raise ConfigurationError("measure", problem)
     return Measure(name, OfRobotAndStand(function), inspect.getdoc(function) or "", "")
 
@@ -334,14 +335,12 @@ def _imported(name: str) -> Function:
     """Returns the function that ``module:function`` means."""
     module, separator, attribute = name.partition(":")
     if not separator:
-        raise ConfigurationError(
-            "measure", f"there is no measure {name!r}; there are {', '.join(MEASURES)}, and "
-            "module:function"
-        )  # fmt: skip
+        raise ConfigurationError("measure", diagnose("measure-unknown", name=name, known=MEASURES))
     try:
         found: Function = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigurationError("measure", f"{name!r} cannot be imported: {error}") from error
+        told = diagnose("measure-not-importable", name=name, problem=str(error))
+        raise ConfigurationError("measure", told) from error
     return found
 
 

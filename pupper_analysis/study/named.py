@@ -9,6 +9,7 @@ from glob import escape
 
 import mujoco
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.robot import Robot
@@ -64,10 +65,9 @@ class Named:
         if not separator:
             return None
         if kind not in KINDS or not pattern:
-            raise ConfigurationError(
-                f"vary[{name!r}]", f"{kind!r} is no number of a model; there are "
-                f"{', '.join(f'{known}:NAME' for known in KINDS)}"
-            )  # fmt: skip
+            known = [f"{one}:NAME" for one in KINDS]
+            told = diagnose("no-number-of-a-model", kind=kind, known=known)
+            raise ConfigurationError(f"vary[{name!r}]", told)
         first, _, rest = pattern.partition(":")
         return Named(kind, rest or "*", each=True) if first == EACH else Named(kind, pattern)
 
@@ -116,7 +116,7 @@ def members(robot: Robot, named: Named) -> tuple[str, ...]:
         alone = [one for one in map(escape, names[joint])
                  if joints_of(robot, Named(named.kind, one)) == (joint,)]  # fmt: skip
         if not alone:
-            problem = f"no name of {names[joint][0]!r} means it alone: name bodies one by one"
+            problem = diagnose("no-name-of-its-own", body=names[joint][0])
             raise ConfigurationError(f"vary['{named.kind}:{EACH}:{named.pattern}']", problem)
         found.append(f"{named.kind}:{alone[0]}")
     return tuple(found)
@@ -135,7 +135,7 @@ def groups_of(robot: Robot, names: Iterable[str]) -> dict[str, tuple[str, ...]]:
         own = members(robot, named) if named is not None and named.each else (name,)
         twice = next((one for one in own for other in found.values() if one in other), None)
         if twice is not None:
-            raise ConfigurationError(f"vary[{name!r}]", f"{twice} varies already")
+            raise ConfigurationError(f"vary[{name!r}]", diagnose("varies-already", name=twice))
         found[name] = own
     return found
 

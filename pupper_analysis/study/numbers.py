@@ -12,6 +12,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -62,7 +63,9 @@ def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
             continue
         least = "> 0" if named.kind in (*BODIES, *SERVOS) else ">= 0"
         if not math.isfinite(factor) or factor < 0 or (factor == 0 and least == "> 0"):
-            raise ConfigurationError(name, f"a factor of {factor:g} is not {least}")
+            raise ConfigurationError(
+                name, diagnose("factor-out-of-range", factor=factor, least=least)
+            )
         if named.kind not in SERVOS:
             for joint in joints_of(robot, named):
                 own = wanted.setdefault(named.kind, {})
@@ -87,10 +90,10 @@ def _add_offsets(
     offsets: dict[str, Array], robot: Robot, name: str, named: Named, offset: float
 ) -> None:
     if not math.isfinite(offset):
-        raise ConfigurationError(name, f"an offset of {offset:g} m is none")
+        raise ConfigurationError(name, diagnose("offset-not-finite", offset=offset))
     for joint in joints_of(robot, named):
         if not joint and not robot.floating:
-            raise ConfigurationError(name, "the base is fixed: where its mass is does not matter")
+            raise ConfigurationError(name, diagnose("com-of-fixed-base"))
         offsets.setdefault(joint, np.zeros(3))[AXES.index(named.kind)] += offset
 
 
@@ -150,8 +153,7 @@ def _scale_body(body: mujoco.MjsBody, kind: str, factor: float, robot: Robot) ->
     if kind == "inertia" and list(body.geoms):
         raise ModelError(
             robot.description.mjcf_source,
-            f"body {body.name!r} has no <inertial>: its inertia follows from its geoms, and cannot "
-            "be changed alone; change its mass",
+            diagnose("inertia-follows-geoms", body=body.name),
         )
     for geom in body.geoms:
         geom.density = factor * geom.density
@@ -172,7 +174,9 @@ def _check(before: Robot, after: Robot, factors: Mapping[str, float]) -> None:
         for old, new in zip(*pairs, strict=True):
             if abs(new - factor * old) > _SAME * abs(factor * old) + 1e-15:
                 name = bodies.get(joint, before.mj_base)
-                problem = f"the mass of {name!r} became {new:g} kg of {old:g} kg, not {factor:g} x"
+                problem = diagnose(
+                    "mass-became-another", body=name, new=new, old=old, factor=factor
+                )
                 raise ModelError(before.description.mjcf_source, problem)
 
 
@@ -190,10 +194,10 @@ def with_friction(robot: Robot, friction: float) -> Robot:
         ConfigurationError: If the coefficient is negative, or a foot's contact has no friction.
     """
     if not 0 <= friction < math.inf:
-        raise ConfigurationError("friction", f"{friction:g} is no coefficient; it must be >= 0")
+        raise ConfigurationError("friction", diagnose("friction-not-valid", friction=friction))
     bare = [foot for foot, one in robot.contacts.items() if one.condim == 1]
     if bare:
-        problem = f"the contacts of {', '.join(bare)} are frictionless (condim 1) in the MJCF"
+        problem = diagnose("contacts-frictionless", feet=bare)
         raise ConfigurationError("friction", problem)
     spec = robot.description.mjcf.copy()
     spec.compile()  # numbers the geoms

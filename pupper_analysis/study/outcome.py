@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pupper_analysis.arguments import check_type
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.results import Result
 from pupper_analysis.study.cells import Cells, measures_in, span, spread_in, standing
@@ -143,7 +144,8 @@ def study_outcome(
     Store(Path(folder)).asked()  # that it is a study's folder
     table = study.table(folder)
     if table.empty:
-        raise ConfigurationError("folder", f"{folder} has no design of this study yet: run it")
+        told = diagnose("study-has-no-design", folder=str(folder))
+        raise ConfigurationError("folder", told)
     variables = tuple(study.variables)
     measures = measures_in(table, variables)
     objectives = check_objectives(study, minimise, maximise) or _better(measures)
@@ -176,13 +178,12 @@ def check_objectives(
     measured = [one.name for one in study.measures]
     for name in (*minimise, *maximise):
         if name.partition(".")[0] not in measured and name not in study.variables:
-            known = ", ".join((*measured, *study.variables))
-            raise ConfigurationError(
-                "minimise, maximise", f"the study has no {name!r}; it has {known}"
-            )
+            known = (*measured, *study.variables)
+            told = diagnose("study-has-no-such", column=name, known=known)
+            raise ConfigurationError("minimise, maximise", told)
     objectives = {**dict.fromkeys(minimise, "min"), **dict.fromkeys(maximise, "max")}
     if len(objectives) < len(minimise) + len(maximise):
-        raise ConfigurationError("minimise, maximise", "each column is to be there once")
+        raise ConfigurationError("minimise, maximise", diagnose("column-there-twice"))
     return objectives
 
 

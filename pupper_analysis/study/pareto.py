@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type, real_array
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -32,17 +33,15 @@ def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataF
         ConfigurationError: If a column is not there, or a sense is neither.
     """
     if not hasattr(table, "columns"):
-        raise ConfigurationError(
-            "table", f"{reprlib.repr(table)} is no table: read_study reads one"
-        )
+        raise ConfigurationError("table", diagnose("no-table", given=reprlib.repr(table)))
     check_type("objectives", objectives, Mapping[str, str])
     for name, sense in objectives.items():
         if name not in table or sense not in SENSES:
-            known = ", ".join(str(column) for column in table.columns)
-            problem = f"{name!r}: {sense!r} is not a column to 'min' or 'max'; there are {known}"
+            known = map(str, table.columns)
+            problem = diagnose("no-column-to-optimise", column=name, sense=sense, known=known)
             raise ConfigurationError("objectives", problem)
     if not objectives:
-        raise ConfigurationError("objectives", "there are none: say what counts")
+        raise ConfigurationError("objectives", diagnose("no-objectives"))
     whole = table.dropna(subset=list(objectives))
     columns = []
     for name, sense in objectives.items():

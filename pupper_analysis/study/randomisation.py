@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pupper_analysis.arguments import check_type
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
 from pupper_analysis.study.named import AXES, Named
@@ -66,11 +67,12 @@ def write_randomisation(
     check_type("spreads", spreads, Mapping[str, Mapping[str, Any]])
     check_type("path", path, str | Path)
     if form not in ("yaml", *_FRAMEWORKS):
-        known = ", ".join(("yaml", *_FRAMEWORKS))
-        raise ConfigurationError("form", f"{form!r} is none of {known}")
+        told = diagnose("none-of", value=form, known=("yaml", *_FRAMEWORKS))
+        raise ConfigurationError("form", told)
     for name, given in spreads.items():
         if not isinstance(given, Mapping) or len(given) != 1:
-            raise ConfigurationError("spreads", f"{name!r}: {given!r} is not {{kind: numbers}}")
+            told = diagnose("no-spread", name=name, given=repr(given))
+            raise ConfigurationError("spreads", told)
     left: tuple[str, ...] = ()
     if form == "yaml":
         lines = list(_yaml(spreads))

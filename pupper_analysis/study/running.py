@@ -25,6 +25,7 @@ from multiprocessing.process import BaseProcess
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import PupperAnalysisError, StudyError
 from pupper_analysis.study.design import Row, servo_number
 from pupper_analysis.study.store import Store, keys
@@ -147,11 +148,7 @@ class Crew:
                     begun = self._now().submit(ready)
                 begun.result()
             except BrokenExecutor as error:
-                problem = (
-                    "worker processes end as they begin. A script that runs a study needs the line "
-                    "if __name__ == '__main__': around what it runs"
-                )
-                raise StudyError("-", problem) from error
+                raise StudyError("-", diagnose("workers-end-as-they-begin")) from error
 
     def _now(self) -> Executor:
         if self._executor is None:
@@ -332,11 +329,8 @@ class Run:
                 if isinstance(error, BrokenExecutor):
                     self._lost(crew, error)
                 return
-            raise StudyError(
-                self.store.folder,
-                f"the workers are lost ({type(error).__name__}); what was done is kept: "
-                "run it again, and it goes on from there",
-            ) from error
+            told = diagnose("workers-lost", error=type(error).__name__)
+            raise StudyError(self.store.folder, told) from error
         self.progress.work += found.seconds
         self._keep(found.rows)
 
@@ -346,8 +340,7 @@ class Run:
             self._suspects.extend(_singly(chunk))
         self._flying.clear()
         if not crew.renewable:
-            problem = "its executor is broken by a worker that ended; run it again to go on"
-            raise StudyError(self.store.folder, problem) from error
+            raise StudyError(self.store.folder, diagnose("executor-broken")) from error
         crew.renew()
 
     def _blame(self, crew: Crew, chunk: Chunk, seconds: float) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.study.variables import Variable
 
@@ -44,14 +45,15 @@ class Sampling:
     def __post_init__(self) -> None:
         spread = [name for name, variable in self.variables.items() if variable.levels is None]
         if spread and self.samples is None:
-            raise ConfigurationError("samples", f"{spread[0]} is a distribution: say how many")
+            raise ConfigurationError("samples", diagnose("samples-missing", name=spread[0]))
         if not spread and self.samples is not None:
-            problem = f"all variables have lists of values: {self.product} designs, their product"
-            raise ConfigurationError("samples", f"{problem}; leave samples out")
+            told = diagnose("samples-of-lists", product=self.product)
+            raise ConfigurationError("samples", told)
         if self.samples is not None and not 1 <= self.samples <= MOST_SAMPLES:
-            raise ConfigurationError("samples", f"{self.samples} is not from 1 to {MOST_SAMPLES}")
+            told = diagnose("count-not-from-to", count=self.samples, least=1, most=MOST_SAMPLES)
+            raise ConfigurationError("samples", told)
         if not 0 <= self.seed < 2**63:
-            raise ConfigurationError("seed", f"{self.seed} is not from 0 to 2^63")
+            raise ConfigurationError("seed", diagnose("seed-out-of-range", seed=self.seed))
 
     @property
     def product(self) -> int:

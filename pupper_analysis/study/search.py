@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pupper_analysis.arguments import check_type
+from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.study.pareto import pareto_front
@@ -87,9 +88,9 @@ def optimise(
     objectives = {**dict.fromkeys(minimise, "min"), **dict.fromkeys(maximise, "max")}
     bounds = dict(subject_to or {})
     if not objectives or len(objectives) < len(minimise) + len(maximise):
-        raise ConfigurationError("minimise", "say what is to be least or greatest, each once")
+        raise ConfigurationError("minimise", diagnose("no-objective-each-once"))
     if trials < 1:
-        raise ConfigurationError("trials", f"{trials} of them; give at least 1")
+        raise ConfigurationError("trials", diagnose("too-few", count=trials))
     _check(study, (*objectives, *bounds), bounds)
     needed("optuna")
     search = _Search(study.variables, objectives, bounds, study.sampling.seed)
@@ -105,9 +106,12 @@ def optimise(
     tried = pd.concat(tables).drop_duplicates("design").reset_index(drop=True)
     kept = tried[_kept(tried, bounds)].dropna(subset=list(objectives))
     if kept.empty:
-        reasons = tried["failure"].value_counts().to_dict()
-        problem = f"none of {len(tried)} designs keeps to them; failures: {reasons or 'none'}"
-        raise ConfigurationError("subject_to", problem)
+        failures = [
+            diagnose("count-of-kind", kind=Term(str(kind)), count=count)
+            for kind, count in tried["failure"].value_counts().items()
+        ]
+        told = diagnose("none-keeps-to-bounds", designs=len(tried), failures=failures)
+        raise ConfigurationError("subject_to", told)
     return Optimum(pareto_front(kept, objectives), tried, len(kept))
 
 
@@ -115,16 +119,15 @@ def _check(study: Study, columns: Sequence[str], bounds: Mapping[str, Any]) -> N
     measured = [one.name for one in study.measures]
     for name in columns:
         if name.partition(".")[0] not in measured and name not in study.variables:
-            problem = f"the study does not measure {name!r}, but {', '.join(measured)}"
+            problem = diagnose("study-does-not-measure", column=name, known=measured)
             raise ConfigurationError("minimise, maximise, subject_to", problem)
     for name, pair in bounds.items():
         if not isinstance(pair, tuple | list) or len(pair) != 2 or pair == (None, None):
-            problem = f"{name}: {pair!r} is no pair (least, greatest), one of which may be None"
+            problem = diagnose("no-pair-of-bounds", name=name, given=repr(pair))
             raise ConfigurationError("subject_to", problem)
     for name, variable in study.variables.items():
         if isinstance(variable, Normal):
-            problem = "a normal distribution has no ends to search between; give uniform or a list"
-            raise ConfigurationError(f"vary[{name!r}]", problem)
+            raise ConfigurationError(f"vary[{name!r}]", diagnose("normal-has-no-ends"))
 
 
 def _violations(row: Mapping[str, Any], bounds: Mapping[str, Bounds]) -> list[float]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type
+from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.study.design import Maker
@@ -100,9 +101,9 @@ def sobol_indices(
     check_type("measures", measures, Sequence[str])
     check_type("samples", samples, int)
     if samples < 2 or samples & (samples - 1):
-        raise ConfigurationError("samples", f"{samples} is no power of 2, as the scheme needs")
+        raise ConfigurationError("samples", diagnose("no-power-of-2", count=samples))
     if not study.variables:
-        raise ConfigurationError("vary", "nothing varies")
+        raise ConfigurationError("vary", diagnose("nothing-varies"))
     needed("SALib")
     from SALib.analyze import sobol as analysis
     from SALib.sample import sobol as scheme
@@ -119,16 +120,19 @@ def sobol_indices(
     found = {}
     for measure in measures:
         if measure not in table:
-            raise ConfigurationError("measures", f"{measure!r} is none of {list(table.columns)}")
+            told = diagnose("none-of", value=measure, known=table.columns)
+            raise ConfigurationError("measures", told)
         values = table[measure].to_numpy(float)[order]
         lost = int((~np.isfinite(values)).sum())
         if lost:
-            reasons = ", ".join(map(str, table["failure"].dropna().unique()))
-            raise ConfigurationError(
-                "vary",
-                f"{lost} of {len(values)} designs have no {measure} ({reasons}); narrow the "
-                "spreads: indices need all of the scheme's designs",
+            told = diagnose(
+                "designs-without-measure",
+                lost=lost,
+                designs=len(values),
+                measure=measure,
+                reasons=[Term(str(kind)) for kind in table["failure"].dropna().unique()],
             )
+            raise ConfigurationError("vary", told)
         index = analysis.analyze(problem, values, calc_second_order=False, seed=seed)
         found[measure] = SobolIndices(
             measure,
@@ -167,7 +171,8 @@ def linear_shares(study: Study, measures: Sequence[str]) -> dict[str, LinearShar
     known = (*AT_REST, *(f"torque.{joint}" for joint in joints))
     unknown = next((name for name in measures if name not in known), None)
     if unknown is not None:
-        raise ConfigurationError("measures", f"{unknown!r} is none of {', '.join(known)}")
+        told = diagnose("none-of", value=unknown, known=known)
+        raise ConfigurationError("measures", told)
     slopes: dict[str, dict[str, float]] = {}
     if any(name in AT_REST for name in measures):
         rest = sag_derivatives(maker, means, varied)

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.spec_state import state_of
@@ -67,13 +68,11 @@ class Pair:
         known = ("urdf", "mjcf", "feet", "name", "joints", "keyframe", "packages")
         unknown = [name for name in options if name not in known]
         if unknown or not {"urdf", "mjcf"} <= set(options):
-            problem = (
-                f"{dict(options)!r}: give urdf and mjcf, and if need be {', '.join(known[2:])}"
-            )
+            problem = diagnose("no-pair-of-files", given=repr(dict(options)), known=known[2:])
             raise ConfigurationError("robot", problem)
         robot = load_robot(**options)
         if not robot.floating or not robot.feet:
-            raise ConfigurationError("robot", f"{robot.name} has no feet to stand on")
+            raise ConfigurationError("robot", diagnose("no-feet-to-stand-on", robot=robot.name))
         paths = {name: str(Path(options[name]).absolute()) for name in ("urdf", "mjcf")}
         bare = rebuilt(robot, mjcf=plain(robot.description).mjcf)
         return Pair({**options, **paths}, bare)

@@ -14,6 +14,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import MissingPackageError, OutputError, StudyError
 from pupper_analysis.files import whole_file
 from pupper_analysis.study.design import ENDS, Row
@@ -70,7 +71,7 @@ class Store:
             StudyError: If another run holds it.
             OutputError: If the folder cannot be written to.
         """
-        busy = "another run is writing to it; wait for its end, or take another folder"
+        busy = diagnose("study-is-running")
         try:
             self.shards.mkdir(parents=True, exist_ok=True)
             place = str(self.folder.resolve())
@@ -117,13 +118,12 @@ class Store:
         try:
             found: dict[str, Any] = orjson.loads(path.read_bytes())
         except FileNotFoundError as error:
-            problem = "there is no study.json: it is no study's folder, or nothing has run yet"
-            raise StudyError(self.folder, problem) from error
+            raise StudyError(self.folder, diagnose("no-study-here")) from error
         except (OSError, ValueError) as error:
-            raise StudyError(self.folder, f"study.json cannot be read: {error}") from error
+            told = diagnose("study-not-readable", problem=str(error))
+            raise StudyError(self.folder, told) from error
         if not isinstance(found, dict) or found.get("format") != FORMAT:
-            problem = f"its format is not {FORMAT}: another version of pupper-analysis wrote it"
-            raise StudyError(self.folder, problem)
+            raise StudyError(self.folder, diagnose("study-of-another-format", format=FORMAT))
         return found
 
     def write(self, rows: Sequence[Row]) -> None:
@@ -183,8 +183,8 @@ class Store:
                 # Into memory: a mapped file would be held open.
                 yield pq.read_table(path, columns=columns, memory_map=False)
             except (OSError, pa.ArrowException) as error:
-                problem = f"{path.name} is damaged ({error}); delete it: its designs are run again"
-                raise StudyError(self.folder, problem) from error
+                told = diagnose("shard-damaged", file=path.name, problem=str(error))
+                raise StudyError(self.folder, told) from error
 
 
 def keys(designs: Sequence[str]) -> NDArray[np.uint64]:

@@ -19,6 +19,7 @@ import orjson
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type, finite
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.payload import point_on_base
 from pupper_analysis.robot.robot import Robot
@@ -120,13 +121,14 @@ class Study:
         self.point = tuple(point_on_base(payload_point).tolist())
         self.time_limit = None if time_limit is None else finite("time_limit", time_limit)
         if self.time_limit is not None and self.time_limit <= 0:
-            raise ConfigurationError("time_limit", f"{self.time_limit:g} s is not above 0")
+            told = diagnose("time-limit-not-positive", limit=self.time_limit)
+            raise ConfigurationError("time_limit", told)
         if not self.measures:
-            raise ConfigurationError("measure", "it is empty: there is nothing to measure")
+            raise ConfigurationError("measure", diagnose("nothing-to-measure"))
         named = [one.name for one in self.measures]
         twice = next((name for name in named if named.count(name) > 1), None)
         if twice is not None:
-            raise ConfigurationError("measure", f"{twice!r} is there twice")
+            raise ConfigurationError("measure", diagnose("there-twice", name=twice))
 
     def _source(self, robot: Any) -> Source:
         """Returns the source of a robot that is given in one of several ways."""
@@ -135,8 +137,7 @@ class Study:
         if hasattr(robot, "robot") and hasattr(robot, "scales"):
             source: Source = robot
             return source
-        problem = f"{robot!r} is neither {{'urdf': ..., 'mjcf': ...}} nor a source of robots"
-        raise ConfigurationError("robot", problem)
+        raise ConfigurationError("robot", diagnose("no-source-of-robots", given=repr(robot)))
 
     @property
     def spreads(self) -> dict[str, dict[str, Any]]:
@@ -146,7 +147,7 @@ class Study:
     def _check_variables(self) -> None:
         offset = next((name for name in ("offset_x", "offset_y") if name in self.variables), None)
         if offset is not None and self.task.com not in (None, "centre"):
-            raise ConfigurationError(f"vary[{offset!r}]", "give an offset, or a com, not both")
+            raise ConfigurationError(f"vary[{offset!r}]", diagnose("offset-or-com"))
         for name, one in self.variables.items():
             check_range(name, *one.range)
             named = Named.of(name)
@@ -248,18 +249,20 @@ class Study:
         """
         unknown = [key for key in given if key not in KEYS]
         if unknown:
-            raise ConfigurationError(unknown[0], f"a study has {', '.join(KEYS)}")
+            raise ConfigurationError(unknown[0], diagnose("study-key-unknown", known=KEYS))
         for key in ("robot", "vary", "measure"):
             if key not in given:
-                raise ConfigurationError(key, "a study must say it")
+                raise ConfigurationError(key, diagnose("study-must-say"))
         options = dict(given)
         stand = options.pop("stand", {})
         check_type("stand", stand, Mapping[str, Any])
         try:
             task = StandTask(**_tuples(stand))
         except TypeError as error:
-            known = ", ".join(field.name for field in fields(StandTask))
-            raise ConfigurationError("stand", f"a stance has {known}") from error
+            told = diagnose(
+                "stance-field-unknown", known=[field.name for field in fields(StandTask)]
+            )
+            raise ConfigurationError("stand", told) from error
         return cls(
             options.pop("robot"), options.pop("vary"), options.pop("measure"), stand=task, **options
         )
@@ -280,7 +283,8 @@ class Study:
         try:
             given = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise ConfigurationError(str(path), f"cannot be read: {error}") from error
+            told = diagnose("not-readable", problem=str(error))
+            raise ConfigurationError(str(path), told) from error
         robot = given.get("robot")
         if isinstance(robot, dict):
             for name in ("urdf", "mjcf"):
@@ -353,7 +357,7 @@ class Study:
         check_type("executor", executor, Executor | None)
         check_type("workers", workers, int | None)
         if workers is not None and workers < 1:
-            raise ConfigurationError("workers", f"{workers} of them; give at least 1")
+            raise ConfigurationError("workers", diagnose("too-few", count=workers))
         needed("pyarrow")
         store = Store(Path(folder))
         with store.locked():

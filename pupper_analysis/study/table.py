@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StudyError
 from pupper_analysis.study.design import ENDS
 from pupper_analysis.study.sampling import Sampling
@@ -73,9 +74,10 @@ def read_study(folder: str | Path, *, everything: bool = False) -> pd.DataFrame:
         check_type("seed", study["seed"], int)
         sampling = Sampling(variables, study.get("samples"), study["seed"])
     except (AttributeError, KeyError, TypeError, ValueError, ConfigurationError) as error:
-        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-        problem = f"study.json does not say what was asked ({what}); run the study again"
-        raise StudyError(folder, problem) from error
+        what = getattr(error, "diagnostic", str(error))
+        if isinstance(error, KeyError):
+            what = diagnose("key-missing", key=str(error))
+        raise StudyError(folder, diagnose("study-does-not-say", what=what)) from error
     order: dict[str, int] = {}
     for block in sampling.blocks():
         for name in names_of(digest, tuple(variables), block):

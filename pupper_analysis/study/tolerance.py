@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type, finite
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.study.running import Progress
@@ -58,7 +59,7 @@ def chance(there: int, designs: int) -> Chance:
         designs: Of how many.
     """
     if designs < 1:
-        raise ConfigurationError("table", "it has no designs")
+        raise ConfigurationError("table", diagnose("table-without-designs"))
     share, z = there / designs, _Z**2 / designs
     middle = (share + z / 2) / (1 + z)
     half = math.sqrt(share * (1 - share) * z + z**2 / 4) / (1 + z)
@@ -96,13 +97,10 @@ def certainty(table: pd.DataFrame) -> Certainty:
         ConfigurationError: If a measure is missing, or there are no designs.
     """
     if not hasattr(table, "columns"):
-        raise ConfigurationError(
-            "table", f"{reprlib.repr(table)} is no table: read_study reads one"
-        )
+        raise ConfigurationError("table", diagnose("no-table", given=reprlib.repr(table)))
     joints = [str(name) for name in table.columns if str(name).startswith("utilisation.")]
     if "stands" not in table or not joints:
-        problem = f"it lacks some of {', '.join(NEEDED)}: let the study measure them"
-        raise ConfigurationError("table", problem)
+        raise ConfigurationError("table", diagnose("table-lacks-measures", needed=NEEDED))
     count = len(table)
     up = table["stands"].fillna(0.0).to_numpy(float) > 0
     under = table[joints].to_numpy(float) < 1  # not of a design that has no stand
@@ -159,8 +157,8 @@ def _good(
     good = np.ones(len(table), dtype=bool)
     for name, (low, high) in criteria.items():
         if name not in table:
-            known = ", ".join(str(column) for column in table.columns)
-            raise ConfigurationError("criteria", f"the study measures no {name!r}; it has {known}")
+            told = diagnose("study-measures-no", column=name, known=map(str, table.columns))
+            raise ConfigurationError("criteria", told)
         values = table[name].to_numpy(float)  # not a number is not in any range
         bounds = (-math.inf if low is None else low), (math.inf if high is None else high)
         good &= (values >= bounds[0]) & (values <= bounds[1])
@@ -239,13 +237,15 @@ def tightest_tolerance(
     check_type("criteria", criteria, Mapping[str, Any] | None)
     most = finite("widest", widest)
     if not 0 < goal < 1 or not 0 < least < 1:
-        raise ConfigurationError("wanted", "wanted and resolution are between 0 and 1")
+        raise ConfigurationError("wanted", diagnose("not-between-0-and-1"))
     if most < 1:
-        raise ConfigurationError("widest", f"{most:g} is below 1, the study's own spreads")
+        raise ConfigurationError("widest", diagnose("widest-below-1", widest=most))
     samples = study.sampling.samples or 0
     if samples * (1 - goal) < 1:
-        problem = f"{samples} cannot tell {goal:g}; take {math.ceil(1 / (1 - goal))} or more"
-        raise ConfigurationError("samples", problem)
+        few = diagnose(
+            "samples-cannot-tell", samples=samples, wanted=goal, least=math.ceil(1 / (1 - goal))
+        )
+        raise ConfigurationError("samples", few)
     tried: dict[float, Chance] = {}
 
     def measured(one: Study) -> pd.DataFrame:
@@ -260,8 +260,8 @@ def tightest_tolerance(
     if sure(most):
         low = most
     elif not sure(least):
-        problem = f"with {least:g} of its spreads {tried[least].probability:.1%} stand"
-        raise ConfigurationError("vary", f"{problem}: it is the means that do not do")
+        share = Quantity(tried[least].probability, "1")
+        raise ConfigurationError("vary", diagnose("means-do-not-do", scale=least, share=share))
     else:
         low = least
         while high - low > least:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type, finite
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError
 
 Array = NDArray[np.float64]
@@ -160,7 +161,9 @@ def linspace(low: float, high: float, count: int) -> Linspace:
     first, last = _ordered("linspace", low, high)
     check_type("count", count, int)
     if not 2 <= count <= MOST_LEVELS:
-        problem = f"{count} values between {first:g} and {last:g}; give 2 to {MOST_LEVELS}"
+        problem = diagnose(
+            "levels-out-of-range", count=count, low=first, high=last, most=MOST_LEVELS
+        )
         raise ConfigurationError("linspace", problem)
     return Linspace(tuple(np.linspace(first, last, int(count)).tolist()))
 
@@ -174,9 +177,10 @@ def values(numbers: Sequence[float]) -> Values:
     check_type("values", numbers, Sequence[float])
     listed = tuple(finite("values", value) for value in numbers)
     if not 1 <= len(listed) <= MOST_LEVELS:
-        raise ConfigurationError("values", f"{len(listed)} of them; give 1 to {MOST_LEVELS}")
+        told = diagnose("values-out-of-range", count=len(listed), most=MOST_LEVELS)
+        raise ConfigurationError("values", told)
     if len(set(listed)) < len(listed):
-        raise ConfigurationError("values", f"one is there twice: {list(listed)}")
+        raise ConfigurationError("values", diagnose("value-there-twice", listed=str(list(listed))))
     return Values(listed)
 
 
@@ -197,7 +201,7 @@ def log_uniform(low: float, high: float) -> LogUniform:
     """
     first, last = _ordered("log_uniform", low, high)
     if first <= 0:
-        raise ConfigurationError("log_uniform", f"{first:g} is not above 0, as a logarithm needs")
+        raise ConfigurationError("log_uniform", diagnose("logarithm-of-negative", low=first))
     return LogUniform(first, last)
 
 
@@ -209,7 +213,7 @@ def normal(mean: float, deviation: float) -> Normal:
     """
     spread = finite("normal", deviation)
     if spread <= 0:
-        raise ConfigurationError("normal", f"a standard deviation of {spread:g} is not above 0")
+        raise ConfigurationError("normal", diagnose("deviation-not-positive", deviation=spread))
     return Normal(finite("normal", mean), spread)
 
 
@@ -241,31 +245,27 @@ def variable(name: str, given: object) -> Variable:
             if kind == "grid":
                 raise ConfigurationError("grid", _ambiguous(numbers))
             if kind not in KINDS or not isinstance(numbers, Sequence) or isinstance(numbers, str):
-                known = ", ".join(KINDS)
-                raise ConfigurationError("kind", f"{dict(given)!r} is not {{kind: [numbers]}}, "
-                                         f"with one of the kinds {known}")  # fmt: skip
+                told = diagnose("no-kind-of-variable", given=repr(dict(given)), known=KINDS)
+                raise ConfigurationError("kind", told)
             return KINDS[kind](*numbers)
         if isinstance(given, Sequence | np.ndarray):
             return values(given)  # type: ignore[arg-type]
         return values([given])  # type: ignore[list-item]
     except ConfigurationError as error:
-        raise ConfigurationError(f"vary[{name!r}]", str(error)) from error
+        raise ConfigurationError(f"vary[{name!r}]", error.diagnostic) from error
     except TypeError as error:
-        problem = f"{given!r}: linspace takes low, high, count; a distribution two numbers"
+        problem = diagnose("numbers-of-variable", given=repr(given))
         raise ConfigurationError(f"vary[{name!r}]", problem) from error
 
 
-def _ambiguous(numbers: Any) -> str:
+def _ambiguous(numbers: Any) -> Diagnostic:
     """Returns what the two things are that ``grid`` could mean."""
     listed = ", ".join(map(str, numbers)) if isinstance(numbers, list | tuple) else str(numbers)
-    return (
-        f"[{listed}] may be values, or a range and a count: write {{values = [{listed}]}} for "
-        f"these, or {{linspace = [{listed}]}} for low, high and how many, evenly spaced"
-    )
+    return diagnose("grid-is-ambiguous", listed=listed)
 
 
 def _ordered(name: str, low: float, high: float) -> tuple[float, float]:
     first, last = finite(name, low), finite(name, high)
     if not first < last:
-        raise ConfigurationError(name, f"the range from {first:g} to {last:g} is empty")
+        raise ConfigurationError(name, diagnose("interval-empty", low=first, high=last))
     return first, last

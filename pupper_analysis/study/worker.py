@@ -16,6 +16,7 @@ from functools import lru_cache
 from importlib import metadata
 from multiprocessing import parent_process
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import StudyError
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.design import Maker, Row, row_of
@@ -103,9 +104,12 @@ class _Ready(threading.local):
             other = {name: own.get(name, "none") for name, version in work.versions.items()
                      if own.get(name) != version}  # fmt: skip
             if other:
-                told = ", ".join(f"{n} {v} (here {work.versions[n]})" for n, v in other.items())
-                problem = f"a worker has other versions, and would have other results: {told}"
-                raise StudyError(platform.node(), f"{problem}; install the same there")
+                told = [
+                    diagnose("version-there", package=name, there=one, here=work.versions[name])
+                    for name, one in other.items()
+                ]
+                problem = diagnose("worker-of-other-versions", versions=told)
+                raise StudyError(platform.node(), problem)
             maker = Maker(work.source, work.task, work.point)
             self.made[pickled] = work, maker, tuple(map(measure_of, work.measures))
         return self.made[pickled]
