@@ -26,6 +26,7 @@ from pupper_analysis.report.figures.ground import ground_corners, step_corners
 from pupper_analysis.report.figures.pose import pose_figure
 from pupper_analysis.report.figures.skeleton import hull_corners, nearest_edge_point, skeleton
 from pupper_analysis.report.plots import Axis, Bar, BarPlot
+from pupper_analysis.report.scene import standing
 
 NAMES = ("original", "v3")
 
@@ -176,7 +177,7 @@ def test_pose_figure_draws_slopes_steps_and_lifted_feet(monkeypatch: pytest.Monk
     ground = pa.Ground(slope=0.15, uphill=0.8, heights={"FR": 0.02})
     task = pa.StandTask(ground=ground, swing={"RL": 0.02}, com="inside", com_margin=0.01)
     stand = pa.solve_stand(robot, task)
-    plane, (step,) = ground_corners(stand), step_corners(stand)
+    plane, (step,) = ground_corners(stand), step_corners(standing(robot, stand, None))
     for corner in plane:
         assert corner @ ground.normal() == pytest.approx(0, abs=1e-12)
     feet = np.array(list(stand.foot_targets.values()))

@@ -48,6 +48,7 @@ from pupper_analysis.report.documents.fields import chinese_meanings, meanings
 from pupper_analysis.report.html import library, plots, scene, write
 from pupper_analysis.report.html.scene import scene_of
 from pupper_analysis.report.plots import Axis, LinePlot, Series
+from pupper_analysis.report.scene import coarser, shapes_of, standing
 from pupper_analysis.results import Result
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.push import PushRecovery
@@ -644,9 +645,35 @@ def test_forces_masses_and_com_are_in_the_view() -> None:
     assert drawn["joints"][1]["motion"] == "roll"
     polygon = np.array(drawn["polygon"])
     points = np.array([contact["point"] for contact in drawn["contacts"]])
-    assert polygon.min(axis=0) == pytest.approx(points[:, :2].min(axis=0), abs=1e-5)
+    assert polygon[:, :2].min(axis=0) == pytest.approx(points[:, :2].min(axis=0), abs=1e-5)
+    assert not polygon[:, 2].any()  # on the ground, whatever feet sink in
     shapes = {geom["shape"] for geom in drawn["geoms"]}
     assert "mesh" in shapes  # what is seen, not what collides
+
+
+def test_com_steps_and_polygon_are_where_they_are_on_a_slope_with_a_step_and_a_pit() -> None:
+    """All lie on the ground or on its steps; the com's plumb line meets the polygon's plane."""
+    robot = load("v3")
+    ground = pa.Ground(slope=0.1, uphill=0.7, heights={"FR": 0.02, "RL": -0.01})
+    stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
+    seen = standing(robot, stand, None)
+    assert not seen.contacts
+    assert {one.foot: one.height for one in seen.steps} == dict(ground.heights)
+    touched = np.array([stand.contact_points[foot] for foot in ("FL", "FR", "RL", "RR")])
+    for corner in seen.polygon:
+        assert np.linalg.norm(touched - corner, axis=1).min() < 1e-9
+    assert seen.middle @ ground.normal() == pytest.approx(0, abs=1e-12)
+    assert seen.com == pytest.approx(pa.Configuration(robot, stand.qpos).center_of_mass())
+    assert seen.below[:2] == pytest.approx(seen.com[:2])
+    low, high = touched[:, 2].min(), touched[:, 2].max()
+    assert low < seen.below[2] < high
+    drawn = drawn_of(StandScene(robot, stand))
+    assert [one["pit"] for one in drawn["steps"]] == [False, True]
+    assert drawn["polygon"] == [pytest.approx(corner, abs=1e-5) for corner in seen.polygon]
+    for joint in seen.joints:
+        config = pa.Configuration(robot, stand.qpos)
+        assert joint.place == pytest.approx(config.joint_position(joint.name))
+        assert joint.torque is None
 
 
 def decoded(mesh: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
@@ -664,18 +691,21 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[ty
 def test_meshes_keep_their_size() -> None:
     """The torso's volume by the file's triangles is that of what the page has."""
     model = load("v3").mj_model
-    for mesh in range(model.nmesh):
+    shapes, whole_scene = shapes_of(model, int(model.mesh_facenum.sum()))
+    coarse = shapes_of(model, int(0.3 * sum(len(one.faces) for one in whole_scene.values())))[1]
+    assert {shape.mesh for shape in shapes} - {None} == set(whole_scene)
+    for mesh in whole_scene:
         first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
         start, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
         whole = volume(
             np.asarray(model.mesh_vert[first : first + count], float),
             model.mesh_face[start : start + faces],
         )
-        vertices, triangles = decoded(scene._mesh(model, mesh, 1.0))
+        vertices, triangles = decoded(scene._mesh(whole_scene[mesh]))
         assert len(triangles) == faces
         assert volume(vertices, triangles) == pytest.approx(whole, rel=2e-3)
         low, high = vertices.min(axis=0), vertices.max(axis=0)
-        vertices, triangles = decoded(scene._mesh(model, mesh, 0.3))
+        vertices, triangles = decoded(scene._mesh(coarse[mesh]))
         assert 0.1 * faces < len(triangles) <= 0.3 * faces
         cell = float((high - low).max()) / 10
         assert vertices.min(axis=0) == pytest.approx(low, abs=cell)
@@ -696,7 +726,7 @@ def test_a_coarser_sphere_is_a_sphere() -> None:
     a, b, c = (places[faces.simplices[:, index]] for index in range(3))
     inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0
     triangles = np.where(inwards[:, None], faces.simplices[:, ::-1], faces.simplices)
-    vertices, fewer = scene.coarser(places, triangles.astype(np.int64), 16)
+    vertices, fewer = coarser(places, triangles.astype(np.int64), 16)
     assert len(fewer) < 0.6 * len(triangles)
     assert np.linalg.norm(vertices, axis=1) == pytest.approx(np.ones(len(vertices)), abs=0.03)
     assert volume(vertices, fewer) == pytest.approx(4 / 3 * np.pi, rel=0.05)

@@ -23,14 +23,9 @@ UNLIMITED: Colour = (150, 150, 150)
 """Of a motor without a limit."""
 
 
-def colour_of(utilisation: float, limit: float) -> Colour:
-    """Returns the colour of a motor's utilisation.
-
-    Args:
-        utilisation: In parts of the limit.
-        limit: N m; not finite, or 0, where there is none.
-    """
-    if not math.isfinite(limit) or limit <= 0 or not math.isfinite(utilisation):
+def colour_of(utilisation: float | None) -> Colour:
+    """Returns the colour of a motor's utilisation, in parts of its limit; None without a limit."""
+    if utilisation is None or not math.isfinite(utilisation):
         return UNLIMITED
     if utilisation > 1.0:
         return BEYOND

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -15,11 +15,10 @@ from pupper_analysis.live.colour import colour_of
 from pupper_analysis.live.model import Answer
 from pupper_analysis.live.shapes import Colour, Part, parts_of
 from pupper_analysis.report.formats import visible
-from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.report.scene import Contact, Standing, standing
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
-from pupper_analysis.statics.support_polygon import support_polygon
 
 Array = NDArray[np.float64]
 
@@ -31,9 +30,6 @@ OUTSIDE: Colour = (200, 30, 40)
 LOAD: Colour = (90, 60, 140)
 STONE: Colour = (190, 194, 200)
 PIT: Colour = (120, 126, 134)
-
-_STEP = 0.45
-"""Side of a step under a foot, in parts of the stand's height."""
 
 _CORNERS = 24
 """Corners of a support polygon as it is drawn, the last one repeated: so that its size stays."""
@@ -144,12 +140,13 @@ class Scene:
         self.hide("ghost")
         self._figure("stand").pose(stand.qpos)
         self._figure("stand").show(True)
-        self._steps(stand)
-        self._support(answer, stand)
-        self._com(answer, stand)
+        seen = standing(robot, stand, answer.statics)
+        self._steps(seen)
+        self._support(seen, held=answer.statics is not None and seen.inside)
+        self._com(seen)
         self._load(answer, stand)
-        self._torques(answer, stand)
-        self._forces(answer)
+        self._torques(seen)
+        self._forces(seen)
 
     def ghost(self, robot: Robot, stand: Stand | None) -> None:
         """Shows a stance as a ghost: one that is not what was asked for."""
@@ -239,37 +236,23 @@ class Scene:
         grid.wxyz = quaternion(turn)
         grid.position = -1e-3 * turn[:, 2]  # beneath what lies on it
 
-    def _steps(self, stand: Stand) -> None:
+    def _steps(self, seen: Standing) -> None:
         """Draws the steps under the feet that stand on some: as high as each, or as deep."""
-        ground = stand.task.ground
-        assert self._robot is not None
-        turn, side, thin = ground.rotation(), _STEP * self._size, 4e-3 * self._size
         for name in [name for name in self._nodes if name.startswith("steps/")]:
             self._nodes[name].visible = False
-        for number, (foot, height) in enumerate(ground.heights.items()):
-            points = [stand.contact_points[p] for p in self._robot.points_of(foot)
-                      if p in stand.contact_points]  # fmt: skip
-            if not height or not points:
-                continue
+        out, thin = seen.ground.normal(), 2e-3 * self._size
+        for number, step in enumerate(seen.steps):
             # A pit is a dark square on the ground, which nobody can look through.
-            thick = max(height, thin)
-            top = np.mean(points, axis=0) - (min(height, 0.0) - thin) * turn[:, 2] * (height < 0)
-            size = side, side, thick
-            box = self._node(f"steps/{number}", "add_box", dimensions=size)
-            box.dimensions, box.color = size, STONE if height > 0 else PIT
-            box.wxyz, box.position = quaternion(turn), top - 0.5 * thick * turn[:, 2]
+            pit = step.height < 0
+            half = np.array([*step.half[:2], thin]) if pit else step.half
+            rise = float(out @ step.centre) if pit else 0.0
+            box = self._node(f"steps/{number}", "add_box", dimensions=tuple(2 * half))
+            box.dimensions, box.color = tuple(2 * half), PIT if pit else STONE
+            box.wxyz, box.position = seen.turn, step.centre - rise * out
 
-    def _support(self, answer: Answer, stand: Stand) -> None:
-        ground = stand.task.ground
-        contacts = np.array(list(stand.contact_points.values()))
-        corners = support_polygon(contacts)
-        rise = 0.005 * self._size
-        points = np.array([[x, y, ground.height((x, y)) + rise] for x, y in corners])
-        if any(ground.heights.values()):  # feet on steps: each corner is as high as its foot's
-            away = np.linalg.norm(contacts[:, None, :2] - corners, axis=-1)
-            points[:, 2] = contacts[np.argmin(away, axis=0), 2] + rise
+    def _support(self, seen: Standing, *, held: bool) -> None:
+        points = seen.polygon + np.array([0.0, 0.0, 0.005 * self._size])
         padded = np.concatenate([points, np.tile(points[-1], (_CORNERS, 1))])[:_CORNERS]
-        held = answer.statics is not None and stand.com_margin >= 0
         fan = [(0, n, n + 1) for n in range(1, _CORNERS - 1)]
         area = self._node(
             "support",
@@ -285,27 +268,17 @@ class Scene:
         area.vertices = padded
         area.color = INSIDE if held else OUTSIDE
 
-    def _com(self, answer: Answer, stand: Stand) -> None:
-        if answer.statics is not None:
-            com = answer.statics.center_of_mass
-        else:
-            assert answer.robot is not None
-            com = Configuration(answer.robot, stand.qpos).center_of_mass()
-        foot = np.array([com[0], com[1], stand.task.ground.height(com)])
-        colour = INSIDE if stand.com_margin >= 0 else OUTSIDE
-        for name, place, size in (("com", com, 0.075), ("beneath", foot, 0.05)):
+    def _com(self, seen: Standing) -> None:
+        colour = INSIDE if seen.inside else OUTSIDE
+        for name, place, size in (("com", seen.com, 0.075), ("beneath", seen.below, 0.05)):
             ball = self._node(name, "add_icosphere", size * self._size, colour, cast_shadow=False)
             ball.position = place
             ball.color = colour
+        ends = np.array([[seen.com, seen.below]])
         line = self._node(
-            "plumb",
-            "add_line_segments",
-            np.array([[com, foot]]),
-            colour,
-            thickness=2.0,
-            thickness_units="screen",
+            "plumb", "add_line_segments", ends, colour, thickness=2.0, thickness_units="screen"
         )
-        line.points = np.array([[com, foot]])
+        line.points = ends
         line.colors = np.array(colour, dtype=np.uint8)
 
     def _load(self, answer: Answer, stand: Stand) -> None:
@@ -317,40 +290,28 @@ class Scene:
         turn = rotation_from_quaternion(stand.qpos[3:7])
         ball.position = stand.qpos[:3] + turn @ np.array(answer.state.payload_point())
 
-    def _torques(self, answer: Answer, stand: Stand) -> None:
+    def _torques(self, seen: Standing) -> None:
         """Colours the joints; names the one whose motor works hardest, or all."""
-        robot, statics = answer.robot, answer.statics
-        assert robot is not None
-        if statics is None:
-            for node in (*self._joints.values(), *self._labels.values()):
-                node.visible = False
-            return
-        config = Configuration(robot, stand.qpos)
-        shares = np.nan_to_num(statics.motor_utilisation, nan=0.0, posinf=0.0)
-        hardest = int(np.argmax(shares if shares.any() else np.abs(statics.joint_torques)))
-        for number, (name, limit) in enumerate(
-            zip(robot.joint_names, robot.effort_limits, strict=True)
-        ):
-            share = float(statics.motor_utilisation[number])
-            place = config.joint_position(name)
-            disc, label = self._joints[name], self._labels[name]
-            disc.visible = True
-            disc.color = colour_of(share, float(limit))
-            disc.position, disc.wxyz = place, along(config.joint_axis(name))
-            label.visible = self.joint_labels or number == hardest
+        hardest = max(seen.joints, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
+        for one in seen.joints:
+            disc, label = self._joints[one.name], self._labels[one.name]
+            disc.visible = one.torque is not None
+            label.visible = disc.visible and (self.joint_labels or one is hardest)
+            if one.torque is None:
+                continue
+            disc.color = colour_of(one.share)
+            disc.position, disc.wxyz = one.place, along(one.direction)
             if label.visible:
-                label.text = joint_text(name, float(statics.joint_torques[number]), share, limit)
-                label.position = place + np.array([0.0, 0.0, 0.2 * self._size])
+                label.text = joint_text(one.name, one.torque, one.share)
+                label.position = one.place + np.array([0.0, 0.0, 0.2 * self._size])
 
-    def _forces(self, answer: Answer) -> None:
-        robot, statics = answer.robot, answer.statics
-        if statics is None or not statics.foot_loads:
+    def _forces(self, seen: Standing) -> None:
+        if not seen.contacts:
             if "forces" in self._nodes:
                 self._nodes["forces"].visible = False
             return
-        assert robot is not None
-        arrows = force_arrows(robot, {f: (v.centre_of_pressure, v.force)
-                                      for f, v in statics.foot_loads.items()})  # fmt: skip
+        assert self._robot is not None
+        arrows = force_arrows(self._robot, seen.contacts)
         node = self._node(
             "forces",
             "add_arrows",
@@ -363,21 +324,16 @@ class Scene:
         node.points = arrows
 
 
-def force_arrows(robot: Robot, loads: Mapping[str, tuple[Array, Array]]) -> Array:
-    """Returns contact forces as arrows (n, 2, 3): from the ground up (m).
-
-    Args:
-        robot: The robot.
-        loads: {foot: where (3,) (m), and which force (3,) (N)}.
-    """
+def force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
+    """Returns contact forces as arrows (n, 2, 3): from the ground up (m)."""
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     scale = _ARROW * robot.stand_height / weight
-    return np.array([[place, place + scale * force] for place, force in loads.values()])
+    return np.array([[one.point, one.point + scale * one.force] for one in contacts])
 
 
-def joint_text(name: str, torque: float, share: float, limit: float) -> str:
+def joint_text(name: str, torque: float, share: float | None) -> str:
     """Returns what stands at a joint: its name, torque (N m) and utilisation."""
-    used = f", {100 * share:.0f} %" if math.isfinite(limit) and limit > 0 else ""
+    used = "" if share is None else f", {100 * share:.0f} %"
     return f"{visible(name)}: {torque:+.3f} N m{used}"
 
 

@@ -196,7 +196,7 @@ def _torques(say: Language, answer: Answer, statics: GravityCompensation) -> str
     ):
         limited = math.isfinite(limit) and limit > 0
         width = min(1.0, share) * 4.5 if limited else 0.0
-        colour = css(colour_of(share, limit))
+        colour = css(colour_of(share if limited else None))
         bar = f'<span class="bar" style="width:{width:.2f}em;background:{colour}"></span>'
         used = f"{100 * share:.1f} %" if limited else "-"
         body.append(

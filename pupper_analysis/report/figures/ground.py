@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.report.figures.skeleton import BOX_FACES
 
 if TYPE_CHECKING:
+    from pupper_analysis.report.scene import Standing
     from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
@@ -32,25 +33,23 @@ def ground_corners(stand: Stand) -> Array:
     return np.array([[x, y, ground.height((x, y))] for x, y in around])
 
 
-def step_corners(stand: Stand) -> list[Array]:
+def step_corners(seen: Standing) -> list[Array]:
     """Returns the corners (8, 3) of each step's box (m), in the order of ``BOX_FACES``."""
-    ground, boxes = stand.task.ground, []
-    for centre, half in ground.steps(stand.foot_targets).values():
-        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        boxes.append(centre + (corners * half) @ ground.rotation().T)
-    return boxes
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    turn = seen.ground.rotation()
+    return [step.centre + (signs * step.half) @ turn.T for step in seen.steps]
 
 
-def draw_ground(axes: Any, stand: Stand) -> None:
+def draw_ground(axes: Any, stand: Stand, seen: Standing) -> None:
     """Draws the plane, where it is no level one, and the steps on it (mm)."""
-    if stand.task.ground.slope:
+    if seen.ground.slope:
         corners = [1e3 * ground_corners(stand)]
         axes.add_collection3d(
             Poly3DCollection(
                 corners, facecolor=_PLANE, alpha=0.8, edgecolor=_EDGE, lw=0.8, zorder=0
             )
         )
-    for box in step_corners(stand):
+    for box in step_corners(seen):
         faces = [1e3 * box[list(face)] for face in BOX_FACES]
         axes.add_collection3d(
             Poly3DCollection(faces, facecolor=_STEP, alpha=0.8, edgecolor=_EDGE, lw=0.7, zorder=0.5)

@@ -28,6 +28,7 @@ from pupper_analysis.report.figures.skeleton import (
     nearest_edge_point,
     skeleton,
 )
+from pupper_analysis.report.scene import Standing, standing
 from pupper_analysis.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -75,12 +76,12 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     Raises:
         OutputError: If the file cannot be written.
     """
-    lines = skeleton(robot, stand.qpos)
+    lines, seen = skeleton(robot, stand.qpos), standing(robot, stand, statics)
     figure = style.page_figure(f"{robot.name}: how it stands", 0.6 * style.WIDTH)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; the contact forces that last"
     figure.text(0.012, 0.925, textwrap.fill(text, 120), size=style.FONT, va="top")
-    _draw_in_space(figure, lines, stand, statics)
-    _draw_from_above(figure, lines, stand, statics)
+    _draw_in_space(figure, lines, stand, seen)
+    _draw_from_above(figure, lines, stand, seen, statics)
     handles: list[Line2D | Patch] = [
         Line2D(
             [], [], color=_NEAR, lw=3, marker="o", mfc="white", mec=style.BLACK, ms=4, label="leg"
@@ -97,19 +98,20 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     style.save(figure, path)
 
 
-def _draw_in_space(
-    figure: Figure, lines: Skeleton, stand: Stand, statics: GravityCompensation
-) -> None:
+def _draw_in_space(figure: Figure, lines: Skeleton, stand: Stand, seen: Standing) -> None:
     # mpl_toolkits has no type information.
     axes: Any = figure.add_axes((-0.03, 0.165, 0.74, 0.76), projection="3d", computed_zorder=False)
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
     axes.set_proj_type("ortho")
-    draw_ground(axes, stand)
-    polygon = hull_corners(statics.contact_points.values())
-    ground = 1e3 * np.column_stack([polygon, _heights_below(statics, polygon)])
+    draw_ground(axes, stand, seen)
     axes.add_collection3d(
         Poly3DCollection(
-            [ground], facecolor=_SUPPORT, alpha=0.6, edgecolor=style.BLUE, lw=1.2, zorder=1
+            [1e3 * seen.polygon],
+            facecolor=_SUPPORT,
+            alpha=0.6,
+            edgecolor=style.BLUE,
+            lw=1.2,
+            zorder=1,
         )
     )
     hips = 1e3 * np.array([leg[0] for leg in lines.legs.values()])
@@ -125,7 +127,7 @@ def _draw_in_space(
             x[:-1], y[:-1], z[:-1], "o", color="white", mec=style.BLACK, mew=0.8, ms=4, zorder=order
         )
         mark = _SWING if foot in stand.task.swing else {"color": style.BLACK, "marker": "o"}
-        axes.plot(x[-1:], y[-1:], z[-1:], **mark, ms=7 * _small(statics), zorder=order)
+        axes.plot(x[-1:], y[-1:], z[-1:], **mark, ms=7 * _small(seen), zorder=order)
     for arm in lines.arms:
         axes.plot(*(1e3 * arm.T), color=_FAR, lw=2.5, solid_capstyle="round", zorder=2)
     for box in lines.boxes:
@@ -135,39 +137,30 @@ def _draw_in_space(
         )
     around = hips[np.argsort(np.arctan2(*(hips - hips.mean(axis=0))[:, :2].T))]
     axes.plot(*np.concatenate([around, around[:1]]).T, color=_BASE_EDGE, lw=2.2, zorder=3)
-    com = 1e3 * statics.center_of_mass
-    below = 1e3 * _heights_below(statics, statics.center_of_mass[np.newaxis, :2])
-    ends = np.array([com, [*com[:2], below[0]]])
-    axes.plot(*ends.T, color=style.GREEN, ls="--", lw=1.2, zorder=6)
+    com, below = 1e3 * seen.com, 1e3 * seen.below
+    axes.plot(*np.array([com, below]).T, color=style.GREEN, ls="--", lw=1.2, zorder=6)
     axes.plot(com[:1], com[1:2], com[2:], **_COM, zorder=6)
-    axes.plot(com[:1], com[1:2], below, **_PROJECTION, zorder=6)
-    _draw_forces(axes, lines, statics, polygon)
+    axes.plot(below[:1], below[1:2], below[2:], **_PROJECTION, zorder=6)
+    _draw_forces(axes, lines, seen)
 
 
-def _draw_forces(axes: Any, lines: Skeleton, statics: GravityCompensation, polygon: Array) -> None:
-    """Draws the contact forces as arrows that end at the feet, after the axes are fitted.
-
-    Args:
-        axes: In space (mm).
-        lines: The robot.
-        statics: What it takes.
-        polygon: The support polygon (n, 2), whose size the arrows have (m).
-    """
-    forces = {foot: load.force for foot, load in statics.foot_loads.items()}
-    tips = {foot: load.centre_of_pressure for foot, load in statics.foot_loads.items()}
+def _draw_forces(axes: Any, lines: Skeleton, seen: Standing) -> None:
+    """Draws the contact forces as arrows that end at the feet, after the axes (mm) are fitted."""
+    forces = {one.foot: one.force for one in seen.contacts}
+    tips = {one.foot: one.point for one in seen.contacts}
     largest = max(float(np.linalg.norm(force)) for force in forces.values())
-    scale = _ARROW * float(np.ptp(polygon, axis=0).max()) / largest
+    scale = _ARROW * float(np.ptp(seen.polygon[:, :2], axis=0).max()) / largest
     tails = {foot: tips[foot] - scale * force for foot, force in forces.items()}
     _fit(axes, 1e3 * np.concatenate([lines.points(), list(tails.values())]))
     # In the projection that the axes have now: an arrow's head in space would be seen askew.
     projection = axes.get_proj()
-    seen = {
+    drawn = {
         foot: [proj_transform(*(1e3 * end), projection)[:2] for end in (tails[foot], tips[foot])]
         for foot in forces
     }
-    aside = _aside(axes, {foot: tail for foot, (tail, _) in seen.items()})
+    aside = _aside(axes, {foot: tail for foot, (tail, _) in drawn.items()})
     for foot, force in forces.items():
-        tail, tip = seen[foot]
+        tail, tip = drawn[foot]
         axes.annotate(
             f"{foot}\n{np.linalg.norm(force):.2f} N",
             tail,
@@ -217,18 +210,9 @@ def _aside(axes: Any, labels: Mapping[str, tuple[float, float]]) -> dict[str, fl
     return {foot: 72 / style.DPI * by for foot, by in moved.items()}
 
 
-def _small(statics: GravityCompensation) -> float:
+def _small(seen: Standing) -> float:
     """Returns the size of a foot's mark: smaller where feet have several contact points."""
-    return 1.0 if len(statics.foot_loads) == len(statics.contact_points) else 0.45
-
-
-def _heights_below(statics: GravityCompensation, places: Array) -> Array:
-    """Returns z (n,) of the plane through the contact points at places (n, 2) (m)."""
-    points = np.array(list(statics.contact_points.values()))
-    known = np.column_stack([points[:, :2], np.ones(len(points))])
-    plane = np.linalg.lstsq(known, points[:, 2], rcond=None)[0]
-    heights: Array = places @ plane[:2] + plane[2]
-    return heights
+    return 1.0 if len(seen.contacts) == len(seen.points) else 0.45
 
 
 def _fit(axes: Any, shown: Array) -> None:
@@ -252,12 +236,11 @@ def _fit(axes: Any, shown: Array) -> None:
 
 
 def _draw_from_above(
-    figure: Figure, lines: Skeleton, stand: Stand, statics: GravityCompensation
+    figure: Figure, lines: Skeleton, stand: Stand, seen: Standing, statics: GravityCompensation
 ) -> None:
     axes = figure.add_axes((0.735, 0.17, 0.255, 0.66))
     style.title_panel(axes, "from above")
-    points = {foot: 1e3 * point[:2] for foot, point in statics.contact_points.items()}
-    polygon = 1e3 * hull_corners(statics.contact_points.values())
+    points, polygon = 1e3 * seen.points[:, :2], 1e3 * seen.polygon[:, :2]
     # Forward is up and left is left: y is drawn to the left, x upwards.
     axes.add_patch(
         Polygon(polygon[:, ::-1], fc=_SUPPORT, ec=style.BLUE, hatch="//", lw=1.2, zorder=1)
@@ -269,18 +252,18 @@ def _draw_from_above(
         axes.plot(
             1e3 * leg[:, 1], 1e3 * leg[:, 0], color=_FAR, lw=3, solid_capstyle="round", zorder=2
         )
-    for box in step_corners(stand):
+    for box in step_corners(seen):
         outline = 1e3 * hull_corners(box)
         axes.plot(outline[:, 1], outline[:, 0], color=_FAR, lw=1.0, ls="--", zorder=1.5)
     for foot in stand.task.swing:
         for point in stand.foot_targets if foot not in stand.foot_targets else (foot,):
             x, y = 1e3 * stand.foot_targets[point][:2]
-            axes.plot(y, x, **_SWING, ms=6 * _small(statics), zorder=3)
-    middle = np.mean(list(points.values()), axis=0)
-    for x, y in points.values():
-        axes.plot(y, x, "o", color=style.BLACK, ms=6 * _small(statics), zorder=3)
-    for foot, load in statics.foot_loads.items():
-        x, y = 1e3 * load.centre_of_pressure[:2]
+            axes.plot(y, x, **_SWING, ms=6 * _small(seen), zorder=3)
+    middle = points.mean(axis=0)
+    for x, y in points:
+        axes.plot(y, x, "o", color=style.BLACK, ms=6 * _small(seen), zorder=3)
+    for contact in seen.contacts:
+        foot, (x, y) = contact.foot, 1e3 * contact.point[:2]
         left = y > middle[1]
         axes.annotate(
             foot if len(foot) <= _LONGEST else f"{foot[: _LONGEST - 1]}…",
@@ -292,7 +275,7 @@ def _draw_from_above(
             va="center",
             parse_math=False,
         )
-    _draw_margin(axes, statics, polygon)
+    _draw_margin(axes, seen, statics.com_margin)
     shown = 1e3 * lines.points()
     axes.set_aspect("equal")
     room = float(np.ptp(shown, axis=0).max()) / 300
@@ -304,16 +287,17 @@ def _draw_from_above(
     axes.set_ylabel("x, forward (mm)", size=style.FONT)
 
 
-def _draw_margin(axes: Axes, statics: GravityCompensation, polygon: Array) -> None:
-    """Draws the com from above, and how far it is from the edge of the support polygon (mm)."""
-    com = 1e3 * statics.center_of_mass[:2]
+def _draw_margin(axes: Axes, seen: Standing, margin: float | None) -> None:
+    """Draws the com from above (mm), and its margin (m) to the edge of the support polygon."""
+    com = 1e3 * seen.com[:2]
     axes.plot(com[1], com[0], **_PROJECTION, zorder=5)
-    if statics.com_margin is not None:
-        edge = nearest_edge_point(polygon, com)
+    if margin is not None:
+        ring = np.concatenate([seen.polygon, seen.polygon[:1]])[:, :2]
+        edge = nearest_edge_point(1e3 * ring, com)
         axes.plot((com[1], edge[1]), (com[0], edge[0]), color=style.GREEN, lw=1.6, zorder=4)
         axes.plot(edge[1], edge[0], "o", color=style.GREEN, ms=4, zorder=4)
         axes.annotate(
-            f"margin {1e3 * statics.com_margin:.1f} mm",
+            f"margin {1e3 * margin:.1f} mm",
             (com[1], com[0]),
             (0, 8),
             textcoords="offset points",

@@ -216,14 +216,20 @@
     }
 
     addSupport() {
-      const { polygon, ground, normal, com, size } = this.data;
-      const height = (x, y) =>
-        ground[2] - (normal[0] * (x - ground[0]) + normal[1] * (y - ground[1])) / normal[2];
+      const { polygon, ground, normal, com, below, size } = this.data;
       const floor = new THREE.GridHelper(4 * size, 20, color("--line"), color("--line"));
       floor.position.set(ground[0], ground[1], ground[2] - 0.002 * size);
       floor.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), vector(normal).normalize());
       this.scene.add(floor);
-      const ring = polygon.map(([x, y]) => new THREE.Vector3(x, y, height(x, y) + 0.001 * size));
+      for (const { centre, half, quat, pit } of this.data.steps) {
+        const [x, y, z] = half.map((side) => 2 * side);
+        const box = new THREE.Mesh(new THREE.BoxGeometry(x, y, z), new THREE.MeshStandardMaterial({
+          color: color("--line"), transparent: pit, opacity: pit ? 0.4 : 1 }));
+        box.position.set(...centre);
+        box.quaternion.copy(quaternion(quat));
+        this.scene.add(box);
+      }
+      const ring = polygon.map(([x, y, z]) => new THREE.Vector3(x, y, z + 0.001 * size));
       if (ring.length > 1) {
         const line = new THREE.BufferGeometry().setFromPoints([...ring, ring[0]]);
         this.put("support", new THREE.Line(line, new THREE.LineBasicMaterial({ color: color("--c1") })));
@@ -236,7 +242,7 @@
       }
       if (!com) return;
       const drop = new THREE.BufferGeometry().setFromPoints(
-        [vector(com), new THREE.Vector3(com[0], com[1], height(com[0], com[1]))]);
+        [vector(com), vector(below)]);
       const dashed = new THREE.Line(drop, new THREE.LineBasicMaterial({ color: color("--ink"), depthTest: false }));
       dashed.renderOrder = 4;
       this.put("support", dashed);

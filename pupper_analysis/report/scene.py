@@ -1,0 +1,336 @@
+"""What is seen of a robot that stands: shapes, joints, contact forces, com, polygon, ground.
+
+Made once, and drawn by each in its own way: the page's viewer (``html/scene``), the live page
+(``live/scene``) and the figures of poses (``figures/pose``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.ground import Ground
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.stand import Stand
+from pupper_analysis.statics.equilibrium import GravityCompensation
+from pupper_analysis.statics.support_polygon import support_polygon
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+KINDS = {
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): "ellipsoid",
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
+    int(mujoco.mjtGeom.mjGEOM_BOX): "box",
+    int(mujoco.mjtGeom.mjGEOM_MESH): "mesh",
+}
+
+SHOWN_GROUPS = 3
+"""MuJoCo's viewer shows the geoms of groups 0 to 2, and keeps the others for collisions."""
+
+_COARSEST = 512  # cells along a mesh's longest side at first, when it is made coarser
+_FEWEST = 100  # triangles of a mesh, however many the robot has
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A geom that is shown.
+
+    Attributes:
+        kind: Of ``KINDS``.
+        body: The number of its body in MuJoCo's model.
+        size: (3,) MuJoCo's ``geom_size`` (m).
+        position: (3,) in the body's frame (m).
+        quaternion: (4,) w, x, y, z in the body's frame.
+        colour: (4,) red, green, blue and opacity, 0 to 1.
+        mesh: The number of its mesh in MuJoCo's model; None if it is none.
+    """
+
+    kind: str
+    body: int
+    size: Array
+    position: Array
+    quaternion: Array
+    colour: Array
+    mesh: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A mesh's triangles.
+
+    Attributes:
+        vertices: (n, 3) in the shape's frame (m).
+        faces: (m, 3) numbers of vertices.
+    """
+
+    vertices: Array
+    faces: Integers
+
+
+@dataclass(frozen=True, eq=False)
+class JointAxis:
+    """A joint, and what its motor holds.
+
+    Attributes:
+        name: Its name.
+        body: The number of the body that it moves.
+        anchor: (3,) on its axis, in the body's frame (m).
+        axis: (3,) in the body's frame.
+        place: (3,) on its axis, in the world (m).
+        direction: (3,) its axis in the world.
+        position: Where it is (rad, m).
+        torque: What its motor holds (N m, N); None where that is not shown.
+        limit: Of that; None where there is none.
+        share: The torque in parts of the limit; None as both of them.
+    """
+
+    name: str
+    body: int
+    anchor: Array
+    axis: Array
+    place: Array
+    direction: Array
+    position: float
+    torque: float | None
+    limit: float | None
+    share: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """A foot's contact force.
+
+    Attributes:
+        foot: Its name.
+        point: (3,) the centre of pressure (m).
+        force: (3,) on the foot, in the world (N).
+    """
+
+    foot: str
+    point: Array
+    force: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A step under a foot, as it is put into MuJoCo's model.
+
+    Attributes:
+        foot: The foot's name.
+        height: Above the plane of the ground (m); negative for a pit.
+        centre: (3,) of its box, which has the ground's axes (m); that of a pit ends at its bottom.
+        half: (3,) half of the box's sides (m).
+    """
+
+    foot: str
+    height: float
+    centre: Array
+    half: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """What acts on a robot that stands, and what it stands on. In the world.
+
+    Attributes:
+        ground: The plane, through the origin.
+        points: (n, 3) where the feet touch it or their steps, which are no softer than rock (m).
+        polygon: (m, 3) the support polygon's corners, each as high as the point that it is (m).
+        steps: Under the feet.
+        com: (3,) the centre of mass (m).
+        below: (3,) where its plumb line meets the plane through the points (m).
+        inside: Whether that is inside of the polygon.
+        joints: In actuator order.
+        contacts: The forces; empty where they are not shown.
+    """
+
+    ground: Ground
+    points: Array
+    polygon: Array
+    steps: tuple[Step, ...]
+    com: Array
+    below: Array
+    inside: bool
+    joints: tuple[JointAxis, ...]
+    contacts: tuple[Contact, ...]
+
+    @property
+    def middle(self) -> Array:
+        """Where the ground's plane is in the middle of the feet (3,) (m)."""
+        x, y = self.points[:, :2].mean(axis=0)
+        return np.array([x, y, self.ground.height((x, y))])
+
+    @property
+    def turn(self) -> Array:
+        """The quaternion (w, x, y, z) that takes the level to the ground's plane."""
+        found = np.zeros(4)
+        mujoco.mju_mat2Quat(found, self.ground.rotation().ravel())
+        return found
+
+
+def standing(robot: Robot, stand: Stand, statics: GravityCompensation | None) -> Standing:
+    """Returns what is seen of a robot that stands, but for its shapes.
+
+    Args:
+        robot: The robot.
+        stand: How it stands.
+        statics: What holds it; without it, neither forces nor torques are shown.
+    """
+    config = Configuration(robot, stand.qpos)
+    com = config.center_of_mass() if statics is None else statics.center_of_mass
+    ground = stand.task.ground
+    points = _touched(robot, stand)
+    steps = ground.steps(stand.foot_targets)
+    return Standing(
+        ground=ground,
+        points=points,
+        polygon=_polygon(points),
+        steps=tuple(Step(foot, ground.heights[foot], *box) for foot, box in steps.items()),
+        com=com,
+        below=np.array([com[0], com[1], height_at(points, com)]),
+        inside=stand.com_margin >= 0,
+        joints=tuple(_joints(config, stand, statics)),
+        contacts=tuple(
+            Contact(foot, load.centre_of_pressure, load.force)
+            for foot, load in (statics.foot_loads if statics else {}).items()
+        ),
+    )
+
+
+def height_at(points: Array, place: Array) -> float:
+    """Returns z of the plane through points (n, 3) at a place (2,) (m); of few, the least one."""
+    known = np.column_stack([points[:, :2], np.ones(len(points))])
+    plane = np.linalg.lstsq(known, points[:, 2], rcond=None)[0]
+    return float(plane @ (place[0], place[1], 1.0))
+
+
+def _touched(robot: Robot, stand: Stand) -> Array:
+    """Returns where the feet touch the ground or their steps (n, 3) (m)."""
+    feet = {point: foot for foot in robot.soles for point in robot.points_of(foot)}
+    return np.array(
+        [
+            [*place[:2], stand.task.ground.height(place, feet.get(point))]
+            for point, place in stand.contact_points.items()
+        ]
+    )
+
+
+def _polygon(points: Array) -> Array:
+    """Returns the support polygon's corners (m, 3), each as high as the point that it is (m)."""
+    wide = np.linalg.matrix_rank(points[1:, :2] - points[0, :2]) > 1  # not all in a line
+    corners = support_polygon(points) if wide else points[:, :2]
+    away = np.linalg.norm(points[:, None, :2] - corners, axis=-1)
+    return np.column_stack([corners, points[np.argmin(away, axis=0), 2]])
+
+
+def _joints(
+    config: Configuration, stand: Stand, statics: GravityCompensation | None
+) -> list[JointAxis]:
+    robot = config.robot
+    model, positions = robot.mj_model, stand.joint_positions(robot)
+    found = []
+    for index, name in enumerate(robot.joint_names):
+        joint = model.joint(name).id
+        limit = float(robot.effort_limits[index])
+        limited = bool(np.isfinite(limit)) and limit > 0
+        found.append(
+            JointAxis(
+                name=name,
+                body=int(model.jnt_bodyid[joint]),
+                anchor=model.jnt_pos[joint],
+                axis=model.jnt_axis[joint],
+                place=config.joint_position(name),
+                direction=config.joint_axis(name),
+                position=float(positions[index]),
+                torque=None if statics is None else float(statics.joint_torques[index]),
+                limit=limit if np.isfinite(limit) else None,
+                share=float(statics.motor_utilisation[index]) if statics and limited else None,
+            )
+        )
+    return found
+
+
+def shapes_of(model: mujoco.MjModel, most_faces: int) -> tuple[list[Shape], dict[int, Mesh]]:
+    """Returns the robot's shapes, and the meshes that they have.
+
+    Args:
+        model: MuJoCo's model of the robot.
+        most_faces: Triangles of all meshes together: finer ones are made coarser.
+    """
+    seen = shown_geoms(model)
+    shapes = []
+    for geom in seen:
+        kind, material = KINDS[int(model.geom_type[geom])], int(model.geom_matid[geom])
+        shapes.append(
+            Shape(
+                kind=kind,
+                body=int(model.geom_bodyid[geom]),
+                size=model.geom_size[geom],
+                position=model.geom_pos[geom],
+                quaternion=model.geom_quat[geom],
+                colour=model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom],
+                mesh=int(model.geom_dataid[geom]) if kind == "mesh" else None,
+            )
+        )
+    numbers = sorted({shape.mesh for shape in shapes if shape.mesh is not None})
+    total = sum(int(model.mesh_facenum[mesh]) for mesh in numbers)
+    share = min(1.0, most_faces / max(total, 1))
+    return shapes, {mesh: _mesh(model, mesh, share) for mesh in numbers}
+
+
+def shown_geoms(model: mujoco.MjModel) -> list[int]:
+    """Returns the robot's shapes that are shown: those that MuJoCo's viewer shows, or else all."""
+    own = [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] and int(model.geom_type[geom]) in KINDS
+    ]
+    return [geom for geom in own if model.geom_group[geom] < SHOWN_GROUPS] or own
+
+
+def _mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
+    """Returns a mesh with about ``share`` of its faces."""
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    start, number = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    vertices = np.asarray(model.mesh_vert[first : first + count], dtype=float)
+    faces = np.asarray(model.mesh_face[start : start + number], dtype=np.int64)
+    wanted, cells = max(int(share * number), _FEWEST), _COARSEST
+    while len(faces) > wanted and cells > 4:
+        vertices, faces = coarser(vertices, faces, cells)
+        cells = int(0.75 * cells)
+    return Mesh(vertices, faces)
+
+
+def coarser(vertices: Array, triangles: Integers, cells: int) -> tuple[Array, Integers]:
+    """Returns a mesh whose vertices within a cell of a grid are one.
+
+    Args:
+        vertices: (n, 3) (m).
+        triangles: (m, 3) their vertices.
+        cells: How many of them the longest side of the mesh's box has.
+
+    Returns:
+        Vertices, each the mean of those in a cell, and the triangles that have not collapsed.
+
+    Source: Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex scenes",
+    1993: vertex clustering.
+    """
+    low = vertices.min(axis=0)
+    size = float(np.ptp(vertices, axis=0).max()) / cells
+    keys = np.floor((vertices - low) / size).astype(np.int64)
+    _, cell = np.unique(keys, axis=0, return_inverse=True)
+    cell = cell.ravel()
+    count = np.bincount(cell)
+    merged = np.column_stack([np.bincount(cell, vertices[:, axis]) / count for axis in range(3)])
+    moved = cell[triangles]
+    whole = (
+        (moved[:, 0] != moved[:, 1]) & (moved[:, 1] != moved[:, 2]) & (moved[:, 2] != moved[:, 0])
+    )
+    return merged, moved[whole]
