@@ -234,9 +234,9 @@ def _list_rules() -> None:
 
 def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str]:
     """Returns {name in the URDF: name in the MJCF} of --map and --map-file."""
-    from pupper_analysis.checks import matching
+    from pupper_analysis.matching.match import read_mapping
 
-    names = matching.read_mapping(map_file) if map_file is not None else {}
+    names = read_mapping(map_file) if map_file is not None else {}
     for text in pairs:
         old, new = shared.assignment("map", text)
         if names.setdefault(old, new) != new:
