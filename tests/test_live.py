@@ -40,12 +40,12 @@ RICH = State(
     yaw=4.1,
     place="inside",
     com_margin=5.0,
-    moves={"FR": (10.0, -5.5)},
+    foot_offsets={"FR": (10.0, -5.5)},
     joint_margin=2.0,
     ground_clearance=20.0,
     self_clearance=1.0,
-    lifts={"RL": 15.0},
-    steps={"FL": 6.0, "RR": -3.5},
+    swing={"RL": 15.0},
+    heights={"FL": 6.0, "RR": -3.5},
     slope=4.0,
     uphill=-30.0,
     payload=0.3,
@@ -68,7 +68,9 @@ def test_a_state_is_what_it_says() -> None:
     assert parse(str(RICH)) == RICH
     assert str(State()) == ""
     assert parse("") == State()
-    odd = State(lifts={"a,b;c:d&e=f%": 2.0}, steps={"<i>": -1.0}, moves={"ö <b>": (1.0, 2.0)})
+    odd = State(
+        swing={"a,b;c:d&e=f%": 2.0}, heights={"<i>": -1.0}, foot_offsets={"ö <b>": (1.0, 2.0)}
+    )
     assert parse(str(odd)) == odd
     assert set(str(odd)) <= set("abcdefghijklmnopqrstuvwxyz:;,%_0123456789ABCDEF.-")
 
@@ -84,9 +86,9 @@ numbers = st.floats(-1e4, 1e4)
         roll=numbers,
         place=st.sampled_from(["centre", "inside", "offset"]),
         offset=st.tuples(numbers, numbers),
-        moves=st.dictionaries(st.text(min_size=1), st.tuples(numbers, numbers), max_size=3),
-        lifts=st.dictionaries(st.text(min_size=1), numbers, max_size=3),
-        steps=st.dictionaries(st.text(min_size=1), numbers, max_size=3),
+        foot_offsets=st.dictionaries(st.text(min_size=1), st.tuples(numbers, numbers), max_size=3),
+        swing=st.dictionaries(st.text(min_size=1), numbers, max_size=3),
+        heights=st.dictionaries(st.text(min_size=1), numbers, max_size=3),
         payload_at=st.tuples(numbers, numbers, numbers),
         kp=st.none() | numbers,
     )
@@ -202,7 +204,7 @@ def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
     [
         (State(height=-5.0), pa.ConfigurationError),
         (State(roll=1e9), pa.ConfigurationError),
-        (State(lifts={"tail": 20.0}), pa.UnknownNameError),
+        (State(swing={"tail": 20.0}), pa.UnknownNameError),
         (State(payload=-1.0), pa.ConfigurationError),
         (State(leg_scale=0.0), pa.VariantError),
         (State(place="offset", offset=(90.0, 0.0), height=90.0), pa.PupperAnalysisError),
@@ -265,7 +267,7 @@ SOURCES: dict[str, Callable[[Path], Variants | Pair]] = {
 @pytest.mark.parametrize("kind", SOURCES)
 def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
     source = SOURCES[kind](tmp_path)
-    state = RICH if kind == "variant" else replace(RICH, leg_scale=None, torso_mass_scale=None)
+    state = RICH if kind == "variant" else RICH.having(leg_scale=None, torso_mass_scale=None)
     found = Model(source).answer(state)
     qpos, torques = outcome(found)
     script = export.python(source, state)
@@ -302,7 +304,7 @@ def test_the_usual_state_is_exported_in_few_words() -> None:
     assert export.command(source, State(torso_mass_scale=1.0)) == "pupper-analysis stand v3"
     turned = State(pitch=-5.0, slope=3.0, height=150.0, com_margin=7.0)
     assert export.command(source, turned).split()[3:] == [
-        "--height=0.15", "--pitch=-5deg", "--com-margin=0.007", "--slope=3deg",
+        "--height=0.15", "--pitch=-5deg", "--slope=3deg", "--com-margin=0.007",
     ]  # fmt: skip
 
 
@@ -311,7 +313,7 @@ def test_links_and_commands_lead_back() -> None:
     words = shlex.split(export.live_command(Variants(pa.VARIANTS["v3"]), RICH))
     assert parse(words[words.index("--state") + 1]) == RICH
     assert "&" not in export.link("127.0.0.1:80", RICH)
-    assert "#" not in export.link("127.0.0.1:80", replace(RICH, lifts={"a#b": 3.0}))
+    assert "#" not in export.link("127.0.0.1:80", RICH.having(swing={"a#b": 3.0}))
 
 
 def test_commands_take_a_payload(tmp_path: Path) -> None:

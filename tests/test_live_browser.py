@@ -297,7 +297,7 @@ def test_two_browsers_play_on_their_own(
 
 @pytest.mark.slow
 def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) -> None:  # noqa: F811
-    state = State(height=122.0, lifts={"FL": 20.0}, place="inside", com_margin=5.0, payload=0.4)
+    state = State(height=122.0, swing={"FL": 20.0}, place="inside", com_margin=5.0, payload=0.4)
     address = served.address.removeprefix("http://").removesuffix("/")
     one = Opened(browser, link(address, state))
     robot = pa.with_payload(load("v3"), 0.4)

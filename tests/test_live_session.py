@@ -252,7 +252,7 @@ HAN = re.compile("[\u4e00-\u9fff]")
 
 
 def test_a_page_goes_on_in_another_language(page: Open) -> None:
-    state = State(roll=35.0, lifts={"FL": 10.0}, steps={"RR": 4.0})
+    state = State(roll=35.0, swing={"FL": 10.0}, heights={"RR": 4.0})
     page.ask(state)
     wait_for(lambda: "In the way" in page.numbers, "it is not explained")
     page.session._panels._feedforward.value = True
@@ -298,16 +298,16 @@ def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
     for foot, height in (("FL", 12.0), ("RR", 30.0)):
         by_hand(controls.foot, foot)
         assert not controls.lifted.value
-        by_hand(controls.sliders["lift_height"], height)
+        by_hand(controls.sliders["lift"], height)
         assert controls.lifted.value
     by_hand(controls.foot, "FR")
     by_hand(controls.sliders["step"], 15.0)
-    assert controls.state == State(lifts={"FL": 12.0, "RR": 30.0}, steps={"FR": 15.0})
+    assert controls.state == State(swing={"FL": 12.0, "RR": 30.0}, heights={"FR": 15.0})
     by_hand(controls.foot, "FL")
-    assert controls.sliders["lift_height"].value == 12.0
+    assert controls.sliders["lift"].value == 12.0
     assert controls.sliders["step"].value == 0.0
     by_hand(controls.lifted, False)
-    assert controls.state == State(lifts={"RR": 30.0}, steps={"FR": 15.0})
+    assert controls.state == State(swing={"RR": 30.0}, heights={"FR": 15.0})
     wait_for(lambda: "in balance" in page.numbers and page.settled(), "not shown")
     stand = pa.sunk_stand(load("v3"), controls.state.task())
     for torque in pa.stand_statics(load("v3"), stand).joint_torques:
@@ -330,7 +330,7 @@ def test_what_does_not_stand_is_not_simulated_nor_saved(page: Open) -> None:
 
 def test_a_typed_state_is_taken_or_refused(page: Open) -> None:
     page.session.go_to("roll:3;move:FL,5,0")
-    state = State(roll=3.0, moves={"FL": (5.0, 0.0)})
+    state = State(roll=3.0, foot_offsets={"FL": (5.0, 0.0)})
     wait_for(lambda: page.shows(state), "it is not taken")
     assert page.controls.foot.value == "FL"  # the sliders are those of the foot that is moved
     assert page.controls.sliders["move_x"].value == 5.0

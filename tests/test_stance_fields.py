@@ -1,19 +1,25 @@
-"""The table of what can be asked of a stand: each field checks, is said, is typed."""
+"""The table of what can be asked of a stand: each field is in all that asks for it."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
+import shlex
 from dataclasses import fields
 from typing import Any
 
 import click
 import pytest
+from conftest import load
 
 import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.cli.stance_fields import TYPED, task_of
+from pupper_analysis.live import export
+from pupper_analysis.live.sliders import CONTROLS, ranges_of
+from pupper_analysis.live.state import State, halfway, parse
+from pupper_analysis.pupper.live import Variants
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.results import to_json
 from pupper_analysis.stance.fields import FIELDS, Field
@@ -25,6 +31,20 @@ def asked(field: Field) -> Any:
     """A value of a field that is not the usual one."""
     one = (0.0123, -0.0345) if field.axes or field.choices else NUMBERS[field.kind]
     return {"FL": one} if field.per_foot else one
+
+
+def numbers_of(value: Any) -> Any:
+    """A value as what ``approx`` compares: of feet, that of the one there is."""
+    if isinstance(value, dict):
+        ((foot, one),) = value.items()
+        assert foot == "FL"
+        return pytest.approx(one, rel=1e-12)
+    return pytest.approx(value, rel=1e-12)
+
+
+def near(found: Any, expected: Any) -> bool:
+    one = found["FL"] if isinstance(found, dict) else found
+    return bool(one == numbers_of(expected))
 
 
 def task_with(field: Field) -> pa.StandTask:
@@ -87,12 +107,60 @@ def test_each_is_an_option_of_the_same_value(field: Field) -> None:
     command = cli.group.commands["stand"]
     context = command.make_context("stand", [f"--{field.option}", said_of(field)])
     typed = {name: context.params[name] for name in TYPED}
-    expected = asked(field)
-    if not field.per_foot:
-        expected = pytest.approx(expected, rel=1e-12)
-    assert task_of(typed).values()[field.name] == expected
+    assert near(task_of(typed).values()[field.name], asked(field))
     unasked = command.make_context("stand", [])
     assert task_of({name: unasked.params[name] for name in TYPED}) == pa.StandTask()
+
+
+ON_PAGE = {"length": 12.3, "angle": 7.5, "point": (12.3, -34.5)}
+SLIDING = {name: field for name, field in FIELDS.items() if field.slider}
+
+
+def state_with(field: Field) -> State:
+    one = ON_PAGE[field.kind]
+    place = "offset" if field.name == "offset" else "centre"
+    return State(place, **{field.name: {"FL": one} if field.per_foot else one})
+
+
+@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
+def test_each_is_in_a_pages_state_and_its_address(field: Field) -> None:
+    state = state_with(field)
+    assert near(state.task().values()[field.name], asked(field))
+    assert state != State()
+    assert parse(str(state)) == state
+    assert state.with_task(state.task()) == state
+    half = halfway(State(place=state.place), state)
+    if not field.open:  # who is not lifted is not half lifted, and no height is the robot's own
+        assert half is not None
+        assert half.having(**{field.name: getattr(state, field.name)}) == state
+
+
+@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
+def test_each_has_sliders_with_words_and_a_range(field: Field) -> None:
+    own = {name: control for name, control in CONTROLS.items() if control.field is field}
+    assert len(own) == max(1, len(field.axes))
+    ranges = ranges_of(load("v3"), {})
+    for name, control in own.items():
+        span = ranges[name]
+        assert span.low <= span.value <= span.high
+        assert span.low < span.high
+        for language in ("en", "zh"):
+            assert control.label(language).endswith(("(mm)", "(°)"))
+            assert control.hint(language)
+        assert re.search("[\u4e00-\u9fff]", control.label("zh") + control.hint("zh"))
+
+
+@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
+def test_each_is_exported_as_python_and_as_a_command(field: Field) -> None:
+    state = state_with(field)
+    source = Variants(pa.VARIANTS["v3"])
+    task = next(line for line in export.python(source, state).splitlines() if "StandTask" in line)
+    made = eval(task.removeprefix("task = "), {"pa": pa, "math": math})
+    assert near(made.values()[field.name], asked(field))
+    words = shlex.split(export.command(source, state))[2:]
+    context = cli.group.commands["stand"].make_context("stand", words)
+    typed = task_of({name: context.params[name] for name in TYPED})
+    assert near(typed.values()[field.name], asked(field))
 
 
 def test_options_say_units_and_what_they_are() -> None:

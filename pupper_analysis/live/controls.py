@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from pupper_analysis.diagnostics import term
 from pupper_analysis.live.language import Language
-from pupper_analysis.live.sliders import Range, ranges_of
-from pupper_analysis.live.state import State
+from pupper_analysis.live.sliders import CONTROLS, Control, Range, ranges_of
+from pupper_analysis.live.state import OF_THE_ROBOT, State, in_si, on_page
 from pupper_analysis.live.viser_parts import mark
 from pupper_analysis.report.formats import visible
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.stance.task import StandTask
 
 PLACES = {
@@ -23,40 +26,8 @@ PLACES = {
 }
 """{what decides where the base is: what it is called}."""
 
-LABELS = {
-    "height": ("slider-height", "hint-height"),
-    "roll": ("slider-roll", "hint-roll"),
-    "pitch": ("slider-pitch", "hint-pitch"),
-    "yaw": ("slider-yaw", "hint-yaw"),
-    "offset_x": ("slider-offset-x", "hint-offset-x"),
-    "offset_y": ("slider-offset-y", "hint-offset-y"),
-    "com_margin": ("slider-com-margin", "hint-com-margin"),
-    "joint_margin": ("slider-joint-margin", "hint-joint-margin"),
-    "ground_clearance": ("slider-ground-clearance", "hint-ground-clearance"),
-    "self_clearance": ("slider-self-clearance", "hint-self-clearance"),
-    "move_x": ("slider-move-x", "hint-move-x"),
-    "move_y": ("slider-move-y", "hint-move-y"),
-    "step": ("slider-step", "hint-step"),
-    "lift_height": ("slider-lift-height", "hint-lift-height"),
-    "slope": ("slider-slope", "hint-slope"),
-    "uphill": ("slider-uphill", "hint-uphill"),
-    "payload": ("slider-payload", "hint-payload"),
-    "payload_x": ("slider-payload-x", "hint-payload-place"),
-    "payload_y": ("slider-payload-y", "hint-payload-place"),
-    "payload_z": ("slider-payload-z", "hint-payload-place"),
-    "leg_scale": ("slider-leg-scale", "hint-leg-scale"),
-    "torso_mass_scale": ("slider-torso-mass-scale", "hint-torso-mass-scale"),
-    "kp": ("slider-kp", "hint-kp"),
-    "kd": ("slider-kd", "hint-kd"),
-}
-"""{slider: (what it is called, what it is about)}."""
-
-OF_A_FOOT = ("move_x", "move_y", "step", "lift_height")
-
-_PAIRS = {"offset_x": ("offset", 0), "offset_y": ("offset", 1)} | {
-    f"payload_{axis}": ("payload_at", number) for number, axis in enumerate("xyz")
-}
-"""{slider: field of the state, and which of its numbers}."""
+LIFTED = "lift"
+"""The slider of a foot that does not carry: who moves it lifts the foot."""
 
 
 class Controls:
@@ -81,8 +52,7 @@ class Controls:
         self._gui, self._say, self._changed = gui, say, changed
         self._lock = threading.RLock()
         self._state = State()
-        self._ranges = ranges_of(robot, dict(scales))
-        self._scales = dict(scales)
+        self._ranges = ranges_of(robot, scales)
         self._feet = {visible(foot): foot for foot in robot.soles}
         self.sliders: dict[str, Any] = {}
 
@@ -90,51 +60,51 @@ class Controls:
         """Adds what says how it stands, where viser adds next."""
         gui, say = self._gui, self._say
         self._places = {say(label): name for name, label in PLACES.items()}
-        with gui.add_folder(say("base-title")):
-            self._add("height", "roll", "pitch", "yaw")
-        with gui.add_folder(say("where")):
-            self.place = gui.add_dropdown(say("what-counts"), list(self._places))
-            self._add("offset_x", "offset_y")
-        with gui.add_folder(say("feet")):
-            self.foot = gui.add_dropdown(say("foot"), list(self._feet), hint=say("hint-foot"))
-            self._add("move_x", "move_y", "step")
-            self.lifted = gui.add_checkbox(say("lifted"), False, hint=say("hint-lifted"))
-            self._add("lift_height")
-        with gui.add_folder(say("ground")):
-            self._add("slope", "uphill")
-        with gui.add_folder(say("margins")):
-            self._add("com_margin", "joint_margin", "ground_clearance", "self_clearance")
-        self.place.on_update(self._when(lambda s: replace(s, place=self._places[self.place.value])))
+        for folder in _folders(FIELDS):
+            with gui.add_folder(term(folder, say.code)):
+                if folder == "Where":
+                    self.place = gui.add_dropdown(say("what-counts"), list(self._places))
+                if folder == "Feet":
+                    self.foot = gui.add_dropdown(
+                        say("foot"), list(self._feet), hint=say("hint-foot")
+                    )
+                self._add(folder, LIFTED)
+                if folder == "Feet":
+                    self.lifted = gui.add_checkbox(say("lifted"), False, hint=say("hint-lifted"))
+                    self._add_one(CONTROLS[LIFTED])
+        self.place.on_update(self._when(lambda s: s.having(place=self._places[self.place.value])))
         self.lifted.on_update(self._when(self._with_lift))
         self.foot.on_update(self._foot_chosen)
 
     def body(self) -> None:
         """Adds what says what it carries, and which robot it is."""
         gui, say = self._gui, self._say
-        with gui.add_folder(say("payload-title")):
-            self._add("payload", "payload_x", "payload_y", "payload_z")
-        if self._scales:
-            with gui.add_folder(say("legs-and-torso")):
-                self._add(*self._scales)
-        with gui.add_folder(say("servos")):
-            self._add("kp", "kd")
-            own = gui.add_button(say("own-servos"))
-        own.on_click(lambda _: self.put(replace(self.state, kp=None, kd=None), told=True))
+        for folder in _folders(OF_THE_ROBOT):
+            if any(_folder(CONTROLS[name].field) == folder for name in self._ranges):
+                with gui.add_folder(term(folder, say.code)):
+                    self._add(folder)
+                    if folder == "Servos":
+                        own = gui.add_button(say("own-servos"))
+        own.on_click(lambda _: self.put(self.state.having(kp=None, kd=None), told=True))
 
-    def _add(self, *names: str) -> None:
-        for name in names:
-            label, hint = LABELS[name]
-            span = self._ranges[name]
-            handle = self._gui.add_slider(
-                self._say(label),
-                span.low,
-                span.high,
-                span.step,
-                _within(span, span.value),
-                hint=self._say(hint),
-            )
-            handle.on_update(self._when(partial(self._with, name)))
-            self.sliders[name] = handle
+    def _add(self, folder: str, *but: str) -> None:
+        """Adds the sliders under a heading."""
+        for name, control in CONTROLS.items():
+            if name in self._ranges and name not in but and _folder(control.field) == folder:
+                self._add_one(control)
+
+    def _add_one(self, control: Control) -> None:
+        span, code = self._ranges[control.name], self._say.code
+        handle = self._gui.add_slider(
+            control.label(code),
+            span.low,
+            span.high,
+            span.step,
+            _within(span, span.value),
+            hint=control.hint(code),
+        )
+        handle.on_update(self._when(partial(self._with, control)))
+        self.sliders[control.name] = handle
 
     def _when(self, change: Callable[[State], State]) -> Callable[[Any], None]:
         """Returns what a control calls when someone moves it; what a program sets is known."""
@@ -151,35 +121,33 @@ class Controls:
 
         return moved
 
-    def _with(self, name: str, state: State) -> State:
+    def _with(self, control: Control, state: State) -> State:
         """Returns a state with a slider's value."""
-        value = float(self.sliders[name].value)
-        self._slide(name, value)  # what is typed may lie beyond its end, and would be cut off later
-        if name in _PAIRS:
-            field, number = _PAIRS[name]
-            numbers = list(getattr(state, field))
-            numbers[number] = value
-            changed: dict[str, Any] = {field: tuple(numbers)}
-            state = replace(state, **changed)
-            return replace(state, place="offset") if field == "offset" else state
-        foot = self._chosen
-        if name in ("move_x", "move_y"):
-            move = float(self.sliders["move_x"].value), float(self.sliders["move_y"].value)
-            return replace(state, moves={**state.moves, foot: move})
-        if name == "step":
-            return replace(state, steps={**state.steps, foot: value})
-        if name == "lift_height":  # who says how high lifts it
+        field = control.field
+        value = float(self.sliders[control.name].value)
+        # What is typed may lie beyond its end, and would be cut off later.
+        self._slide(control.name, value)
+        if control.name == LIFTED:  # who says how high lifts it
             self.lifted.value = True
-            return replace(state, lifts={**state.lifts, foot: value})
-        plain: dict[str, Any] = {name: value}
-        return replace(state, **plain)
+        whole = getattr(state, field.name)
+        own = whole.get(self._chosen) if field.per_foot else whole
+        if control.axis is not None:
+            numbers = list(own or (0.0,) * len(field.axes))
+            numbers[control.axis] = value
+            new: Any = tuple(numbers)
+        else:
+            new = value
+        state = state.having(
+            **{field.name: {**whole, self._chosen: new} if field.per_foot else new}
+        )
+        return state.having(place="offset") if field.name == "offset" else state
 
     def _with_lift(self, state: State) -> State:
         """Returns a state with the chosen foot lifted, or not."""
-        others = {foot: height for foot, height in state.lifts.items() if foot != self._chosen}
+        others = {foot: height for foot, height in state.swing.items() if foot != self._chosen}
         if self.lifted.value:
-            others[self._chosen] = float(self.sliders["lift_height"].value)
-        return replace(state, lifts=others)
+            others[self._chosen] = float(self.sliders[LIFTED].value)
+        return state.having(swing=others)
 
     @property
     def _chosen(self) -> str:
@@ -207,9 +175,14 @@ class Controls:
         with self._lock:
             self._state = state
             for name in self.sliders:
-                if name not in OF_A_FOOT:
-                    self._slide(name, self._value(state, name))
-            special = {*state.moves, *state.lifts, *state.steps}
+                if not CONTROLS[name].field.per_foot:
+                    self._slide(name, self._value(state, CONTROLS[name]))
+            special = {
+                foot
+                for name, field in FIELDS.items()
+                if field.per_foot and field.slider
+                for foot in getattr(state, name)
+            }
             first = next((name for name, foot in self._feet.items() if foot in special), None)
             if first is not None and self._chosen not in special:
                 self.foot.value = first
@@ -218,12 +191,9 @@ class Controls:
         if told:
             self._changed()
 
-    def _value(self, state: State, name: str) -> float:
-        if name in _PAIRS:
-            field, number = _PAIRS[name]
-            return float(getattr(state, field)[number])
-        value = getattr(state, name)
-        return self._ranges[name].value if value is None else float(value)
+    def _value(self, state: State, control: Control) -> float:
+        value = getattr(state, control.field.name)
+        return self._ranges[control.name].value if value is None else control.of(value)
 
     def _slide(self, name: str, value: float) -> None:
         """Moves a slider; it is made longer if it does not go so far."""
@@ -239,18 +209,20 @@ class Controls:
 
     def _show_foot(self) -> None:
         foot, state = self._chosen, self._state
-        x, y = state.moves.get(foot, (0.0, 0.0))
-        self._slide("move_x", x)
-        self._slide("move_y", y)
-        self._slide("step", state.steps.get(foot, 0.0))
-        self.lifted.value = foot in state.lifts
-        self._slide("lift_height", state.lifts.get(foot, self._ranges["lift_height"].value))
+        self.lifted.value = foot in state.swing
+        for name in self.sliders:
+            control = CONTROLS[name]
+            if control.field.per_foot:
+                values = getattr(state, control.field.name)
+                usual = self._ranges[name].value
+                self._slide(name, control.of(values[foot]) if foot in values else usual)
 
     def follow(self, robot: Robot) -> None:
         """Lets what nobody has set be what is usual for a robot: its height."""
         with self._lock:
-            if self._state.height is None:
-                self._slide("height", round(1e3 * robot.stand_height, 2))
+            for name, field in FIELDS.items():
+                if field.slider and field.nominal != "zero" and getattr(self._state, name) is None:
+                    self._slide(field.address, round(1e3 * getattr(robot, field.nominal), 2))
 
     def limits(self, ends: Mapping[str, Mapping[str, Any]]) -> None:
         """Marks on the sliders how far they can go.
@@ -267,7 +239,7 @@ class Controls:
                     places[name] = (*places.get(name, ()), value)
         for name, handle in self.sliders.items():
             marked = name in places
-            label = self._say(LABELS[name][0])
+            label = CONTROLS[name].label(self._say.code)
             found = self._say.either(f"{value:g}" for value in dict.fromkeys(places.get(name, ())))
             far = self._say("label-values-possible", label=label, values=found)
             handle.label = far if marked else label
@@ -285,25 +257,33 @@ def slider_values(
         fields: Those of the task that count.
         foot: The foot that the sliders of a foot are about.
     """
-    there = state.with_task(task)
     found: dict[str, float] = {}
-    plain = ("joint_margin", "ground_clearance", "self_clearance")
-    for name in ("height", "roll", "pitch", "yaw", "com_margin", *plain):
-        if name in fields:
-            value = 1e3 * (task.height or 0.0) if name == "height" else getattr(there, name)
-            found[name] = round(float(value), 6)
-    if "offset" in fields:
-        found["offset_x"], found["offset_y"] = there.offset
-    if "foot_offsets" in fields and foot in there.moves:
-        found["move_x"], found["move_y"] = there.moves[foot]
-    if "swing" in fields and foot in there.lifts:
-        found["lift_height"] = there.lifts[foot]
-    if "ground" in fields:
-        if there.slope != state.slope or not state.steps:
-            found["slope"] = there.slope
-        if foot in there.steps:
-            found["step"] = there.steps[foot]
+    for name, control in CONTROLS.items():
+        field = control.field
+        if (
+            field.name not in FIELDS
+            or {"task": field.name}.get(field.part, field.part) not in fields
+        ):
+            continue
+        value = task.values()[field.name]
+        if field.per_foot:
+            value = value.get(foot)
+        elif field.part == "ground" and math.isclose(
+            in_si(field, getattr(state, field.name)), value
+        ):
+            continue  # the ground gives way in other numbers
+        if value is not None:
+            found[name] = control.of(on_page(field, value))
     return found
+
+
+def _folders(fields: Mapping[str, Field]) -> list[str]:
+    """Returns the headings of fields, in the order in which they come."""
+    return list(dict.fromkeys(field.slider.folder for field in fields.values() if field.slider))
+
+
+def _folder(field: Field) -> str:
+    return field.slider.folder if field.slider else ""
 
 
 def _within(span: Range, value: float) -> float:

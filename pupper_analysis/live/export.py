@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 from urllib.parse import quote
 
 from pupper_analysis.live.model import Answer, Sag
 from pupper_analysis.live.source import Source, spoken
-from pupper_analysis.live.state import State, metres, plain
+from pupper_analysis.live.state import SHOWN, State, in_si, plain
 from pupper_analysis.results import to_json
+from pupper_analysis.stance.fields import Field
 
 PROGRAM = "pupper-analysis"
 
@@ -51,46 +51,22 @@ def python(source: Source, state: State) -> str:
 
 def _task(state: State) -> str:
     """Returns the arguments of a ``StandTask``: those that are not the usual ones."""
-    parts = [f"{name}={_PYTHON[kind](value)}" for name, kind, value in _asked(state)]
-    if state.moves:
-        moves = {foot: (metres(x), metres(y)) for foot, (x, y) in state.moves.items()}
-        parts.append(f"foot_offsets={moves!r}")
-    if state.lifts:
-        parts.append(f"swing={_heights(state.lifts)!r}")
-    ground = [
-        f"{name}={_angle(value)}" for name in ("slope", "uphill") if (value := getattr(state, name))
-    ]
-    if state.steps:
-        ground.append(f"heights={_heights(state.steps)!r}")
-    if ground:
-        parts.append(f"ground=pa.Ground({', '.join(ground)})")
-    return ", ".join(parts)
+    parts: dict[str, list[str]] = {"task": [], "ground": []}
+    for field, value in state.asked():
+        parts[field.part].append(f"{field.name}={_python(field, value)}")
+    ground = [f"ground=pa.Ground({', '.join(parts['ground'])})"] if parts["ground"] else []
+    return ", ".join([*parts["task"], *ground])
 
 
-def _heights(feet: Mapping[str, float]) -> dict[str, float]:
-    return {foot: metres(height) for foot, height in feet.items()}
-
-
-def _asked(state: State) -> Iterator[tuple[str, str, Any]]:
-    """Yields what is asked of base and com: its name, kind and value; nothing that is usual."""
-    if state.height is not None:
-        yield "height", "length", state.height
-    for name in ("roll", "pitch", "yaw"):
-        if value := getattr(state, name):
-            yield name, "angle", value
-    if state.place == "offset":
-        yield "offset", "point", state.offset
-    if state.place == "inside":
-        yield "com", "word", "inside"
-    if state.joint_margin:
-        yield "joint_margin", "angle", state.joint_margin
-    for name in ("com_margin", "ground_clearance", "self_clearance"):
-        if value := getattr(state, name):
-            yield name, "length", value
-
-
-def _angle(degrees: float) -> str:
-    return f"math.radians({plain(degrees)})"
+def _python(field: Field, value: Any) -> str:
+    """Returns a value of a page as Python has it."""
+    if field.kind == "angle" and not isinstance(value, dict):
+        return f"math.radians({plain(value)})"
+    if field.kind == "angle":
+        return (
+            "{" + ", ".join(f"{foot!r}: {_python(field, one)}" for foot, one in value.items()) + "}"
+        )
+    return repr(in_si(field, value))
 
 
 def command(source: Source, state: State) -> str:
@@ -107,42 +83,25 @@ def live_command(source: Source, state: State, language: str = "en") -> str:
 
 def _options(state: State) -> list[str]:
     """Returns what the command line's options of stance, payload and servos say."""
-    words = [
-        f"--{name.replace('_', '-')}={_TYPED[kind](value)}" for name, kind, value in _asked(state)
-    ]
-    words += [f"--move={foot}={_point(move)}" for foot, move in state.moves.items()]
-    words += [f"--swing={foot}={height!r}" for foot, height in _heights(state.lifts).items()]
-    words += [f"--step={foot}={height!r}" for foot, height in _heights(state.steps).items()]
-    for name in ("slope", "uphill"):
-        if value := getattr(state, name):
-            words.append(f"--{name}={_TYPED['angle'](value)}")
-    if state.payload:
-        words += [f"--payload={state.payload!r}", f"--payload-at={_point(state.payload_at)}"]
-    for name in ("kp", "kd"):
-        if (value := getattr(state, name)) is not None:
-            words.append(f"--{name}={value!r}")
+    words = []
+    for field, value in state.asked():
+        for foot, one in value.items() if field.per_foot else [("", value)]:
+            of = f"{foot}=" if foot else ""
+            words.append(f"--{field.option}={of}{_typed(field, one)}")
+    for name in ("payload", "payload_at", "kp", "kd"):
+        value = getattr(state, name)
+        if value is not None and (state.payload or not name.startswith("payload")):
+            words.append(f"--{SHOWN[name].option}={_typed(SHOWN[name], value)}")
     return words
 
 
-def _point(point: tuple[float, ...]) -> str:
-    return ",".join(repr(metres(number)) for number in point)
-
-
-_PYTHON: Mapping[str, Callable[[Any], str]] = {
-    "length": lambda value: repr(metres(value)),
-    "angle": _angle,
-    "point": lambda point: repr(tuple(map(metres, point))),
-    "word": repr,
-}
-"""How Python says a value of each kind."""
-
-_TYPED: Mapping[str, Callable[[Any], str]] = {
-    "length": lambda value: repr(metres(value)),
-    "angle": lambda degrees: f"{plain(degrees)}deg",
-    "point": _point,
-    "word": str,
-}
-"""How one types it."""
+def _typed(field: Field, value: Any) -> str:
+    """Returns how one types a value of a page."""
+    if field.kind == "angle":
+        return f"{plain(value)}deg"
+    if isinstance(value, tuple):
+        return ",".join(map(repr, in_si(field, value)))
+    return value if isinstance(value, str) else repr(in_si(field, value))
 
 
 def json(source: Source, answer: Answer, sag: Sag | None) -> str:

@@ -146,8 +146,9 @@ def check(model: Model, state: State) -> None:
     """
     robot = model.robot(state)
     state.task()
-    for foot in (*state.moves, *state.lifts, *state.steps):
-        robot.points_of(foot)
+    for field, value in state.asked():
+        for foot in value if field.per_foot else ():
+            robot.points_of(foot)
 
 
 def serve(page: Page, *, browser: bool, wait: Callable[[], object]) -> None:

@@ -1,14 +1,62 @@
-"""The sliders of a page: how far each goes, for one robot."""
+"""The sliders of a page: what each is about, and how far it goes for one robot."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from pupper_analysis.diagnostics import Term
+from pupper_analysis.diagnostics.templates import fill
+from pupper_analysis.live.state import PAGE_UNITS, SHOWN
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.stance.fields import Field, Slider
+
+_WAYS = {"x": Term("forward"), "y": Term("to the left"), "z": Term("up")}
+
+
+@dataclass(frozen=True)
+class Control:
+    """One slider: a field's number, or one of a point's.
+
+    Attributes:
+        name: What it is called: ``roll``, ``offset_x``.
+        field: What it sets.
+        axis: Which number of a point; None for a number.
+    """
+
+    name: str
+    field: Field
+    axis: int | None = None
+
+    def label(self, language: str) -> str:
+        """Returns what it is called, with its unit."""
+        unit, _ = PAGE_UNITS[self.field.kind]
+        axis = "" if self.axis is None else f" {self.field.axes[self.axis]}"
+        return f"{self.field.words(language).label}{axis}" + (f" ({unit})" if unit else "")
+
+    def hint(self, language: str) -> str:
+        """Returns what it is about."""
+        way = {} if self.axis is None else {"axis": _WAYS[self.field.axes[self.axis]]}
+        return fill(self.field.words(language).hint, way, language)
+
+    def of(self, value: float | tuple[float, ...]) -> float:
+        """Returns its number of the field's value."""
+        return float(value if self.axis is None else value[self.axis])  # type: ignore[index,arg-type]
+
+
+CONTROLS = {
+    control.name: control
+    for field in SHOWN.values()
+    for control in (
+        [Control(f"{field.address}_{axis}", field, at) for at, axis in enumerate(field.axes)]
+        or [Control(field.address, field)]
+    )
+}
+"""{name: slider} of all there are, by the names that the page's address has for them."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +76,7 @@ class Range:
     value: float
 
 
-def ranges_of(robot: Robot, scales: dict[str, float]) -> dict[str, Range]:
+def ranges_of(robot: Robot, scales: Mapping[str, float]) -> dict[str, Range]:
     """Returns the range of each slider: in mm, degrees, kg and N m/rad.
 
     Lengths are parts of the height of the nominal stand, so that they suit a robot of any size.
@@ -37,45 +85,47 @@ def ranges_of(robot: Robot, scales: dict[str, float]) -> dict[str, Range]:
         robot: The robot.
         scales: {name of a scale that it can be made with: its own}.
     """
-    size = 1e3 * robot.stand_height
-    aside, lift = round_up(0.6 * size), round_up(0.8 * size)
-    found = {
-        "height": Range(round_up(0.3 * size), round_up(1.8 * size), fine(1.5 * size), size),
-        "roll": Range(-45.0, 45.0, 0.1, 0.0),
-        "pitch": Range(-45.0, 45.0, 0.1, 0.0),
-        "yaw": Range(-60.0, 60.0, 0.1, 0.0),
-        "com_margin": Range(0.0, round_up(0.4 * size), fine(0.4 * size), 0.0),
-        "joint_margin": Range(0.0, 45.0, 0.1, 0.0),
-        "ground_clearance": Range(0.0, round_up(0.8 * size), fine(0.8 * size), 0.0),
-        "self_clearance": Range(0.0, round_up(0.2 * size), fine(0.2 * size), 0.0),
-        "lift_height": Range(fine(lift), lift, fine(lift), min(20.0, lift)),
-        "step": Range(-lift, lift, fine(lift), 0.0),
-        "slope": Range(0.0, 45.0, 0.1, 0.0),
-        "uphill": Range(-180.0, 180.0, 1.0, 0.0),
-        "payload": Range(0.0, round_up(2 * robot.total_mass), fine(2 * robot.total_mass), 0.0),
-    }
-    for name in ("offset_x", "offset_y", "move_x", "move_y"):
-        found[name] = Range(-aside, aside, fine(aside), 0.0)
-    reach = round_up(1.5 * size)
-    for name in ("payload_x", "payload_y", "payload_z"):
-        found[name] = Range(-reach, reach, fine(reach), 0.0)
-    for name, own in scales.items():
-        found[name] = Range(min(0.5, own), max(2.5, own), 0.01, own)
-    return found | _gains(robot)
-
-
-def _gains(robot: Robot) -> dict[str, Range]:
-    """Returns the ranges of kp and kd, around the model's own."""
-    own = own_servos(robot)
     found = {}
-    for number, name in enumerate(("kp", "kd")):
-        values = [gains[number] for gains in own.values()]
-        middle = float(np.median(values)) if values else 0.0
-        middle = middle or (20.0 if name == "kp" else 0.5)
-        high = round_up(8 * middle)
-        low = fine(high) if name == "kp" else 0.0
-        found[name] = Range(low, high, fine(high), middle)
+    for name, control in CONTROLS.items():
+        field, slider = control.field, control.field.slider
+        assert slider is not None  # or the page would not show it
+        if field.kind == "ratio":
+            if name in scales:
+                found[name] = _scale(slider, scales[name])
+        elif field.kind in ("stiffness", "damping"):
+            found[name] = _gain(field, slider, robot)
+        elif field.kind == "angle":
+            found[name] = Range(slider.low, slider.high, slider.step or 0.1, 0.0)
+        else:
+            found[name] = _span(field, slider, robot)
     return found
+
+
+def _span(field: Field, slider: Slider, robot: Robot) -> Range:
+    """Returns how a length goes, in parts of the robot's height; a mass, of its mass."""
+    whole = robot.total_mass if field.kind == "mass" else 1e3 * robot.stand_height
+    low, high = (math.copysign(round_up(abs(end) * whole), end) if end else 0.0
+                 for end in (slider.low, slider.high))  # fmt: skip
+    step = fine((slider.high - max(slider.low, 0.0)) * whole)
+    value = 0.0 if field.nominal == "zero" else 1e3 * getattr(robot, field.nominal)
+    if slider.start is not None:
+        value = min(1e3 * slider.start, high)
+    return Range(step if field.open and low == 0.0 else low, high, step, value)
+
+
+def _scale(slider: Slider, own: float) -> Range:
+    return Range(min(slider.low, own), max(slider.high, own), slider.step or 0.01, own)
+
+
+def _gain(field: Field, slider: Slider, robot: Robot) -> Range:
+    """Returns the range of a gain, around the model's own; 0 is no stiffness."""
+    own = own_servos(robot)
+    values = [gains[("kp", "kd").index(field.name)] for gains in own.values()]
+    middle = float(np.median(values)) if values else 0.0
+    middle = middle or slider.start or 1.0
+    high = round_up(8 * middle)
+    low = fine(high) if field.kind == "stiffness" else 0.0
+    return Range(low, high, fine(high), middle)
 
 
 def fine(span: float) -> float:

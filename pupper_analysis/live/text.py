@@ -14,10 +14,11 @@ from pupper_analysis.analysis.robot import slides
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.live.colour import BEYOND, SCALE, colour_of, css
-from pupper_analysis.live.controls import LABELS, OF_A_FOOT, slider_values
+from pupper_analysis.live.controls import slider_values
 from pupper_analysis.live.door import without_folders
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Answer, Sag
+from pupper_analysis.live.sliders import CONTROLS
 from pupper_analysis.live.state import State
 from pupper_analysis.report.formats import visible
 from pupper_analysis.report.verdict import clauses
@@ -265,7 +266,8 @@ def _possible(say: Language, state: State, fields: Mapping[str, Any]) -> str:
     task = replace(state.task(), **fields)
     feet = dict.fromkeys((*task.foot_offsets, *task.swing, *task.ground.heights)) or {"": None}
     told = {
-        f"{say(LABELS[name][0])}{f' {foot}' if name in OF_A_FOOT else ''}: {value:g}": None
+        f"{CONTROLS[name].label(say.code)}"
+        f"{f' {foot}' if CONTROLS[name].field.per_foot else ''}: {value:g}": None
         for foot in feet
         for name, value in slider_values(state, task, fields, foot).items()
     }
