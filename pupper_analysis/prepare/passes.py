@@ -1,0 +1,388 @@
+"""What makes two published files a robot that can stand: named passes, in the order of `PASSES`.
+
+Each takes what has been made so far and returns it with what it had to do, told to whoever loads
+the robot. A file that is ready needs none of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.errors import ModelError
+from pupper_analysis.matching.match import Match, match
+from pupper_analysis.matching.mjcf import name_all
+from pupper_analysis.models.description import Description
+from pupper_analysis.models.joint_drives import Drive, MadeServo, drive_of
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.prepare import drives, notes, start, touching
+from pupper_analysis.prepare.base import free_base, free_of_friction
+from pupper_analysis.prepare.base_frame import lift_base_frame
+from pupper_analysis.prepare.feet import Foot, apart_at, find_feet, named_foot, with_feet
+from pupper_analysis.prepare.limits import bounded, within_both
+from pupper_analysis.prepare.mimics import coupled
+from pupper_analysis.prepare.motors import one_at_each_joint
+from pupper_analysis.prepare.parts import with_parts
+from pupper_analysis.prepare.simulable import check_masses
+from pupper_analysis.prepare.solver import solvable
+from pupper_analysis.prepare.start_pose import started
+from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.floor import level_ground
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos
+
+Array = NDArray[np.float64]
+
+_APART = 2e-3
+"""Joints whose axes are further apart are not rounded, but different (m)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What is asked for when a robot is loaded.
+
+    Attributes:
+        feet: {foot: its frames in URDF and MJCF}; None: they are looked for.
+        fixed_base: Whether the base is fixed in the world.
+        name: The robot's name; None: the MJCF's.
+        joints: {joint in the URDF: joint in the MJCF}.
+        keyframe: The MJCF's keyframe to start from; None: the first in which the robot stands.
+        as_is: Whether no servos are added, and no shapes altered.
+    """
+
+    feet: Mapping[str, tuple[str, str]] | None = None
+    fixed_base: bool = False
+    name: str | None = None
+    joints: Mapping[str, str] | None = None
+    keyframe: str | None = None
+    as_is: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A robot as far as it is made.
+
+    Attributes:
+        urdf: As it was read.
+        mjcf: As it was read.
+        request: What is asked for.
+        spec: The MJCF's, changed.
+        keyframes: {name: {joint: position}} of the MJCF's that may be started from.
+        found: Whose joint is whose; from the pass ``match`` on.
+        description: Both files made alike; from the pass ``match`` on.
+        built: The robot; from the pass ``build`` on.
+    """
+
+    urdf: UrdfFile
+    mjcf: MjcfFile
+    request: Request
+    spec: mujoco.MjSpec
+    keyframes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    found: Match | None = None
+    description: Description | None = None
+    built: Robot | None = None
+
+    @property
+    def match(self) -> Match:
+        """Whose joint is whose."""
+        assert self.found is not None
+        return self.found
+
+    @property
+    def described(self) -> Description:
+        """Both files, made alike."""
+        assert self.description is not None
+        return self.description
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        assert self.built is not None
+        return self.built
+
+
+Made = tuple[Draft, Iterable[Diagnostic]]
+
+
+@dataclass(frozen=True)
+class Pass:
+    """A step in making a robot ready.
+
+    Attributes:
+        name: What it is called.
+        apply: Does it; returns the draft with what was done.
+        applies: Tells whether it concerns a draft.
+    """
+
+    name: str
+    apply: Callable[[Draft], Made]
+    applies: Callable[[Draft], bool]
+
+
+@dataclass(frozen=True)
+class PassRun:
+    """A pass that was run.
+
+    Attributes:
+        name: What it is called.
+        done: What it had to do, or found; empty where the files needed nothing.
+    """
+
+    name: str
+    done: tuple[Diagnostic, ...]
+
+
+def _any(_draft: Draft) -> bool:
+    return True
+
+
+def _free(draft: Draft) -> bool:
+    """Before the two files are matched: whether the base is to be free."""
+    return not draft.request.fixed_base
+
+
+def _stands(draft: Draft) -> bool:
+    """After they are matched: whether the base is free, so that the robot is to stand."""
+    return not draft.request.fixed_base and draft.match.robot.floating
+
+
+def _held(draft: Draft) -> bool:
+    return not _stands(draft)
+
+
+def _on_feet(draft: Draft) -> bool:
+    return _stands(draft) and bool(draft.robot.feet)
+
+
+def _altered(draft: Draft) -> bool:
+    return _on_feet(draft) and not draft.request.as_is
+
+
+def _name_elements(draft: Draft) -> Made:
+    spec = draft.spec.copy()
+    name_all(spec, set())
+    known = start.chosen(draft.mjcf, start.keyframes(spec), draft.request.keyframe)
+    return replace(draft, spec=spec, keyframes=known), ()
+
+
+def _free_base(draft: Draft) -> Made:
+    spec, told = free_base(draft.urdf, draft.spec)
+    return replace(draft, spec=spec), told
+
+
+def _lift_base_frame(draft: Draft) -> Made:
+    return draft, lift_base_frame(draft.spec)
+
+
+def _match(draft: Draft) -> Made:
+    files = draft.urdf, replace(draft.mjcf, spec=draft.spec)
+    found = match(*files, names=draft.request.joints, complete=True)
+    description = found.robot.description
+    told = (*found.notes, *notes.joints(found))
+    return replace(draft, found=found, description=description), told
+
+
+def _weigh_parts(draft: Draft) -> Made:
+    whole, told = with_parts(draft.match, draft.spec)
+    name = draft.request.name or draft.spec.modelname
+    return replace(draft, description=replace(whole or draft.described, name=name)), told
+
+
+def _couple_mimics(draft: Draft) -> Made:
+    description, told = coupled(draft.match, draft.described)
+    return replace(draft, description=description), told
+
+
+def _build_held(draft: Draft) -> Made:
+    if draft.request.feet:
+        raise ModelError(draft.mjcf.path, diagnose("feet-of-fixed-base"))
+    robot = build_robot(draft.described, fixed_base=draft.request.fixed_base)
+    return replace(draft, built=robot), ()
+
+
+def _own_spec(draft: Draft) -> Made:
+    description = replace(draft.described, mjcf=draft.described.mjcf.copy())
+    return replace(draft, description=description), ()
+
+
+def _level_ground(draft: Draft) -> Made:
+    return draft, level_ground(draft.described.mjcf)
+
+
+def _free_of_friction(draft: Draft) -> Made:
+    return draft, free_of_friction(draft.described.mjcf)
+
+
+def _one_motor_at_each_joint(draft: Draft) -> Made:
+    return draft, one_at_each_joint(draft.described.mjcf, draft.mjcf.path)
+
+
+def _build(draft: Draft) -> Made:
+    return replace(draft, built=build_robot(draft.described)), ()
+
+
+def _bound_joints(draft: Draft) -> Made:
+    return _rebuilt(draft, bounded(draft.robot)), ()
+
+
+def _narrow_limits(draft: Draft) -> Made:
+    description, told = within_both(draft.robot)
+    return _rebuilt(draft, description), told
+
+
+def _check_masses(draft: Draft) -> Made:
+    check_masses(draft.robot, draft.urdf)
+    return draft, ()
+
+
+def _rebuilt(draft: Draft, description: Description | None) -> Draft:
+    return draft if description is None else replace(draft, built=build_robot(description))
+
+
+def _put_feet(draft: Draft) -> Made:
+    bare, given = draft.robot, draft.request.feet
+    poses = [start.inside(bare, pose) for pose in (*draft.keyframes.values(), None)]
+    try:
+        feet = _feet(bare, given, poses)
+    except ModelError as error:
+        gone = [note for note in draft.mjcf.notes if note.code == "files-missing"]
+        gone = [note for note in gone if note.values["kind"] == "mesh"]
+        if not gone:
+            raise
+        pointers = [note for note in draft.mjcf.notes if note.code == "files-are-lfs-pointers"]
+        problem = diagnose(
+            "no-feet-as-files-are-missing", problem=error.cause, missing=gone, pointers=pointers
+        )
+        raise ModelError(draft.mjcf.path, problem) from error
+    if not feet:
+        return draft, ()
+    told = [notes.named(bare, feet, given=given is not None)]
+    apart = {foot.name: apart_at(bare, foot) for foot in feet}
+    worst = max(apart, key=apart.__getitem__)
+    if apart[worst] > _APART:
+        off = Quantity(apart[worst], "m")
+        told.append(diagnose("last-joint-elsewhere", subject=("foot", worst), off=off))
+    told += notes.balls(bare, feet)
+    return replace(draft, built=build_robot(with_feet(bare, feet))), told
+
+
+def _feet(
+    robot: Robot, frames: Mapping[str, tuple[str, str]] | None, poses: Sequence[Array]
+) -> tuple[Foot, ...]:
+    if frames is None:
+        return find_feet(robot, poses) if limb_ends(robot.mj_model) else ()
+    return tuple(named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
+
+
+def _add_motors(draft: Draft) -> Made:
+    return replace(draft, built=drives.with_motors(draft.robot)), ()
+
+
+def _start(draft: Draft) -> Made:
+    told = list(notes.planar(draft.robot))
+    robot, pose = started(draft.robot, draft.keyframes)
+    return replace(draft, built=robot), told + pose
+
+
+def _of_robots(step: Callable[[Robot], tuple[Robot, list[Diagnostic]]]) -> Callable[[Draft], Made]:
+    """Makes a pass of what changes a robot."""
+
+    def apply(draft: Draft) -> Made:
+        robot, told = step(draft.robot)
+        return replace(draft, built=robot), told
+
+    return apply
+
+
+def _tell_what_follows(draft: Draft) -> Made:
+    return draft, (*notes.bound(draft.robot), *notes.uncommanded(draft.robot))
+
+
+def _add_servos(draft: Draft) -> Made:
+    robot = draft.robot
+    idle = {robot.joint_names[joint] for joint in drives.following(robot)}
+    if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
+        robot, made = _driven(robot, draft.mjcf)
+        return replace(draft, built=robot), made
+    stand = start.first_stand(robot)
+    advice = None if stand is None else drives.advice(robot, stand)
+    return draft, () if advice is None else (advice,)
+
+
+def _driven(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
+    """Gives a robot position servos with suggested gains, if it stands."""
+    stand = start.first_stand(robot)
+    if stand is None:
+        return robot, []
+    own = own_servos(robot)
+    built, kp, kd, rests = drives.driven(robot, stand)
+    idle = drives.following(robot)
+    model = mjcf.compile()
+    made = []
+    for index, name in enumerate(robot.joint_names):
+        if name not in own and index not in idle:
+            joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+            what = Drive.NONE if joint < 0 else drive_of(model, joint)
+            made.append(MadeServo(name, float(kp[index]), float(kd[index]), what))
+    told = [*notes.made(made, len(own), built.mj_model.opt.timestep)]
+    if not rests:
+        told.append(diagnose("no-servos-bring-it-to-rest"))
+    elif rests == 1:
+        told.append(diagnose("rests-with-feed-forward-alone"))
+    described = replace(built.description, made_servos=tuple(made))
+    return replace(built, description=described), told
+
+
+PASSES = (
+    Pass("name-elements", _name_elements, _any),
+    Pass("free-base", _free_base, _free),
+    Pass("lift-base-frame", _lift_base_frame, _free),
+    Pass("match", _match, _any),
+    Pass("weigh-parts", _weigh_parts, _any),
+    Pass("couple-mimics", _couple_mimics, _any),
+    Pass("build-held", _build_held, _held),
+    Pass("own-copy", _own_spec, _stands),
+    Pass("level-ground", _level_ground, _stands),
+    Pass("free-of-friction", _free_of_friction, _stands),
+    Pass("one-motor-at-each-joint", _one_motor_at_each_joint, _stands),
+    Pass("build", _build, _stands),
+    Pass("bound-joints", _bound_joints, _stands),
+    Pass("narrow-limits", _narrow_limits, _stands),
+    Pass("check-masses", _check_masses, _stands),
+    Pass("put-feet", _put_feet, _stands),
+    Pass("add-motors", _add_motors, _altered),
+    Pass("start-pose", _start, _on_feet),
+    Pass("touch-with-feet-alone", _of_robots(touching.on_feet_alone), _altered),
+    Pass("keep-apart", _of_robots(touching.apart), _altered),
+    Pass("solve-exactly", _of_robots(solvable), _altered),
+    Pass("tell-what-follows", _tell_what_follows, _on_feet),
+    Pass("add-servos", _add_servos, _altered),
+)
+"""In the order in which they are run."""
+
+
+def prepare(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:
+    """Runs the passes on two files.
+
+    Returns:
+        The robot, whose notes are what the passes did, and each pass that was run.
+
+    Raises:
+        ModelError: If no robot can be made of them.
+        UnknownNameError: If a foot, joint or keyframe is not there.
+    """
+    draft, runs = Draft(urdf, mjcf, request, mjcf.spec), []
+    for each in PASSES:
+        if each.applies(draft):
+            draft, done = each.apply(draft)
+            runs.append(PassRun(each.name, tuple(done)))
+    told = (note for run in runs for note in run.done)
+    robot = draft.robot
+    return replace(robot, notes=tuple(dict.fromkeys((*told, *robot.notes)))), runs
