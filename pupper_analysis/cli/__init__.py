@@ -13,6 +13,7 @@ import click
 from pupper_analysis.cli.convert import convert_command
 from pupper_analysis.cli.guard import check_command, diff_command
 from pupper_analysis.cli.live import live_command
+from pupper_analysis.cli.load import load
 from pupper_analysis.cli.models import audit_command, crosscheck
 from pupper_analysis.cli.motions import path, push
 from pupper_analysis.cli.process import Ended, endings, go_on, patient_output
@@ -164,6 +165,7 @@ for _command in (
     study_command,
     audit_command,
     check_command,
+    load,
     live_command,
     view,
     drop,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.matching.mimics import urdf_mimics
 from pupper_analysis.models.description import Description
@@ -22,16 +22,20 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare import notes, start
 from pupper_analysis.prepare.base import free_of_friction
+from pupper_analysis.prepare.draft import Request
 from pupper_analysis.prepare.motors import several
-from pupper_analysis.prepare.passes import PassRun, Request, prepare
+from pupper_analysis.prepare.passes import PassRun, prepare
 from pupper_analysis.prepare.self_check import self_checked
 from pupper_analysis.prepare.simulable import check_simulable
 from pupper_analysis.prepare.solver import inexact
+from pupper_analysis.results import Result
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
+
+_HOLD = Term("fixes the base where it does not stand")
 
 _FREE_IN_PARTS = 4
 """Joints of a base that is free by three slides and a ball joint, or more."""
@@ -114,10 +118,53 @@ def robot_of(
     as_is: bool = False,
 ) -> Robot:
     """Makes a robot of two files that have been read; see ``load_robot``."""
-    frames = None if feet is None else _frames(feet)
+    frames = None if feet is None else feet_frames(feet)
     request = Request(frames, fixed_base, name, joints, keyframe, as_is)
     robot, _ = prepared(urdf, mjcf, request)
     return self_checked(robot, mjcf, keyframe) if self_check else robot
+
+
+@dataclass(frozen=True)
+class Preparation(Result):
+    """How two files became a robot.
+
+    Attributes:
+        name: The robot's name.
+        mass: What it weighs (kg).
+        floating: Whether its base is free.
+        joints: Its joints, in the order of its coordinates.
+        feet: Its feet.
+        passes: What was run to make it ready, in this order; none if the files were ready.
+        notes: What was found, and what was made up for.
+    """
+
+    name: str
+    mass: float
+    floating: bool
+    joints: tuple[str, ...]
+    feet: tuple[str, ...]
+    passes: tuple[PassRun, ...]
+    notes: tuple[Diagnostic, ...]
+
+
+def explain_loading(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Preparation, Robot]:
+    """Makes two files a robot, and tells how.
+
+    Raises:
+        ModelError: If no robot can be made of them.
+        UnknownNameError: If a foot, joint or keyframe is not there.
+    """
+    robot, runs = prepared(urdf, mjcf, request)
+    told = Preparation(
+        name=robot.name,
+        mass=robot.total_mass,
+        floating=robot.floating,
+        joints=tuple(robot.joint_names),
+        feet=tuple(robot.soles),
+        passes=tuple(runs),
+        notes=robot.notes,
+    )
+    return told, robot
 
 
 def prepared(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:
@@ -139,7 +186,7 @@ def prepared(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, l
     return _free_if_it_stands(urdf, mjcf, request)
 
 
-def _frames(feet: Feet) -> dict[str, tuple[str, str]]:
+def feet_frames(feet: Feet) -> dict[str, tuple[str, str]]:
     """Returns {foot: its frames in URDF and MJCF}.
 
     Raises:
@@ -220,7 +267,10 @@ def _free_if_it_stands(
     def kept_in_the_world(why: Diagnostic) -> tuple[Robot, list[PassRun]]:
         robot, runs = prepare(urdf, mjcf, replace(request, fixed_base=True))
         told = diagnose("base-kept-in-the-world", why=why)
-        return replace(robot, notes=(*robot.notes, told)), [*runs, PassRun("hold-base", (told,))]
+        return replace(robot, notes=(*robot.notes, told)), [
+            *runs,
+            PassRun("hold-base", _HOLD, (told,)),
+        ]
 
     try:
         robot, runs = prepare(urdf, mjcf, request)

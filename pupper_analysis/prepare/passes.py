@@ -7,15 +7,15 @@ the robot. A file that is ready needs none of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
-from pupper_analysis.matching.match import Match, match
+from pupper_analysis.matching.match import match
 from pupper_analysis.matching.mjcf import name_all
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_drives import Drive, MadeServo, drive_of
@@ -24,6 +24,7 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import drives, notes, start, touching
 from pupper_analysis.prepare.base import free_base, free_of_friction
 from pupper_analysis.prepare.base_frame import lift_base_frame
+from pupper_analysis.prepare.draft import Draft, Request
 from pupper_analysis.prepare.feet import Foot, apart_at, find_feet, named_foot, with_feet
 from pupper_analysis.prepare.limits import bounded, within_both
 from pupper_analysis.prepare.mimics import coupled
@@ -32,6 +33,7 @@ from pupper_analysis.prepare.parts import with_parts
 from pupper_analysis.prepare.simulable import check_masses
 from pupper_analysis.prepare.solver import solvable
 from pupper_analysis.prepare.start_pose import started
+from pupper_analysis.results import Result
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.floor import level_ground
@@ -44,70 +46,6 @@ _APART = 2e-3
 """Joints whose axes are further apart are not rounded, but different (m)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Request:
-    """What is asked for when a robot is loaded.
-
-    Attributes:
-        feet: {foot: its frames in URDF and MJCF}; None: they are looked for.
-        fixed_base: Whether the base is fixed in the world.
-        name: The robot's name; None: the MJCF's.
-        joints: {joint in the URDF: joint in the MJCF}.
-        keyframe: The MJCF's keyframe to start from; None: the first in which the robot stands.
-        as_is: Whether no servos are added, and no shapes altered.
-    """
-
-    feet: Mapping[str, tuple[str, str]] | None = None
-    fixed_base: bool = False
-    name: str | None = None
-    joints: Mapping[str, str] | None = None
-    keyframe: str | None = None
-    as_is: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Draft:
-    """A robot as far as it is made.
-
-    Attributes:
-        urdf: As it was read.
-        mjcf: As it was read.
-        request: What is asked for.
-        spec: The MJCF's, changed.
-        keyframes: {name: {joint: position}} of the MJCF's that may be started from.
-        found: Whose joint is whose; from the pass ``match`` on.
-        description: Both files made alike; from the pass ``match`` on.
-        built: The robot; from the pass ``build`` on.
-    """
-
-    urdf: UrdfFile
-    mjcf: MjcfFile
-    request: Request
-    spec: mujoco.MjSpec
-    keyframes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    found: Match | None = None
-    description: Description | None = None
-    built: Robot | None = None
-
-    @property
-    def match(self) -> Match:
-        """Whose joint is whose."""
-        assert self.found is not None
-        return self.found
-
-    @property
-    def described(self) -> Description:
-        """Both files, made alike."""
-        assert self.description is not None
-        return self.description
-
-    @property
-    def robot(self) -> Robot:
-        """The robot."""
-        assert self.built is not None
-        return self.built
-
-
 Made = tuple[Draft, Iterable[Diagnostic]]
 
 
@@ -117,25 +55,29 @@ class Pass:
 
     Attributes:
         name: What it is called.
+        does: What it does, in words.
         apply: Does it; returns the draft with what was done.
         applies: Tells whether it concerns a draft.
     """
 
     name: str
+    does: Term
     apply: Callable[[Draft], Made]
     applies: Callable[[Draft], bool]
 
 
 @dataclass(frozen=True)
-class PassRun:
+class PassRun(Result):
     """A pass that was run.
 
     Attributes:
         name: What it is called.
+        does: What it does, in words.
         done: What it had to do, or found; empty where the files needed nothing.
     """
 
     name: str
+    does: Term
     done: tuple[Diagnostic, ...]
 
 
@@ -341,29 +283,73 @@ def _driven(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
 
 
 PASSES = (
-    Pass("name-elements", _name_elements, _any),
-    Pass("free-base", _free_base, _free),
-    Pass("lift-base-frame", _lift_base_frame, _free),
-    Pass("match", _match, _any),
-    Pass("weigh-parts", _weigh_parts, _any),
-    Pass("couple-mimics", _couple_mimics, _any),
-    Pass("build-held", _build_held, _held),
-    Pass("own-copy", _own_spec, _stands),
-    Pass("level-ground", _level_ground, _stands),
-    Pass("free-of-friction", _free_of_friction, _stands),
-    Pass("one-motor-at-each-joint", _one_motor_at_each_joint, _stands),
-    Pass("build", _build, _stands),
-    Pass("bound-joints", _bound_joints, _stands),
-    Pass("narrow-limits", _narrow_limits, _stands),
-    Pass("check-masses", _check_masses, _stands),
-    Pass("put-feet", _put_feet, _stands),
-    Pass("add-motors", _add_motors, _altered),
-    Pass("start-pose", _start, _on_feet),
-    Pass("touch-with-feet-alone", _of_robots(touching.on_feet_alone), _altered),
-    Pass("keep-apart", _of_robots(touching.apart), _altered),
-    Pass("solve-exactly", _of_robots(solvable), _altered),
-    Pass("tell-what-follows", _tell_what_follows, _on_feet),
-    Pass("add-servos", _add_servos, _altered),
+    Pass("name-elements", Term("names bodies and joints that have none"), _name_elements, _any),
+    Pass("free-base", Term("frees the base of a robot with limbs"), _free_base, _free),
+    Pass(
+        "lift-base-frame",
+        Term("puts the base's body where its free joint is"),
+        _lift_base_frame,
+        _free,
+    ),
+    Pass("match", Term("finds whose joint is whose"), _match, _any),
+    Pass("weigh-parts", Term("adds parts that only the MJCF has"), _weigh_parts, _any),
+    Pass("couple-mimics", Term("couples joints that follow others"), _couple_mimics, _any),
+    Pass("build-held", Term("builds the robot on its fixed base"), _build_held, _held),
+    Pass("own-copy", Term("takes a copy of the MJCF"), _own_spec, _stands),
+    Pass("level-ground", Term("adds a level ground, or makes it level"), _level_ground, _stands),
+    Pass(
+        "free-of-friction",
+        Term("takes dry friction off the free joint"),
+        _free_of_friction,
+        _stands,
+    ),
+    Pass(
+        "one-motor-at-each-joint",
+        Term("leaves one motor at each joint"),
+        _one_motor_at_each_joint,
+        _stands,
+    ),
+    Pass("build", Term("builds the robot"), _build, _stands),
+    Pass(
+        "bound-joints", Term("limits joints of loops that turn without end"), _bound_joints, _stands
+    ),
+    Pass(
+        "narrow-limits",
+        Term("takes the narrower of both files' joint limits"),
+        _narrow_limits,
+        _stands,
+    ),
+    Pass("check-masses", Term("refuses joints that move no mass"), _check_masses, _stands),
+    Pass("put-feet", Term("finds the feet, and their contact points"), _put_feet, _stands),
+    Pass(
+        "add-motors", Term("adds motors to joints of loops that have none"), _add_motors, _altered
+    ),
+    Pass("start-pose", Term("finds a pose in which it stands"), _start, _on_feet),
+    Pass(
+        "touch-with-feet-alone",
+        Term("lets feet alone touch the ground"),
+        _of_robots(touching.on_feet_alone),
+        _altered,
+    ),
+    Pass(
+        "keep-apart",
+        Term("excludes contacts of parts that overlap"),
+        _of_robots(touching.apart),
+        _altered,
+    ),
+    Pass(
+        "solve-exactly",
+        Term("chooses a solver that solves the equations of motion"),
+        _of_robots(solvable),
+        _altered,
+    ),
+    Pass(
+        "tell-what-follows",
+        Term("tells which joints and motors are not commanded"),
+        _tell_what_follows,
+        _on_feet,
+    ),
+    Pass("add-servos", Term("adds position servos that bring it to rest"), _add_servos, _altered),
 )
 """In the order in which they are run."""
 
@@ -382,7 +368,7 @@ def prepare(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, li
     for each in PASSES:
         if each.applies(draft):
             draft, done = each.apply(draft)
-            runs.append(PassRun(each.name, tuple(done)))
+            runs.append(PassRun(each.name, each.does, tuple(done)))
     told = (note for run in runs for note in run.done)
     robot = draft.robot
     return replace(robot, notes=tuple(dict.fromkeys((*told, *robot.notes)))), runs

@@ -1,0 +1,85 @@
+"""``pupper-analysis load``: what two files lack to be a robot that can stand, and what was done."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.stance_options import files_given
+
+
+@click.command(
+    "load", context_settings=shared.CONTEXT, short_help="Load a robot, and tell what was made up."
+)
+@click.argument("urdf", type=shared.MODEL_FILE)
+@click.argument("mjcf", type=shared.MODEL_FILE)
+@click.option(
+    "--foot",
+    "feet",
+    multiple=True,
+    metavar="[NAME=]FRAME",
+    help="A foot: a link, geom, site or body, or LINK:FRAME. Repeatable; else they are found.",
+)
+@click.option(
+    "--map", "pairs", multiple=True, metavar="URDF=MJCF", help="A joint's names. Repeatable."
+)
+@click.option("--keyframe", metavar="NAME", help="The MJCF's keyframe to start from.")
+@shared.package_option
+@click.option("--fixed-base", is_flag=True, help="Fix the base where the MJCF has it.")
+@click.option("--as-is", is_flag=True, help="Add no servos to the MJCF, and alter no shapes.")
+@click.option("--explain", is_flag=True, help="Print each pass that was run, and what it did.")
+@shared.look_option
+@shared.verbose_option
+@shared.json_option
+def load(
+    urdf: Path,
+    mjcf: Path,
+    feet: tuple[str, ...],
+    pairs: tuple[str, ...],
+    keyframe: str | None,
+    packages: tuple[str, ...],
+    fixed_base: bool,
+    as_is: bool,
+    explain: bool,
+    style: str,
+    everything: bool,
+    json_path: Path | None,
+) -> None:
+    """Load a robot of your own, and print what its files lack to stand.
+
+    A free base, a level ground, feet, a start pose and position servos are found or made up for, in
+    memory: no file is changed. Each is done by a pass; --explain prints them in their order.
+
+    \b
+    Examples:
+      pupper-analysis load urdf/pupper_v3.urdf mjcf/pupper_v3.xml --explain
+      pupper-analysis load g1.urdf g1.xml --foot left_ankle_roll_link --foot right_ankle_roll_link
+
+    \b
+    Exit status: 0 it was loaded, 2 it cannot be, or bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.models.mjcf import quiet
+    from pupper_analysis.models.mjcf_file import read_mjcf
+    from pupper_analysis.models.urdf_file import read_urdf
+    from pupper_analysis.prepare.draft import Request
+    from pupper_analysis.prepare.load import explain_loading, feet_frames
+    from pupper_analysis.report.document import Report
+    from pupper_analysis.report.documents.preparation import preparation_document
+
+    shared.check_outputs(json_path)
+    given = files_given(urdf, mjcf, feet, pairs, keyframe, packages)
+    with shared.working("preparing the robot: feet, start pose, servos"), quiet():
+        request = Request(
+            feet=feet_frames(given["feet"]) if given["feet"] else None,
+            fixed_base=fixed_base,
+            joints=given["joints"],
+            keyframe=keyframe,
+            as_is=as_is,
+        )
+        folders = shared.package_folders(packages)
+        told, _ = explain_loading(read_urdf(urdf, folders), read_mjcf(mjcf), request)
+    document = preparation_document(told, explained=explain)
+    shared.show_report(Report(document.title, (document,)), style, everything=everything)
+    shared.finish(json_path, told, passed=True)
