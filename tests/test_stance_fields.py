@@ -23,6 +23,9 @@ from pupper_analysis.pupper.live import Variants
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.results import to_json
 from pupper_analysis.stance.fields import FIELDS, Field
+from pupper_analysis.study.design import STANCE, check_range
+from pupper_analysis.study.design import task_of as task_of_numbers
+from pupper_analysis.study.measures import MEASURES
 
 NUMBERS = {"length": 0.0123, "angle": math.radians(7.5)}
 
@@ -161,6 +164,27 @@ def test_each_is_exported_as_python_and_as_a_command(field: Field) -> None:
     context = cli.group.commands["stand"].make_context("stand", words)
     typed = task_of({name: context.params[name] for name in TYPED})
     assert near(typed.values()[field.name], asked(field))
+
+
+@pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
+def test_each_number_of_a_stand_is_one_of_a_study(field: Field) -> None:
+    own = {name: axis for name, (known, axis) in STANCE.items() if known is field}
+    if field.per_foot or field.choices or field.name in MEASURES:
+        assert not own  # a measure's column has the name
+        return
+    assert len(own) == max(1, len(field.axes))
+    value = asked(field)
+    numbers = {name: value[axis] if field.axes else value for name, axis in own.items()}
+    assert task_of_numbers(pa.StandTask(), numbers).values()[field.name] == value
+    for name in own:
+        check_range(name, *sorted((field.low + 1e-6, 0.1)) if math.isfinite(field.low) else (0, 1))
+        if math.isfinite(field.low):
+            with pytest.raises(pa.ConfigurationError, match="must be"):
+                check_range(name, field.low - 1e-3, 0.1)
+    if field.axes:  # one of a point leaves the other where it is
+        second = list(own)[1]
+        moved = task_of_numbers(task_with(field), {second: 0.5})
+        assert moved.values()[field.name] == (value[0], 0.5)
 
 
 def test_options_say_units_and_what_they_are() -> None:

@@ -27,9 +27,11 @@ def option_of(field: Field) -> Callable[[Command], Command]:
         form = "X,Y" if point else field.kind.upper()
         options |= {"multiple": True, "metavar": f"FOOT={form}"}
     elif point:
-        options |= {"metavar": "X,Y"}
-    else:
+        options |= {"metavar": ",".join(field.axes or "xy").upper()}
+    elif field.kind in shared.UNITS:
         options |= {"type": shared.Quantity(field.kind), "default": field.usual}
+    else:
+        options |= {"type": float, "metavar": field.unit.upper(), "default": field.usual}
     return click.option(f"--{field.option}", field.name, **options)
 
 
@@ -50,20 +52,20 @@ def task_of(values: Mapping[str, Any]) -> StandTask:
     """
     from pupper_analysis.stance.task import StandTask
 
-    return StandTask().having({name: _read(TYPED[name], value) for name, value in values.items()})
+    return StandTask().having({name: typed(TYPED[name], value) for name, value in values.items()})
 
 
-def _read(field: Field, value: Any) -> Any:
+def typed(field: Field, value: Any) -> Any:
     """Returns an option's value as the task has it."""
     if field.per_foot:
         given = [(shared.assignment(field.option, text), text) for text in value]
-        return {foot: _typed(field, text, whole) for (foot, text), whole in given}
+        return {foot: _one(field, text, whole) for (foot, text), whole in given}
     if value is None or value in field.choices or not (field.axes or field.choices):
         return value
-    return _typed(field, value, value)
+    return _one(field, value, value)
 
 
-def _typed(field: Field, text: str, given: str) -> Any:
+def _one(field: Field, text: str, given: str) -> Any:
     if field.axes or field.choices:
-        return shared.point(field.option, text)
+        return shared.point(field.option, text, len(field.axes or "xy"))
     return shared.measured(field.option, field.kind, text, given)

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_fields import TYPED, options_of, task_of
+from pupper_analysis.cli.stance_fields import TYPED, option_of, options_of, task_of, typed
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.stance.fields import ROBOT_FIELDS
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -60,24 +61,15 @@ AS_PUBLISHED = (
         help="Simulate the MJCF as it was published, too (default).",
     ),
 )
-LOAD = (
-    click.option(
-        "--payload", type=float, default=0.0, metavar="KG", help="A mass welded to the base (kg)."
-    ),
-    click.option(
-        "--payload-at", default="0,0,0", metavar="X,Y,Z", help="Where, in the base's frame (m)."
-    ),
-)
+LOAD = tuple(option_of(ROBOT_FIELDS[name]) for name in ("payload", "payload_at"))
 SERVOS = (
     click.option(
         "--kp",
         multiple=True,
         metavar="[JOINTS=]NM",
-        help="Servo stiffness (N m/rad), not the model's; of joints by pattern: '*knee*=50'.",
+        help=ROBOT_FIELDS["kp"].help,
     ),
-    click.option(
-        "--kd", multiple=True, metavar="[JOINTS=]NMS", help="Servo damping (N m s/rad), likewise."
-    ),
+    click.option("--kd", multiple=True, metavar="[JOINTS=]NMS", help=ROBOT_FIELDS["kd"].help),
     click.option(
         "--integrator",
         type=click.Choice(["Euler", "implicitfast", "implicit", "RK4"]),
@@ -120,7 +112,7 @@ class RobotAndTask:
     leg_scale: float | None
     torso_mass_scale: float | None
     payload: float
-    payload_at: str
+    payload_at: str | None
     stance: Mapping[str, Any]
     kp: tuple[str, ...]
     kd: tuple[str, ...]
@@ -144,7 +136,7 @@ class RobotAndTask:
         from pupper_analysis.robot.payload import with_payload
         from pupper_analysis.robot.servos import with_integrator
 
-        place = shared.point("payload-at", self.payload_at, 3)
+        place = typed(ROBOT_FIELDS["payload_at"], self.payload_at) or (0.0, 0.0, 0.0)
         return with_integrator(with_payload(robot, self.payload, place), self.integrator)
 
     def _bare(self, names: tuple[str, ...], default: tuple[str, ...]) -> list[Robot]:

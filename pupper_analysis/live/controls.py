@@ -12,7 +12,7 @@ from typing import Any
 from pupper_analysis.diagnostics import term
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.sliders import CONTROLS, Control, Range, ranges_of
-from pupper_analysis.live.state import OF_THE_ROBOT, State, in_si, on_page
+from pupper_analysis.live.state import State, in_si, on_page
 from pupper_analysis.live.viser_parts import mark
 from pupper_analysis.report.formats import visible
 from pupper_analysis.robot.robot import Robot
@@ -79,7 +79,7 @@ class Controls:
     def body(self) -> None:
         """Adds what says what it carries, and which robot it is."""
         gui, say = self._gui, self._say
-        for folder in _folders(OF_THE_ROBOT):
+        for folder in ("Payload", "Legs and torso", "Servos"):
             if any(_folder(CONTROLS[name].field) == folder for name in self._ranges):
                 with gui.add_folder(term(folder, say.code)):
                     self._add(folder)

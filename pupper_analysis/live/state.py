@@ -12,16 +12,23 @@ from pupper_analysis.arguments import finite
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.frozen import FrozenDict
-from pupper_analysis.stance.fields import FIELDS, UNITS, Field, read_table
+from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS, UNITS, Field, read_table
 from pupper_analysis.stance.task import StandTask
 
 PLACES = ("centre", "inside", "offset")
 """What decides where the base is: com over the centre, com anywhere inside, or an offset."""
 
-OF_THE_ROBOT = read_table("pupper_analysis.live", "fields.toml")
+OF_THE_ROBOT = {
+    name: field
+    for name, field in {
+        **ROBOT_FIELDS,
+        **read_table("pupper_analysis.live", "fields.toml"),
+    }.items()
+    if field.slider
+}
 """Fields that make another robot, which takes longer than a stance, or no other stance."""
 
-SHOWN = {name: field for name, field in FIELDS.items() if field.slider} | dict(OF_THE_ROBOT)
+SHOWN = {name: field for name, field in FIELDS.items() if field.slider} | OF_THE_ROBOT
 """{name: field} of all that a page asks for by sliders."""
 
 _BY_ADDRESS = {field.address: field for field in SHOWN.values()}

@@ -179,8 +179,10 @@ class Field:
         if low < number <= high or (number == low and not self.open):
             return
         given = Quantity(number, unit or self.unit)
-        if number <= low and self.open:
+        if number <= low and self.kind == "length" and self.open:
             told = diagnose("height-not-above-ground", height=given)
+        elif number <= low and self.open:
+            told = diagnose("not-above", value=given, bound=Quantity(low, given.unit))
         elif number < low:
             told = diagnose("below-the-least", value=given, bound=Quantity(low, given.unit))
         else:
@@ -215,3 +217,6 @@ def _field(name: str, facts: dict[str, Any]) -> Field:
 
 FIELDS = read_table("pupper_analysis.stance", "fields.toml")
 """{name: field} of all that can be asked of a stand."""
+
+ROBOT_FIELDS = read_table("pupper_analysis.stance", "robot_fields.toml")
+"""{name: field} of what can be asked of the robot that shall stand: its load, its servos."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import (
     ConfigurationError,
     ModelError,
@@ -22,9 +23,10 @@ from pupper_analysis.errors import (
 )
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.study.measures import Design, Measure
+from pupper_analysis.study.measures import MEASURES, Design, Measure
 from pupper_analysis.study.named import AXES, SERVOS, Named
 from pupper_analysis.study.numbers import scaled, with_friction, with_gains
 from pupper_analysis.study.source import Source
@@ -49,29 +51,25 @@ class Number:
     open: bool = False
 
 
-_PI = math.pi
-
 STANCE = {
-    "height": Number(0.0, math.inf, "m", open=True),
-    "roll": Number(-_PI, _PI, "rad"),
-    "pitch": Number(-_PI, _PI, "rad"),
-    "yaw": Number(-_PI, _PI, "rad"),
-    "offset_x": Number(-math.inf, math.inf, "m"),
-    "offset_y": Number(-math.inf, math.inf, "m"),
-    "slope": Number(0.0, _PI / 2, "rad"),
-    "uphill": Number(-math.inf, math.inf, "rad"),
+    name: (known, axis)
+    for known in FIELDS.values()
+    if not known.per_foot and not known.choices
+    for axis, name in enumerate([f"{known.name}_{x}" for x in known.axes] or [known.name])
+    if name not in MEASURES
 }
-"""Numbers of the stance; they change no model."""
+"""{number of the stance: its field, and which number of a point}; they change no model.
 
-MODEL = {
-    "kp": Number(0.0, math.inf, "N m/rad", open=True),
-    "kd": Number(0.0, math.inf, "N m s/rad"),
-    "payload": Number(0.0, math.inf, "kg"),
-    "friction": Number(0.0, math.inf, "-"),
-}
+A measure of the same name, such as ``com_margin``, would be in the same column of the table.
+"""
+
+MODEL = {name: field for name, field in ROBOT_FIELDS.items() if not field.axes}
 """Numbers of the robot, for all joints and feet alike."""
 
-NUMBERS = {**STANCE, **MODEL}
+NUMBERS = {
+    name: Number(known.low, known.high, known.unit, known.open)
+    for name, known in ({name: one for name, (one, _) in STANCE.items()} | MODEL).items()
+}
 
 OFFSET = Number(-math.inf, math.inf, "m")
 """How far a centre of mass is moved."""
@@ -124,9 +122,8 @@ class Maker:
         stance = {n: v for n, v in numbers.items() if n in STANCE}
         model = {n: v for n, v in numbers.items() if n not in gains and n not in stance}
         for name in ("kp", "kd"):
-            value = gains.get(name, 1.0)
-            if not (value >= 0 if name == "kd" else value > 0):
-                raise ConfigurationError(name, f"{value:g} is not {NUMBERS[name].unit} > 0")
+            if name in gains:
+                MODEL[name].check_range(name, gains[name])
         key = tuple(sorted(model.items()))
         robot = self._loaded.get(key, lambda: self._robot(model))
         stand = self._stands.get(
@@ -163,19 +160,16 @@ def task_of(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
     Raises:
         ConfigurationError: If a number is out of its range.
     """
-    changes: dict[str, Any] = {
-        name: numbers[name] for name in ("height", "roll", "pitch", "yaw") if name in numbers
-    }
-    if "slope" in numbers or "uphill" in numbers:
-        changes["ground"] = replace(
-            task.ground,
-            slope=numbers.get("slope", task.ground.slope),
-            uphill=numbers.get("uphill", task.ground.uphill),
-        )
-    if "offset_x" in numbers or "offset_y" in numbers:
-        x, y = task.offset or (0.0, 0.0)
-        changes["offset"] = (numbers.get("offset_x", x), numbers.get("offset_y", y))
-    return replace(task, **changes)
+    changes: dict[str, Any] = {}
+    values = task.values()
+    for name, (known, axis) in STANCE.items():
+        if name in numbers and known.axes:
+            point = list(changes.get(known.name, values[known.name]) or (0.0,) * len(known.axes))
+            point[axis] = numbers[name]
+            changes[known.name] = tuple(point)
+        elif name in numbers:
+            changes[known.name] = numbers[name]
+    return task.having(changes)
 
 
 def check_name(name: str, source: Source) -> None:
@@ -185,11 +179,8 @@ def check_name(name: str, source: Source) -> None:
         ConfigurationError: If there is none of that name; the message lists the names.
     """
     if Named.of(name) is None and name not in NUMBERS and name not in source.scales:
-        known = ", ".join((*source.scales, *NUMBERS))
-        raise ConfigurationError(
-            f"vary[{name!r}]", f"there is no such number; there are {known}, and factors such as "
-            "mass:NAME, effort:NAME or kp:NAME"
-        )  # fmt: skip
+        told = diagnose("no-number-to-vary", known=(*source.scales, *NUMBERS))
+        raise ConfigurationError(f"vary[{name!r}]", told)
 
 
 def check_range(name: str, low: float, high: float) -> None:
@@ -206,10 +197,16 @@ def check_range(name: str, low: float, high: float) -> None:
         known = Number(0.0, math.inf, "x", open=name.partition(":")[0] in ("mass", "inertia", "kp"))
     below = low <= known.low if known.open else low < known.low
     if (math.isfinite(low) and below) or (math.isfinite(high) and high > known.high):
-        least = f"{'>' if known.open else '>='} {known.low:g}"
-        most = f" and <= {known.high:.6g}" if math.isfinite(known.high) else ""
-        problem = f"from {low:g} to {high:g}: it must be {least}{most} ({known.unit})"
-        raise ConfigurationError(f"vary[{name!r}]", problem)
+        told = diagnose(
+            "out-of-range",
+            first=low,
+            last=high,
+            open=known.open,
+            low=known.low,
+            high=known.high if math.isfinite(known.high) else None,
+            unit=known.unit,
+        )
+        raise ConfigurationError(f"vary[{name!r}]", told)
 
 
 FALLS = (
@@ -282,8 +279,8 @@ def _value(name: str, value: Any) -> float:
     try:
         return float(value)
     except (TypeError, ValueError) as error:
-        problem = f"{value!r} is neither a number nor a mapping of names to numbers"
-        raise ConfigurationError(name, problem) from error
+        told = diagnose("measured-no-number", found=repr(value))
+        raise ConfigurationError(name, told) from error
 
 
 def _reason(error: BaseException) -> str:

@@ -24,7 +24,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.payload import point_on_base
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.study.design import check_name, check_range
+from pupper_analysis.study.design import STANCE, check_name, check_range
 from pupper_analysis.study.measures import (
     REVISION,
     Function,
@@ -145,9 +145,10 @@ class Study:
         return {name: self.variables[of[0]].asked() for name, of in self.groups.items()}
 
     def _check_variables(self) -> None:
-        offset = next((name for name in ("offset_x", "offset_y") if name in self.variables), None)
+        moved = (name for name in self.variables if name in STANCE)
+        offset = next((name for name in moved if STANCE[name][0].name == "offset"), None)
         if offset is not None and self.task.com not in (None, "centre"):
-            raise ConfigurationError(f"vary[{offset!r}]", diagnose("offset-or-com"))
+            raise ConfigurationError(f"vary[{offset!r}]", diagnose("offset-and-com"))
         for name, one in self.variables.items():
             check_range(name, *one.range)
             named = Named.of(name)
