@@ -13,8 +13,12 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 from lxml import etree
+from numpy.typing import NDArray
 
+from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.models.xml import parse_text
+
+Array = NDArray[np.float64]
 
 MOVING = ("revolute", "continuous", "prismatic")
 """Types of joints with one degree of freedom."""
@@ -41,7 +45,7 @@ def set_origin(element: etree._Element, pose: pin.SE3) -> None:
         element.insert(0, origin)
     rpy = Rotation.from_matrix(pose.rotation).as_euler("xyz")
     for key, values in (("xyz", pose.translation), ("rpy", rpy)):
-        origin.set(key, " ".join(repr(float(value)) for value in values))
+        origin.set(key, _words(values))
 
 
 _NO_LIMIT = {"effort": "0", "velocity": "0"}
@@ -161,6 +165,10 @@ class UrdfJoint:
         limit.set("upper", repr(float(upper)))
 
 
+def _words(values: Array) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
 def _remove(element: etree._Element, tags: Collection[str]) -> None:
     for tag in tags:
         for child in element.findall(tag):
@@ -274,6 +282,32 @@ class UrdfTree:
         for joint in self.below.get(base.name, ()):
             self.root.remove(joint.element)
         self.root.remove(base.element)
+        self._forget()
+
+    def add_link(
+        self, name: str, parent: str, joint: str, place: Array, inertia: pin.Inertia | None = None
+    ) -> None:
+        """Adds a link that is fixed to another, with its axes.
+
+        Args:
+            name: The link's.
+            parent: What it is fixed to.
+            joint: The name of the joint between them.
+            place: (3,) of its frame in the parent's (m).
+            inertia: What it weighs, in its own frame; None: nothing is stated.
+        """
+        link = etree.SubElement(self.root, "link", name=name)
+        if inertia is not None:
+            stated = etree.SubElement(link, "inertial")
+            etree.SubElement(stated, "origin", xyz=_words(inertia.lever))
+            etree.SubElement(stated, "mass", value=repr(float(inertia.mass)))
+            tensor = np.array(inertia.inertia)
+            entries = {word: repr(float(tensor[at])) for word, at in INERTIA_ENTRIES.items()}
+            etree.SubElement(stated, "inertia", **entries)
+        held = etree.SubElement(self.root, "joint", name=joint, type="fixed")
+        etree.SubElement(held, "parent", link=parent)
+        etree.SubElement(held, "child", link=name)
+        etree.SubElement(held, "origin", xyz=_words(place))
         self._forget()
 
     def _forget(self) -> None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 import pinocchio as pin
-from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import diagnose
@@ -16,7 +15,7 @@ from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.models.xml import to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import ground_geom
@@ -228,7 +227,7 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
     model, spec = robot.mj_model, robot.description.mjcf.copy()
     data = posed(robot, np.zeros(robot.nu))
     still = Configuration(robot, robot.neutral())
-    root = parse_text(robot.description.urdf)
+    tree = UrdfTree.of(robot.description.urdf)
     bodies = {body.name: body for body in spec.bodies}
     _name_geoms(spec)
     compiled = spec.compile()
@@ -247,7 +246,7 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
             bodies[model.body(own).name].add_site(name=frame, pos=point.center)
             world = data.xpos[own] + data.xmat[own].reshape(3, 3) @ point.center
             world = _in_urdf(robot, still, data, foot.body, world)
-            _add_link(root, frame, link, placed[1].T @ (world - placed[0]))
+            tree.add_link(frame, link, f"to {frame}", placed[1].T @ (world - placed[0]))
             names[name] = (frame, frame)
             geoms[name] = (_touching(spec, compiled, bodies, point, name), point.radius)
             points.append(name)
@@ -257,7 +256,12 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
         mesh = next(geom for geom in spec.geoms if geom.name == name)
         mesh.contype = mesh.conaffinity = 0
     return replace(
-        robot.description, urdf=to_text(root), mjcf=spec, feet=names, soles=soles, foot_geoms=geoms
+        robot.description,
+        urdf=to_text(tree.root),
+        mjcf=spec,
+        feet=names,
+        soles=soles,
+        foot_geoms=geoms,
     )
 
 
@@ -372,11 +376,3 @@ def _last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None
                 return name
         body = int(model.body_parentid[body])
     return None
-
-
-def _add_link(root: etree._Element, name: str, parent: str, place: Array) -> None:
-    etree.SubElement(root, "link", name=name)
-    joint = etree.SubElement(root, "joint", name=f"to {name}", type="fixed")
-    etree.SubElement(joint, "parent", link=parent)
-    etree.SubElement(joint, "child", link=name)
-    etree.SubElement(joint, "origin", xyz=" ".join(repr(float(value)) for value in place))

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import mujoco
-from lxml import etree
+import numpy as np
+import pinocchio as pin
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.matching.match import Match
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.configuration import Configuration
 
 _ALIKE = 1e-3
@@ -49,26 +51,19 @@ def with_parts(matched: Match, spec: mujoco.MjSpec) -> tuple[Description | None,
     data, config = mujoco.MjData(model), Configuration(robot, robot.neutral())
     robot.mj_convention.set_state(data, robot.neutral())
     mujoco.mj_kinematics(model, data)
-    root = parse_text(robot.description.urdf)
+    tree = UrdfTree.of(robot.description.urdf)
     for body in bodies:
         link = carriers[int(model.body_weldid[body])]
         turn = config.frame_rotation(link).T
         com = turn @ (data.xipos[body] - config.frame_position(link))
         axes = turn @ data.ximat[body].reshape(3, 3)
         inertia = axes * model.body_inertia[body] @ axes.T
-        part = etree.SubElement(root, "link", name=f"{model.body(body).name} (MJCF)")
-        inertial = etree.SubElement(part, "inertial")
-        etree.SubElement(inertial, "origin", xyz=" ".join(map(repr, com.tolist())))
-        etree.SubElement(inertial, "mass", value=repr(float(model.body_mass[body])))
-        places = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2)}
-        places |= {"iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-        numbers = {word: repr(float(inertia[place])) for word, place in places.items()}
-        etree.SubElement(inertial, "inertia", **numbers)
-        joint = etree.SubElement(root, "joint", name=f"{part.get('name')} (held)", type="fixed")
-        etree.SubElement(joint, "parent", link=link)
-        etree.SubElement(joint, "child", link=str(part.get("name")))
+        part = f"{model.body(body).name} (MJCF)"
+        weight = pin.Inertia.Zero()  # whose constructor refuses what a file may state all the same
+        weight.mass, weight.lever, weight.inertia = float(model.body_mass[body]), com, inertia
+        tree.add_link(part, link, f"{part} (held)", np.zeros(3), weight)
     noted = [diagnose("parts-weigh-in-both", bodies=names, mass=Quantity(mass, "kg"))]
-    return replace(robot.description, urdf=to_text(root)), noted
+    return replace(robot.description, urdf=to_text(tree.root)), noted
 
 
 def _part_bodies(spec: mujoco.MjSpec, joints: Sequence[str]) -> list[str]:

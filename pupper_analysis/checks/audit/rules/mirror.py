@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.checks.audit.pairs import Mirror, mirror_pairs, mirror_plane
 from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
@@ -137,8 +138,7 @@ def mirror_com(view: View) -> Iterator[Found]:
 @rule
 def mirror_inertia(view: View) -> Iterator[Found]:
     """Compares S I S with I', with S the reflection, where the masses agree; tolerance: 10 %."""
-    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    elements = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
+    names = tuple(INERTIA_ENTRIES)
     for mirror, (one, here), (other, there) in _inertials(view):
         if not _same_mass(one, other):
             continue
@@ -147,15 +147,16 @@ def mirror_inertia(view: View) -> Iterator[Found]:
         tensor = other.pose.rotation @ there.inertia @ other.pose.rotation.T
         scale = max(float(np.abs(image).max()), float(np.abs(tensor).max()))
         rounding = 2 * max(here.rounding, there.rounding)
-        gap = np.abs(image - tensor)[elements]
+        its, own = inertia_entries(image), inertia_entries(tensor)
+        gap = np.abs(its - own)
         worst = int(np.argmax(gap))
         if gap[worst] > max(INERTIA * scale, min(rounding, 0.5 * scale)):
             told = diagnose(
                 "mirror-inertia",
                 entry=names[worst],
-                value=Quantity(tensor[elements][worst], "kg m^2"),
+                value=Quantity(own[worst], "kg m^2"),
                 other=one.name,
-                its=Quantity(image[elements][worst], "kg m^2"),
+                its=Quantity(its[worst], "kg m^2"),
             )
             yield Found(view.body_tag, other.name, told, view.inertial_part("inertia"))
 
