@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -43,7 +45,7 @@ def test_a_chain_leads_to_the_base(tree: UrdfTree) -> None:
     chain = list(tree.chain("foot3"))
     assert chain[0].child == "foot3"
     assert chain[-1].parent == "base"
-    assert all(one.parent == two.child for one, two in zip(chain[:-1], chain[1:], strict=True))
+    assert all(one.parent == two.child for one, two in itertools.pairwise(chain))
     placed = pin.SE3.Identity()
     for joint in reversed(chain):
         placed = placed * joint.origin
