@@ -27,13 +27,12 @@ import numpy as np
 
 import pupper_analysis as pa
 from pupper_analysis.live import viser_parts
-from pupper_analysis.live.language import Language
+from pupper_analysis.live.documents import stance_document
 from pupper_analysis.live.model import Answer, Model, sag
 from pupper_analysis.live.panels import Panels
 from pupper_analysis.live.scene import Scene
 from pupper_analysis.live.server import LOOPBACK, Page
 from pupper_analysis.live.state import State
-from pupper_analysis.live.text import numbers
 from pupper_analysis.pupper.live import Variants
 
 
@@ -62,7 +61,7 @@ def measure(variant: str, moves: int) -> dict[str, list[float]]:
             with server.atomic():
                 scene.show(answer)
                 shown = time.thread_time()
-                panels.status(numbers(Language(), answer, None))
+                panels.status(stance_document(answer, None, None))
                 panels.answered(answer)
             done = time.thread_time()
             wall.append(time.perf_counter() - begun)

@@ -22,10 +22,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from pupper_analysis.live import export, text, viser_parts
+from pupper_analysis.live import export, viser_parts
 from pupper_analysis.live.colour import BEYOND, SCALE, UNLIMITED, colour_of
+from pupper_analysis.live.documents import (
+    brief_document,
+    failure_document,
+    refusal_document,
+    stance_document,
+)
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Answer, Model, expected, explained, pushed, sag, simulated
+from pupper_analysis.live.render import brief, panel
 from pupper_analysis.live.shapes import parts_of, primitive
 from pupper_analysis.live.sliders import fine, ranges_of, round_up
 from pupper_analysis.live.source import Pair
@@ -216,14 +223,14 @@ def test_what_is_wrong_is_in_the_answer(state: State, kind: type[Exception]) -> 
     found = model_of().answer(state)
     assert isinstance(found.refusal, kind)
     assert found.statics is None
-    assert text.numbers(ENGLISH, found, None, None)
+    assert panel(stance_document(found, None, None), ENGLISH)
 
 
 def test_what_slides_is_shown_without_forces() -> None:
     slope = model_of("original").answer(State(slope=44.0))
     if slope.stand is not None:
         assert isinstance(slope.refusal, pa.StaticsInfeasibleError)
-        assert "friction" in text.numbers(ENGLISH, slope, None, None)
+        assert "friction" in panel(stance_document(slope, None, None), ENGLISH)
 
 
 def test_robots_are_kept_and_not_all_of_them() -> None:
@@ -345,8 +352,8 @@ def test_nothing_in_a_name_acts() -> None:
         refusal=pa.ConfigurationError(evil, evil),
     )
     for html in (
-        text.numbers(ENGLISH, worse, None, expected(worse, closely=False)),
-        text.failure(ENGLISH, worse.refusal or pa.ModelError("", "")),
+        panel(stance_document(worse, None, expected(worse, closely=False)), ENGLISH),
+        panel(failure_document(worse.refusal or pa.ModelError("", "")), ENGLISH),
     ):
         assert "<img" not in html
         assert "\u202e" not in html
@@ -358,14 +365,14 @@ def test_the_words_tell_the_numbers() -> None:
     assert found.stand is not None
     assert found.statics is not None
     settled = sag(found)
-    html = text.numbers(ENGLISH, found, settled, expected(found, closely=True))
-    assert "120.0 mm" in html
-    assert f"{1e3 * found.stand.com_margin:.1f} mm" in html
+    html = panel(stance_document(found, settled, expected(found, closely=True)), ENGLISH)
+    assert ">120.0</td><td>mm<" in html
+    assert f">{1e3 * found.stand.com_margin:.1f}</td><td>mm<" in html
     for torque in found.statics.joint_torques:
         assert f">{torque:+.4f}<" in html
     assert settled.settled is not None
-    assert f"{1e3 * settled.settled.height_loss:.2f} mm" in html
-    assert "being worked out" in text.numbers(ENGLISH, found, None, None)
+    assert f">{1e3 * settled.settled.height_loss:.3f}</td><td>mm<" in html
+    assert "being worked out" in panel(stance_document(found, None, None), ENGLISH)
     assert "being worked out" not in html
 
 
@@ -380,7 +387,10 @@ def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
     assert judged is not None
     assert (judged.code, judged.passed) == (VerdictCode.OVERLOADED, False)
     assert judged.overloaded == tuple(over)
-    for said in (text.numbers(ENGLISH, found, None, judged), text.brief(ENGLISH, found, judged)):
+    for said in (
+        panel(stance_document(found, None, judged), ENGLISH),
+        brief(brief_document(found, judged), ENGLISH),
+    ):
         assert 'class="good"' not in said
         assert "OVERLOADED" in said
         assert all(name in said for name in over)
@@ -388,13 +398,13 @@ def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
     sound = expected(usual, closely=True)
     assert sound is not None
     assert sound.code is VerdictCode.IN_BALANCE
-    assert 'class="good"' in text.numbers(ENGLISH, usual, None, sound)
+    assert 'class="good"' in panel(stance_document(usual, None, sound), ENGLISH)
     # Servos too soft: a deviation doubles in 2.5 s, which is found without a simulation.
     soft = model_of().answer(State(kp=0.3, kd=0.05))
     shaky = expected(soft, closely=True)
     assert shaky is not None
     assert shaky.code is VerdictCode.UNSTABLE
-    assert 'class="good"' not in text.numbers(ENGLISH, soft, None, shaky)
+    assert 'class="good"' not in panel(stance_document(soft, None, shaky), ENGLISH)
 
 
 @pytest.mark.parametrize(
@@ -417,10 +427,10 @@ def test_what_is_possible_is_in_the_units_of_the_page() -> None:
     found = model_of().answer(State(height=250.0))
     error = explained(found)
     assert error is not None
-    told = text.refusal(ENGLISH, found, error, pending=False)
+    told = panel(refusal_document(found, error, pending=False), ENGLISH)
     assert f"height (mm): {1e3 * error.limits['height']['height']:g}" in told
     both = model_of().answer(State(roll=35.0))
-    joints = text.refusal(ENGLISH, both, explained(both), pending=False)
+    joints = panel(refusal_document(both, explained(both), pending=False), ENGLISH)
     assert "leg_front_l_2 (+24.1°)" in joints  # of 0.42 rad
 
 

@@ -127,7 +127,7 @@ class Opened:
         return [str(text) for text in self.page.locator(".pa").all_inner_texts()]
 
     def torques(self) -> list[float]:
-        cells = self.page.locator("table.torques td:nth-child(2)").all_inner_texts()
+        cells = self.page.locator("table.barred td:nth-child(2)").all_inner_texts()
         return [float(text) for text in cells]
 
     def takes(self, stand: pa.Stand, robot: pa.Robot | None = None) -> None:

@@ -496,8 +496,16 @@ def test_pushes() -> None:
 # A stance
 
 
+class Task(str):
+    """What was asked, in words; and the height that came of it."""
+
+    __slots__ = ()
+    height = 0.1044
+
+
 STAND: Any = Stub(
-    task="roll 1.0 deg",
+    task=Task("roll 1.0 deg"),
+    com_margin=0.0333,
     qpos=np.array([0.0, 0.0, 0.1009]),
     depths={"FR": 0.0, "RL": 0.0},
     ground_clearance=Stub(distance=0.0111, links=("calf",)),
@@ -563,6 +571,13 @@ def test_a_stance() -> None:
         RL +4.044 -5.055 +6.066 8.2 +0.404 +0.505 +8.606 +3.994 -5.105 +6.016
         balance residual 1.1e-11 N, 2.2e-12 N m (in MuJoCo's terms 4.2e-05); com 12.3 mm inside
             the support polygon
+        Stance
+        quantity value unit
+        height of the base 104.4 mm
+        com margin 33.3 mm
+        ground clearance 11.1 mm
+        distance between links 22.2 mm
+        friction used 8.2 %
         MuJoCo, 12 s on the floating base
         with
         quantity feed-forward unit

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.live.door import without_folders
-from pupper_analysis.report.document import Text
-from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.report.document import Said, Text, Words
 from pupper_analysis.report.html import sentences
 from pupper_analysis.report.words import text
-from pupper_analysis.stance.task import StandTask
 
 NAMES = {"en": "English", "zh": "中文"}
 """{language: what it calls itself}."""
@@ -54,17 +52,15 @@ class Language:
             return self._of(found)
         return sentence
 
-    def task(self, task: StandTask) -> str:
-        """Returns what is asked of a stand."""
-        return self._of(task_text(task))
-
-    def demands(self, demands: str) -> str:
-        """Returns demands that a refusal joins with ``and``."""
-        return self("and").join(self.sentence(demand) for demand in demands.split(" and "))
-
     def either(self, choices: Iterable[str]) -> str:
         """Returns choices with the word for *or* between them."""
         return self("or").join(choices)
+
+    def words(self, words: Words) -> str:
+        """Returns words of a document."""
+        if isinstance(words, Said):
+            return self.sentence(words.text)
+        return without_folders(self._of(words) if isinstance(words, Text) else words.text)
 
     def _of(self, words: Text) -> str:
         return words.zh if self.code == "zh" else words.en

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any, Protocol
 
-from pupper_analysis.live import export, text
+from pupper_analysis.live import export, render
 from pupper_analysis.live.controls import Controls
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Answer, Model, Sag
 from pupper_analysis.live.state import State
 from pupper_analysis.live.viser_parts import clear_but_tabs, named_tabs
+from pupper_analysis.report.document import Document
 from pupper_analysis.report.formats import visible
+from pupper_analysis.report.words import text
 
 
 class Acts(Protocol):
@@ -80,11 +82,11 @@ class Panels:
             clear_but_tabs(gui, before.tabs)
         left = gui.add_panel()
         with left.add_tab(say("what-it-takes")):
-            self._numbers = gui.add_html(text.waiting(say("solving")))
+            self._numbers = gui.add_html(render.waiting(text("solving"), say))
         left.dock_left()
         left.set_width(330)
         self.controls = Controls(gui, robot, model.source.scales, say, acts.changed)
-        gui.add_html(text.PHONE)
+        gui.add_html(render.PHONE)
         self._brief = gui.add_html("")
         other = gui.add_button(say.other.name, color="gray")
         names = (say("stance"), say("body"), "MuJoCo", say("share-title"))
@@ -124,7 +126,7 @@ class Panels:
         labels = gui.add_checkbox(say("torques-at-all-joints"), False)
         self._time = gui.add_slider(say("time-s"), 0.0, 1.0, 0.01, 0.0, visible=False)
         self._again = gui.add_button(say("play-again"), visible=False, color="gray")
-        self._result = gui.add_html(text.nothing(say("not-simulated-yet")))
+        self._result = gui.add_html(render.hint(text("not-simulated-yet"), say))
         simulate.on_click(lambda _: acts.simulate())
         push.on_click(lambda _: acts.push())
         labels.on_update(lambda event: acts.draw_again(bool(event.target.value)))
@@ -189,19 +191,32 @@ class Panels:
         """How hard (N s), and where to (rad)."""
         return float(self._impulse.value), math.radians(float(self._direction.value))
 
-    def status(self, html: str, brief: str = "") -> None:
+    def status(self, told: Document, brief: Document | None = None) -> None:
         """Shows what it takes.
 
         Args:
-            html: All of it.
-            brief: The same in a line, for a screen that has no room for it beside the sliders.
+            told: All of it.
+            brief: The verdict alone, for a screen that has no room for it beside the sliders.
         """
-        self._numbers.content = html
-        self._brief.content = brief
+        self._numbers.content = render.panel(told, self.say)
+        self._brief.content = "" if brief is None else render.brief(brief, self.say)
 
-    def result(self, html: str) -> None:
+    def making(self) -> None:
+        """Shows that a robot is made."""
+        self._numbers.content = render.waiting(text("making-the-robot"), self.say)
+        self._brief.content = ""
+
+    def result(self, told: Document) -> None:
         """Shows what came of a simulation."""
-        self._result.content = html
+        self._result.content = render.panel(told, self.say)
+
+    def wait(self, key: str) -> None:
+        """Shows that a simulation is under way."""
+        self._result.content = render.waiting(text(key), self.say)
+
+    def hint(self, key: str) -> None:
+        """Shows why there is no result of a simulation."""
+        self._result.content = render.hint(text(key), self.say)
 
     def simulated(self, duration: float) -> None:
         """Offers to look at what was simulated, for so long (s); at nothing for 0."""
@@ -220,7 +235,7 @@ class Panels:
         self.limits(None)
         if answer.robot is not None:
             self.controls.follow(answer.robot)
-        self._result.content = text.nothing(self.say("not-simulated-yet"))
+        self.hint("not-simulated-yet")
         self.simulated(0.0)
         self._state.value = str(state)
         self._link.value = export.link(self._address, state, self.say.code)

@@ -18,13 +18,22 @@ from typing import Any
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.live import model as answers
-from pupper_analysis.live import text
+from pupper_analysis.live.documents import (
+    brief_document,
+    failure_document,
+    push_document,
+    refusal_document,
+    simulation_document,
+    stance_document,
+    unforeseen_document,
+)
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Answer, Model, Sag
 from pupper_analysis.live.motion import Motion
 from pupper_analysis.live.panels import Panels
 from pupper_analysis.live.scene import Scene
 from pupper_analysis.live.state import State, halfway, parse
+from pupper_analysis.report.document import Document
 from pupper_analysis.simulation.verdict import Verdict
 
 QUIET = 0.15
@@ -75,7 +84,7 @@ class Session:
         self._pending = True
         self._job: Callable[[Answer], None] | None = None
         self._motion: Motion | None = None
-        self._result: Callable[[Language], str] | None = None
+        self._result: Document | None = None
         self._since, self._told = 0.0, -math.inf
         self._scene = Scene(client.scene)
         self._panels = Panels(client, model, address, self, say)
@@ -126,7 +135,7 @@ class Session:
             if self._refusal is not None:
                 self._panels.limits(self._refusal)
             if self._result is not None:
-                self._panels.result(self._result(language))
+                self._panels.result(self._result)
             if self._motion is not None:
                 self._panels.simulated(self._motion.duration)
 
@@ -162,10 +171,9 @@ class Session:
     def _do(self, words: str, job: Callable[[Answer], None]) -> None:
         with self._lock:
             if self._answer is None or self._answer.statics is None:
-                said = "nothing-to-simulate"
-                self._panels.result(text.nothing(self._panels.say(said)))
+                self._panels.hint("nothing-to-simulate")
                 return
-            self._panels.result(text.waiting(self._panels.say(words)))
+            self._panels.wait(words)
             self._result, self._motion = None, None
             self._panels.simulated(0.0)
             self._job = job
@@ -214,7 +222,7 @@ class Session:
                     return  # it has moved on, or the page is closed
         if not self._model.made(state):
             with self._lock:
-                self._panels.status(text.waiting(self._panels.say("making-the-robot")))
+                self._panels.making()
         self._show(self._model.answer(state))
 
     def _safely(self, work: Callable[[], None]) -> None:
@@ -224,7 +232,7 @@ class Session:
         except Exception as error:
             if not self._closed.is_set():
                 with self._lock:
-                    self._panels.status(text.unforeseen(self._panels.say, error))
+                    self._panels.status(unforeseen_document(error))
 
     def _show(self, answer: Answer, *, passing: bool = False) -> None:
         """Shows an answer, and that what follows from it is not known yet.
@@ -248,13 +256,13 @@ class Session:
 
     def _tell(self) -> None:
         """Says what is known of the answer."""
-        answer, say = self._answer, self._panels.say
+        answer = self._answer
         assert answer is not None
         if answer.unreachable:
-            said = text.refusal(say, answer, self._refusal, pending=self._pending)
+            told = refusal_document(answer, self._refusal, pending=self._pending)
         else:
-            said = text.numbers(say, answer, self._sag, self._verdict)
-        self._panels.status(said, text.brief(say, answer, self._verdict))
+            told = stance_document(answer, self._sag, self._verdict)
+        self._panels.status(told, brief_document(answer, self._verdict))
 
     def _looking(self) -> None:
         """Looks closer at what stays, and simulates."""
@@ -282,12 +290,12 @@ class Session:
         try:
             job(answer)
         except PupperAnalysisError as error:
-            self._if_shown(answer, partial(self._say_result, partial(text.failure, error=error)))
+            self._if_shown(answer, partial(self._tell_result, failure_document(error)))
 
-    def _say_result(self, said: Callable[[Language], str]) -> None:
-        """Says what came of a simulation, in any language."""
-        self._result = said
-        self._panels.result(said(self._panels.say))
+    def _tell_result(self, told: Document) -> None:
+        """Tells what came of a simulation."""
+        self._result = told
+        self._panels.result(told)
 
     def _if_shown(self, answer: Answer, show: Callable[[], None]) -> bool:
         """Shows something of an answer, if that is still the one that is shown."""
@@ -326,32 +334,27 @@ class Session:
         stance = answers.simulated(answer)
         shown = stance.verification if feedforward else stance.sagging
 
-        def said(say: Language) -> str:
-            return text.simulation(say, stance, feedforward=feedforward)
-
         def judged() -> None:
             self._verdict = stance.verdict
             self._tell()
 
         self._if_shown(answer, judged)
-        self._show_motion(answer, said, Motion(shown.motion_time, shown.motion))
+        told = simulation_document(stance, feedforward=feedforward)
+        self._show_motion(answer, told, Motion(shown.motion_time, shown.motion))
 
     def _push(self, answer: Answer) -> None:
         impulse, direction = self._panels.push_asked
         trial = answers.pushed(answer, impulse, direction, feedforward=self._panels.feedforward)
+        told = push_document(trial)
+        self._show_motion(answer, told, Motion(trial.motion_time, trial.motion))
 
-        def said(say: Language) -> str:
-            return text.push(say, trial)
-
-        self._show_motion(answer, said, Motion(trial.motion_time, trial.motion))
-
-    def _show_motion(self, answer: Answer, said: Callable[[Language], str], motion: Motion) -> None:
+    def _show_motion(self, answer: Answer, told: Document, motion: Motion) -> None:
         """Tells what came of a simulation, and plays it."""
 
         def show() -> None:
             self._motion = motion
             self._held.clear()
-            self._say_result(said)
+            self._tell_result(told)
             self._panels.simulated(motion.duration)
 
         if self._if_shown(answer, show):

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
 
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.report import document as doc
@@ -15,12 +19,16 @@ from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
+NOTHING: Mapping[doc.Column, Any] = MappingProxyType({})
+
 BUSY, FULL = 0.9, 1.0
 """Motor utilisation from which it is marked: little is left for a push, or nothing."""
 
 
-def utilisation(share: float) -> doc.Number:
-    """Returns a share of a motor's limit as a cell with a bar."""
+def utilisation(share: float, limit: float = math.inf) -> doc.Number:
+    """Returns a share of a motor's limit as a cell with a bar; a dash where there is no limit."""
+    if limit == 0 or not (math.isfinite(share) and math.isfinite(limit)):
+        return doc.number(None, "")
     mark = "bad" if share > FULL else "warn" if share > BUSY else ""
     return doc.Number(f"{100 * share:.1f}", 100 * share, mark, min(share, 1.0))
 
@@ -58,44 +66,53 @@ def load_blocks(
         page("physics.md", "Standing is not hanging"),
         proof(verification),
     )
+    notes = (
+        text("torque-distributions", peak=f"{minimum_peak.motor_utilisation.max():.1%}"),
+        text("limit-origins", origins=origins_text(origins)),
+    )
+    compared = {
+        doc.Column(text("simulated"), "N m"): verification.joint_torques.tolist(),
+        doc.Column(text("minimum-peak"), "N m"): minimum_peak.joint_torques.tolist(),
+        **more,
+    }
+    torques = torque_table(statics, limits, compared)
+    return [
+        replace(torques, notes=notes, source=source),
+        torque_plot(statics, verification, limits),
+        _contacts(statics, minimum_peak, verification),
+    ]
+
+
+def torque_table(
+    statics: GravityCompensation,
+    limits: Sequence[float],
+    more: Mapping[doc.Column, Sequence[float]] = NOTHING,
+) -> doc.Table:
+    """Returns what every motor holds, of which limit.
+
+    Args:
+        statics: What it takes.
+        limits: (nu,) of the motors (N m).
+        more: Further columns, {column: (nu,)}.
+    """
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(name),
             doc.number(statics.joint_torques[index], "+.4f"),
             doc.number(limits[index], "g"),
-            utilisation(float(statics.motor_utilisation[index])),
-            doc.number(verification.joint_torques[index], "+.4f"),
-            doc.number(minimum_peak.joint_torques[index], "+.4f"),
+            utilisation(float(statics.motor_utilisation[index]), limits[index]),
             *(doc.number(values[index], "+.4f") for values in more.values()),
         )
         for index, name in enumerate(statics.joint_names)
     ]
-    torques = doc.Table(
-        text("motor-torques"),
-        (
-            doc.Column(text("joint"), left=True),
-            doc.Column(text("torque"), "N m"),
-            doc.Column(text("limit"), "N m"),
-            doc.Column(text("utilisation"), "%"),
-            doc.Column(text("simulated"), "N m"),
-            doc.Column(text("minimum-peak"), "N m"),
-            *more,
-        ),
-        tuple(rows),
-        (
-            text(
-                "torque-distributions",
-                peak=f"{minimum_peak.motor_utilisation.max():.1%}",
-            ),
-            text("limit-origins", origins=origins_text(origins)),
-        ),
-        source,
+    columns = (
+        doc.Column(text("joint"), left=True),
+        doc.Column(text("torque"), "N m"),
+        doc.Column(text("limit"), "N m"),
+        doc.Column(text("utilisation"), "%"),
+        *more,
     )
-    return [
-        torques,
-        torque_plot(statics, verification, limits),
-        *_contacts(statics, minimum_peak, verification),
-    ]
+    return doc.Table(text("motor-torques"), columns, tuple(rows))
 
 
 def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
@@ -136,22 +153,50 @@ def torque_plot(
     )
 
 
-def _contacts(
-    statics: GravityCompensation,
-    minimum_peak: GravityCompensation,
-    verification: StandVerification,
-) -> list[doc.Block]:
-    flat = len(statics.foot_loads) < len(statics.contact_forces)
+def contact_table(
+    statics: GravityCompensation, more: Mapping[doc.Column, Mapping[str, doc.Cell]] = NOTHING
+) -> doc.Table:
+    """Returns the contact forces on the feet.
+
+    Args:
+        statics: What it takes.
+        more: Further columns, {column: {foot: its cell}}.
+    """
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(foot),
             *(doc.number(value, "+.3f") for value in load.force),
             doc.number(load.friction_utilisation, ".1f", scale=100),
-            *(doc.number(value, "+.3f") for value in verification.foot_forces[foot]),
-            doc.vector(minimum_peak.foot_loads[foot].force, "+.3f"),
+            *(cells[foot] for cells in more.values()),
         )
         for foot, load in statics.foot_loads.items()
     ]
+    columns = (
+        doc.Column(text("foot"), left=True),
+        *(doc.Column(text("force-axis", axis=axis), "N") for axis in "xyz"),
+        doc.Column(text("friction-used"), "%"),
+        *more,
+    )
+    return doc.Table(text("contact-forces-on-the-feet"), columns, tuple(rows))
+
+
+def _contacts(
+    statics: GravityCompensation,
+    minimum_peak: GravityCompensation,
+    verification: StandVerification,
+) -> doc.Table:
+    flat = len(statics.foot_loads) < len(statics.contact_forces)
+    more: dict[doc.Column, Mapping[str, doc.Cell]] = {
+        doc.Column(text("simulated-axis", axis=axis), "N"): {
+            foot: doc.number(force[index], "+.3f")
+            for foot, force in verification.foot_forces.items()
+        }
+        for index, axis in enumerate("xyz")
+    }
+    least = doc.Column(text("minimum-peak-x-y-z"), "N", left=True, detail=True)
+    more[least] = {
+        foot: doc.vector(load.force, "+.3f") for foot, load in minimum_peak.foot_loads.items()
+    }
     notes = [
         text(
             "centre-of-pressure-of-foot",
@@ -171,25 +216,9 @@ def _contacts(
             margin=margin,
         )
     )
-    axes = [doc.Column(text("force-axis", axis=axis), "N") for axis in "xyz"]
-    simulated = [doc.Column(text("simulated-axis", axis=axis), "N") for axis in "xyz"]
-    table = doc.Table(
-        text("contact-forces-on-the-feet"),
-        (
-            doc.Column(text("foot"), left=True),
-            *axes,
-            doc.Column(text("friction-used"), "%"),
-            *simulated,
-            doc.Column(text("minimum-peak-x-y-z"), "N", left=True, detail=True),
-        ),
-        tuple(rows),
-        tuple(notes),
-        (
-            page("physics.md", "What the simulator holds: minimum tangential forces"),
-            proof(verification),
-        ),
-    )
-    return [table]
+    source = page("physics.md", "What the simulator holds: minimum tangential forces")
+    table = contact_table(statics, more)
+    return replace(table, notes=tuple(notes), source=(source, proof(verification)))
 
 
 def view_block(

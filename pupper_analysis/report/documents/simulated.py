@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -203,13 +204,40 @@ def motions_of(runs: Sequence[StandVerification]) -> list[doc.Motion]:
     ]
 
 
-def run_rows(runs: Sequence[StandVerification]) -> tuple[tuple[doc.Cell, ...], ...]:
-    """Returns what simulations made of a stand: a row per quantity, a column per run."""
+def run_rows(
+    runs: Sequence[Any], names: Collection[str] | None = None
+) -> tuple[tuple[doc.Cell, ...], ...]:
+    """Returns what simulations made of a stand: a row per quantity, a column per run.
+
+    Args:
+        runs: ``StandVerification`` each, or what else has the quantities, such as ``SteadyState``.
+        names: Keys of the quantities; by default all.
+    """
     return tuple(
         (text(name), *(doc.number(of(run), format, scale=scale) for run in runs), doc.Name(unit))
         for name, unit, of, format, scale in _QUANTITIES
+        if names is None or name in names
     )
 
+
+def simulated_table(run: StandVerification) -> doc.Table:
+    """Returns what one simulation made of a stand."""
+    return doc.Table(
+        text("simulation", seconds=f"{run.duration:g}"),
+        (
+            doc.Column(text("quantity"), left=True),
+            doc.Column(text("with-feed-forward") if run.feedforward else text("without")),
+            doc.Column(text("unit"), left=True),
+        ),
+        run_rows([run]),
+        (),
+        (page("stances.md", "What the simulation says"), proof(run)),
+        detail=True,
+    )
+
+
+SAG = ("loss-of-height", "of-it-servo-sag", "of-it-contact-softness")
+"""Quantities of a run that are predicted, too."""
 
 _QUANTITIES: tuple[tuple[str, str, Callable[[StandVerification], float], str, float], ...] = (
     ("base-height", "m", lambda run: run.base_height, ".5f", 1.0),

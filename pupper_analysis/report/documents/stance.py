@@ -6,11 +6,10 @@ from collections.abc import Iterable
 
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.loads import load_blocks, proof, view_block
+from pupper_analysis.report.documents.loads import load_blocks, view_block
 from pupper_analysis.report.documents.registry import build
-from pupper_analysis.report.documents.simulated import height_plot, motions_of, run_rows
-from pupper_analysis.report.documents.sources import page
-from pupper_analysis.report.documents.standing import ground_text, robot_notes
+from pupper_analysis.report.documents.simulated import height_plot, motions_of, simulated_table
+from pupper_analysis.report.documents.standing import ground_text, robot_notes, stand_table
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.verdict import verdict_lines, verdict_word
 from pupper_analysis.report.words import joined, text
@@ -37,7 +36,8 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             stance.limit_origins,
             {doc.Column(text("position"), "rad"): stance.joint_positions.tolist()},
         ),
-        _simulated(run),
+        stand_table(stance.stand, stance.statics),
+        simulated_table(run),
         height_plot([run], float(stand.qpos[2])),
     ]
     verdict = verdict_lines(stance.verdict)
@@ -54,22 +54,6 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             *_told(stance),
         ),
         notes=(*_disagreement(run), *robot_notes(robot)),
-    )
-
-
-def _simulated(run: StandVerification) -> doc.Table:
-    """Returns what the simulation made of the stand."""
-    return doc.Table(
-        text("simulation", seconds=f"{run.duration:g}"),
-        (
-            doc.Column(text("quantity"), left=True),
-            doc.Column(text("with-feed-forward")),
-            doc.Column(text("unit"), left=True),
-        ),
-        run_rows([run]),
-        (),
-        (page("stances.md", "What the simulation says"), proof(run)),
-        detail=True,
     )
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from pupper_analysis.diagnostics import grouped
+from pupper_analysis.report import document as doc
 from pupper_analysis.report.document import Said, Text, Words
 from pupper_analysis.report.documents.sources import files
 from pupper_analysis.report.verdict import clause_text, of_the_file, on_servos
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.stand import Stand
+from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
@@ -32,6 +35,36 @@ def ground_text(depths: Iterable[float]) -> Text:
         "all-this-is-on-mujocos",
         depth=f"{1e3 * deepest:.2f}",
     )
+
+
+def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
+    """Returns how high a stand is, and how far from falling, from touching and from slipping."""
+    near, links = stand.ground_clearance, stand.self_clearance
+    loads = statics.foot_loads.values() if statics is not None else ()
+    known: tuple[tuple[str, float | None, str, float, str], ...] = (
+        ("height-of-the-base", stand.task.height, "mm", 1e3, ".1f"),
+        ("com-margin", stand.com_margin, "mm", 1e3, ".1f"),
+        ("ground-clearance", near.distance if near else None, "mm", 1e3, ".1f"),
+        ("distance-between-links", links.distance if links else None, "mm", 1e3, ".1f"),
+        (
+            "friction-used",
+            max((one.friction_utilisation for one in loads), default=None),
+            "%",
+            100.0,
+            ".1f",
+        ),
+    )
+    rows = tuple(
+        (text(name), doc.number(value, form, scale=scale), doc.Name(unit))
+        for name, value, unit, scale, form in known
+        if value is not None
+    )
+    columns = (
+        doc.Column(text("quantity"), left=True),
+        doc.Column(text("value")),
+        doc.Column(text("unit"), left=True),
+    )
+    return doc.Table(text("stance"), columns, rows, detail=True)
 
 
 def made_up(servos: ServosUsed) -> tuple[Text, ...]:

@@ -1,0 +1,242 @@
+"""What the panels of a page tell, as documents: in no language yet; ``live/render`` shows them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pupper_analysis.analysis.robot import slides
+from pupper_analysis.analysis.stance import Stance
+from pupper_analysis.errors import PupperAnalysisError, StanceUnreachableError
+from pupper_analysis.live.controls import slider_values
+from pupper_analysis.live.door import without_folders
+from pupper_analysis.live.model import Answer, Sag
+from pupper_analysis.live.sliders import CONTROLS
+from pupper_analysis.live.state import State
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.loads import contact_table, torque_table
+from pupper_analysis.report.documents.push_trial import trial_document
+from pupper_analysis.report.documents.simulated import SAG, run_rows, simulated_table
+from pupper_analysis.report.documents.standing import stand_table
+from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.report.verdict import clause_text, clauses
+from pupper_analysis.report.words import joined, text
+from pupper_analysis.simulation.push_trial import PushTrial
+from pupper_analysis.simulation.verdict import Verdict, VerdictCode
+
+NOWHERE = doc.Name("")
+"""The title of what is told of no robot."""
+
+
+def stance_document(answer: Answer, sag: Sag | None, judged: Verdict | None) -> doc.Document:
+    """Returns what a stance takes.
+
+    Args:
+        answer: The stance.
+        sag: Where it settles; None while that is worked out.
+        judged: Its verdict; None if it is out of reach, or not in balance.
+    """
+    robot, stand, statics = answer.robot, answer.stand, answer.statics
+    blocks: list[doc.Block] = []
+    if robot is not None and stand is not None:
+        blocks.append(stand_table(stand, statics))
+        if statics is not None:
+            blocks += _sag(sag)
+            blocks += [torque_table(statics, robot.effort_limits.tolist()), contact_table(statics)]
+    return _judged(answer, judged, blocks)
+
+
+def brief_document(answer: Answer, judged: Verdict | None) -> doc.Document:
+    """Returns the verdict, and which motor works hardest."""
+    shown = _judged(answer, judged, ())
+    statics = answer.statics
+    if statics is None or judged is None:
+        return shown
+    shares = np.nan_to_num(statics.motor_utilisation, nan=0.0, posinf=0.0)
+    if not shares.any():
+        return shown
+    hardest = int(np.argmax(shares))
+    used = f"{100 * float(shares[hardest]):.0f} %"
+    motor = text("name-note", name=doc.Name(statics.joint_names[hardest]), note=used)
+    return replace(shown, told=(*shown.told, motor))
+
+
+def _judged(answer: Answer, judged: Verdict | None, blocks: Iterable[doc.Block]) -> doc.Document:
+    """Returns a document with the verdict: whether it stands, and why or why not."""
+    told: tuple[doc.Words, ...] = ()
+    if judged is not None:
+        told = tuple(map(clause_text, clauses(judged)))
+    elif answer.unreachable:
+        told = (text("out-of-reach"),)
+    elif answer.refusal is not None:
+        told = (doc.Said(answer.refusal.diagnostic),)
+    passed = judged is not None and (judged.passed or judged.code is VerdictCode.IN_BALANCE)
+    return doc.Document(text("stance"), _title(answer), tuple(blocks), passed=passed, told=told)
+
+
+def _title(answer: Answer) -> doc.Name:
+    """Returns which robot it is, and its mass."""
+    robot = answer.robot
+    return NOWHERE if robot is None else doc.Name(f"{robot.name}, {robot.total_mass:.3f} kg")
+
+
+def _sag(sag: Sag | None) -> Iterable[doc.Block]:
+    title = text("predicted-sag-without-feed-forward")
+    if sag is None:
+        yield doc.Lines((text("being-worked-out"),), "warn", title)
+    elif sag.settled is None:
+        yield doc.Lines((doc.Said(sag.unsettled),), "bad", title)
+    else:
+        columns = (
+            doc.Column(text("quantity"), left=True),
+            doc.Column(text("value")),
+            doc.Column(text("unit"), left=True),
+        )
+        yield doc.Table(title, columns, run_rows([sag.settled], SAG))
+        if sag.settled.failures:
+            yield doc.Lines(tuple(map(doc.Said, sag.settled.failures)), "bad")
+
+
+def refusal_document(
+    answer: Answer, error: StanceUnreachableError | None, *, pending: bool
+) -> doc.Document:
+    """Returns why a stance is out of reach, and how far it could go.
+
+    Args:
+        answer: What is out of reach.
+        error: The explained refusal.
+        pending: Whether it is not explained yet; ``error`` is None then.
+    """
+    blocks: list[doc.Block] = []
+    told = text("out-of-reach")
+    if pending:
+        blocks.append(doc.Lines((text("explaining"),), "warn"))
+    elif error is None:
+        told = text("it-is-in-reach-after")
+    else:
+        blocks += _explained(answer, error)
+    passed = not pending and error is None
+    return doc.Document(text("stance"), _title(answer), tuple(blocks), passed=passed, told=(told,))
+
+
+def _explained(answer: Answer, error: StanceUnreachableError) -> Iterable[doc.Block]:
+    """Yields what is in the way, what would be possible, and where feet and joints end."""
+    if error.possible:
+        demands = joined([_demands(one) for one in error.possible], "or")
+        listed = (_possible(answer.state, one) for one in error.limits.values())
+        lines = (text("possible-with-all-else"), *(_spaced(doc.Name("•"), one) for one in listed))
+        yield doc.Lines(lines, title=text("in-the-way-demands", demands=demands))
+    missing = tuple(
+        (doc.Name(foot), doc.number(gap, ".1f", scale=1e3), doc.Name("mm"))
+        for foot, gap in error.shortfall.items()
+        if gap > 0
+    )
+    if missing:
+        columns = (
+            doc.Column(text("foot"), left=True),
+            doc.Column(text("value")),
+            doc.Column(text("unit"), left=True),
+        )
+        yield doc.Table(text("feet-miss-their-places"), columns, missing)
+    if error.at_limit:
+        limits = doc.Name(_at_limits(answer, error.at_limit))
+        yield doc.Lines((limits,), title=text("joints-at-a-limit"))
+    if error.blocked:
+        yield doc.Lines(tuple(map(doc.Said, error.blocked)))
+    if error.nearest is not None:
+        title = text("the-ghost-the-nearest-stance")
+        yield doc.Lines((task_text(error.nearest.task),), title=title)
+
+
+def _demands(demands: str) -> doc.Text:
+    """Returns demands that a refusal joins with ``and``."""
+    return joined([doc.Said(one) for one in demands.split(" and ")], "and")
+
+
+def _possible(state: State, fields: Mapping[str, Any]) -> doc.Text:
+    """Returns how far fields of a task can go, as their sliders say it."""
+    task = replace(state.task(), **fields)
+    feet = dict.fromkeys((*task.foot_offsets, *task.swing, *task.ground.heights)) or {"": None}
+    told = {
+        (name, foot if CONTROLS[name].field.per_foot else "", f"{value:g}"): None
+        for foot in feet
+        for name, value in slider_values(state, task, fields, foot).items()
+    }
+    return joined(
+        text("name-note", name=_label(name, foot), note=value) for name, foot, value in told
+    )
+
+
+def _label(name: str, foot: str) -> doc.Text:
+    """Returns what a slider is called, and of which foot it is."""
+    label = CONTROLS[name].label
+    slider = doc.Text(label("en"), label("zh"))
+    return _spaced(slider, doc.Name(foot)) if foot else slider
+
+
+def _spaced(*parts: doc.Text | doc.Name) -> doc.Text:
+    """Returns words beside each other."""
+    english, chinese = (
+        [getattr(one, language) if isinstance(one, doc.Text) else one.text for one in parts]
+        for language in ("en", "zh")
+    )
+    return doc.Text(" ".join(english), " ".join(chinese))
+
+
+def _at_limits(answer: Answer, joints: Mapping[str, float]) -> str:
+    """Returns joints with the limits that they are at: in degrees, or mm of those that slide."""
+    assert answer.robot is not None
+    robot = answer.robot
+    return ", ".join(
+        f"{name} ({1e3 * limit:+.1f} mm)"
+        if slides(robot, name)
+        else f"{name} ({math.degrees(limit):+.1f}°)"
+        for name, limit in joints.items()
+    )
+
+
+def simulation_document(stance: Stance, *, feedforward: bool) -> doc.Document:
+    """Returns what MuJoCo made of a stance, beside the prediction.
+
+    Args:
+        stance: What was simulated.
+        feedforward: Which of its simulations is told.
+    """
+    run = stance.verification if feedforward else stance.sagging
+    expected: float | None = float((stance.sunk or stance.stand).qpos[2])
+    if not feedforward:
+        expected = None if stance.settled is None else stance.settled.base_height
+    title = "simulation-with-feed-forward" if feedforward else "simulation-without-feed-forward"
+    headed = text(title, time=f"{run.duration:.0f}")
+    table = replace(simulated_table(run), title=NOWHERE)
+    predicted = (text("base-at-predicted"), doc.number(expected, ".5f"), doc.Name("m"))
+    blocks = (replace(table, rows=(predicted, *table.rows)), _AS_SIMULATED)
+    good = stance.verdict.passed
+    told = tuple(map(clause_text, clauses(stance.verdict)))
+    return doc.Document(text("stance"), headed, blocks, passed=good, told=told)
+
+
+def push_document(trial: PushTrial) -> doc.Document:
+    """Returns what came of a push."""
+    document = trial_document(trial)
+    return replace(document, blocks=(*document.blocks, _AS_SIMULATED))
+
+
+_AS_SIMULATED = doc.Lines((text("orange-as-simulated"),))
+
+
+def failure_document(error: PupperAnalysisError) -> doc.Document:
+    """Returns why something could not be done."""
+    told = (doc.Said(error.diagnostic),)
+    return doc.Document(text("stance"), NOWHERE, (), passed=False, failures=told)
+
+
+def unforeseen_document(error: Exception) -> doc.Document:
+    """Returns that something went wrong that should not."""
+    what = without_folders(f"{type(error).__name__}: {error}".rstrip(": "))
+    told = (text("unforeseen", what=what),)
+    return doc.Document(text("stance"), NOWHERE, (), passed=False, failures=told)
