@@ -129,6 +129,16 @@ def test_it_is_refused_where_nothing_holds() -> None:
         steady_state_band(robot, stand, kp=-1.0)
 
 
+def test_friction_that_goes_to_and_fro_comes_to_rest_half_way() -> None:
+    """Turned so, v3's feet rub one way and the other by turns; between them is the whole of it."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(height=0.1315, roll=0.03, pitch=-0.064))
+    band = steady_state_band(robot, stand)
+    low, middle, high = heights(band)
+    assert band.friction == 1
+    assert low < middle < high
+
+
 def test_result_is_json() -> None:
     result = steady_state_band(load("v3"), stand_of("v3")).to_dict()
     assert 0.0100 < result["highest"]["height_loss"] < 0.0101

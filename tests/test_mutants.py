@@ -40,6 +40,7 @@ from pupper_analysis.statics.cone_program import ForceBounds
 from pupper_analysis.statics.contacts import contacts_of
 from pupper_analysis.statics.equilibrium import equilibrium
 from pupper_analysis.statics.inverse_dynamics import rolling_levers
+from pupper_analysis.study.estimate import Estimate
 
 GRAVITY = 9.81
 
@@ -323,6 +324,11 @@ def test_a_tolerance_needs_samples_enough_to_tell_its_probability(tmp_path: Path
     with pytest.raises(pa.ConfigurationError) as refused:
         pa.tightest_tolerance(study, tmp_path, wanted=0.99)
     assert refused.value.field == "samples"
+
+
+def test_workers_share_the_designs_that_are_left() -> None:
+    asked = Estimate(10, there=4, seconds_each=0.5, slowest=0.7, failures=(), left_out=())
+    assert asked.seconds(workers=3) == pytest.approx(1.0)
 
 
 # ------------------------------------------------------------------------------------- in words

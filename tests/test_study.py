@@ -154,6 +154,7 @@ def test_a_designs_hash_is_of_its_numbers_by_name() -> None:
     assert names_of("x", ("b", "a"), block[:, ::-1]) == names
     assert names[2] == names[3]
     assert len(set(names)) == 3
+    assert len(set(names_of("x", ("a", "b"), 1e-18 * block))) == 3
     assert not set(names) & set(names_of("y", ("a", "b"), block))
 
 
