@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import load, some
+from conftest import benchmark, load, some
 from scipy.interpolate import CubicHermiteSpline
 from test_path import Task, stances
 
@@ -211,3 +211,17 @@ def test_what_is_stated_by_default_is_what_mujoco_follows() -> None:
     tracking = track_path(robot, found.path)
     assert tracking.passed, tracking.failures
     assert found.seconds < 1.5 * found.lower_bound
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("name", ["a1", "go1", "anymal"])
+def test_mujoco_follows_the_fastest_paths_of_others(name: str) -> None:
+    """A1's and Go1's servos are stiff and damped, on knees without rotors."""
+    paths = benchmark("paths")
+    robot = paths.other(name)
+    for demo in ("squat", "sway"):
+        found = pa.fastest_path(robot, paths.tasks_of(robot, name, demo))
+        tracking = pa.track_path(robot, found.path)
+        assert tracking.passed, tracking.failures
+        assert tracking.torque_error < 0.05
+        assert found.lower_bound < found.seconds < 1.3 * found.lower_bound

@@ -5,11 +5,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from conftest import load, some
+from conftest import load, mujoco_at, some
 from test_path import SECONDS, path_of, stances
 
 import pupper_analysis as pa
 from pupper_analysis.pupper.demo import demo_stances
+from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation.path_commands import path_commands
 from pupper_analysis.simulation.rollout import run
 from pupper_analysis.simulation.tracking import track_path
@@ -85,6 +86,43 @@ def test_an_integrators_own_error_is_kept_small() -> None:
     assert fine.torque_error < 0.5 * coarse.torque_error
     explicit = track_path(robot, path, integrator="Euler")
     assert explicit.torque_error == pytest.approx(fine.torque_error, abs=0.02)
+
+
+def test_a_time_step_suits_the_servos_damping() -> None:
+    """13 N m s/rad made half of the inertia of A1's knees: its fastest squat lost the ground."""
+    robot, share = load("original"), []
+    path = stance_path(robot, [pa.StandTask(), pa.StandTask(height=0.98 * robot.stand_height)], 0.4)
+    matrix = np.zeros((robot.nv, robot.nv))
+    mujoco.mj_fullM(robot.mj_model, mujoco_at(robot, path.qpos[0]), matrix)
+    inertia = np.diag(matrix)[robot.mj_convention.qvel_index[6:]]
+    for kd in (1.0, 5.0, 20.0):
+        plan = path_commands(robot, path, lambda there, kd=kd: servos(there, 50.0, kd))
+        share.append(plan.drive.model.opt.timestep * kd / inertia.min())
+    assert share[0] == pytest.approx(2.5e-4 / inertia.min())
+    assert share[1:] == pytest.approx([share[1]] * 2, rel=1e-2)  # the stand is sunk by 0.7 mm
+    assert 0.9 * share[0] < share[1] < 0.1
+
+
+def test_legs_that_are_longer_hold_the_same_forces_with_other_torques() -> None:
+    """v3's feet are 4 mm in the ground, and its knees hold 3 % less there."""
+    robot = load("v3")
+    lower = pa.StandTask(height=0.99 * robot.stand_height)
+    path = stance_path(robot, [pa.StandTask(), lower], 9.0, rate=5)
+    plan = path_commands(robot, path)
+    data = mujoco_at(robot, plan.qpos[0])
+    held = data.qfrc_bias.copy()
+    jacobian = np.zeros((3, robot.nv))
+    for geom, foot, force in zip(robot.foot_geoms, path.feet, path.forces[0], strict=True):
+        centre = data.geom_xpos[geom].copy()
+        centre[2] = (centre[2] - robot.foot_radius[foot]) / 2  # MuJoCo's contact: half way down
+        mujoco.mj_jac(
+            robot.mj_model, data, jacobian, None, centre, robot.mj_model.geom_bodyid[geom]
+        )
+        held -= jacobian.T @ force
+    joints = robot.mj_convention.qvel_index[6:]
+    largest = np.abs(path.torques).max()
+    np.testing.assert_allclose(plan.torques[0], held[joints], atol=1e-3 * largest)
+    assert np.abs(path.torques[0] - held[joints]).max() > 0.01 * largest
 
 
 @pytest.mark.slow

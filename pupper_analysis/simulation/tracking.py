@@ -113,8 +113,8 @@ def track_path(
         kp: Servo stiffness (N m/rad); the model's own by default.
         kd: Servo damping (N m s/rad); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
-        timestep: Of the simulation (s); the model's own by default, or ``TIMESTEP``, if that is
-            shorter.
+        timestep: Of the simulation (s); by default the model's own, or ``TIMESTEP`` if that is
+            shorter, or what servos with so much damping need, down to ``FINEST``.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the path is another robot's.
