@@ -50,7 +50,7 @@ def hexapod(folder: Path) -> Pair:
     robot = next(robot for robot in robots if "6 legs of 3" in robot.said)
     robot.links = [link for link in robot.links if link.joint != "wag"]
     robot.base, robot.motors, robot.prefix, robot.gear = "free", "motor", "", 1.0
-    robot.offset, robot.degrees = (0.0, 0.0, 0.0), False
+    robot.offset, robot.degrees, robot.limited = (0.0, 0.0, 0.0), False, "motors"
     return random_legged.written(robot, folder)
 
 

@@ -51,6 +51,7 @@ class Robot:
     keyframe: bool = False
     height: float = 0.5
     armature: float = 0.01
+    limited: str = "motors"  # or joints: where the MJCF states what they give
     said: list[str] = field(default_factory=list)
 
 
@@ -58,6 +59,9 @@ def drawn(seed: int) -> Robot:
     """Draws a robot."""
     random = np.random.default_rng(seed)
     legs, joints = [(4, 3), (4, 3), (4, 4), (6, 3), (2, 6), (4, 6)][int(random.integers(6))]
+    other = np.random.default_rng([seed, 1])  # what came later, so that others stay as they were
+    if (legs, joints) == (4, 3) and other.integers(3) == 0:
+        legs = 3
     flat = joints == 6
     size = float(random.uniform(0.12, 0.4))  # of thigh and shank
     foot = str(random.choice(NAMES))
@@ -73,12 +77,16 @@ def drawn(seed: int) -> Robot:
         base=str(random.choice(["free", "free", "held", "fused"])),
         keyframe=bool(random.integers(2)),
     )
+    if other.integers(3) == 0:
+        robot.limited = "joints"
     if random.integers(3) == 0:
         robot.offset = tuple(random.uniform(-0.05, 0.05, 3).tolist())
     effort = 40 * robot.base_mass * size
     for leg in range(legs):
-        side = 1 if leg % 2 else -1
-        row = leg // 2 - (legs // 2 - 1) / 2
+        side = (
+            0 if legs == 3 and leg == 2 else 1 if leg % 2 else -1
+        )  # of three the last is in front
+        row = leg // 2 - (math.ceil(legs / 2) - 1) / 2
         robot.links += _leg(random, leg, row, side, HIPS[joints], size, effort, foot, flat=flat)
     if flat and random.integers(2):  # a spring in each ankle's roll, and no motor
         robot.links = [
@@ -99,6 +107,7 @@ def drawn(seed: int) -> Robot:
         robot.said.append(f"tail in {robot.links[-1].where}")
     robot.height = 0.02 + 2 * size * math.cos(0.6) + (0.05 if flat else 0.0)
     robot.said += [f"{legs} legs of {joints}", robot.motors, robot.base, foot]
+    robot.said.append(f"limits of {robot.limited}")
     return robot
 
 
@@ -229,6 +238,11 @@ def _mjcf(robot: Robot) -> str:
     lines, p = [], robot.prefix
     unit = 180 / math.pi if robot.degrees else 1.0
 
+    def given(link: Link) -> str:
+        if robot.limited != "joints" or not link.effort:
+            return ""
+        return f' actuatorfrcrange="{-link.effort} {link.effort}"'
+
     def body(name: str) -> str:
         text = ""
         for link in robot.links:
@@ -241,7 +255,7 @@ def _mjcf(robot: Robot) -> str:
                 f'pos="{_said(link.com)}" mass="{link.mass!r}" '
                 f'diaginertia="{_said(_moments(link.mass))}"/>'
                 f'<joint name="{p}{link.joint}" axis="{_said(link.axis)}" range="{limits}" '
-                f'armature="{robot.armature}" damping="0.2" {spring}/>{link.shape}'
+                f'armature="{robot.armature}" damping="0.2" {spring}{given(link)}/>{link.shape}'
                 f"{body(link.name)}</body>"
             )
         return text
@@ -262,11 +276,17 @@ def _mjcf(robot: Robot) -> str:
     joints = [link for link in robot.links if link.where != "urdf"]
     for link in joints:
         limit, gear = link.effort / abs(robot.gear), f'gear="{robot.gear}"'
+        ranges = {
+            "ctrl": f'ctrlrange="{-limit} {limit}"',
+            "force": f'forcerange="{-limit} {limit}"',
+        }
+        if robot.limited == "joints":
+            ranges = dict.fromkeys(ranges, "")
         kp = 30 * link.effort / robot.gear**2
         kinds = {
-            "motor": f'<motor joint="{p}{link.joint}" {gear} ctrlrange="{-limit} {limit}"/>',
+            "motor": f'<motor joint="{p}{link.joint}" {gear} {ranges["ctrl"]}/>',
             "position": f'<position joint="{p}{link.joint}" {gear} kp="{kp}" kv="{kp / 20}" '
-            f'forcerange="{-limit} {limit}"/>',
+            f"{ranges['force']}/>",
             "general": f'<general joint="{p}{link.joint}" {gear}/>',
         }
         if link.effort and robot.motors in kinds:

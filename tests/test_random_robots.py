@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import random_legged
+from conftest import changed
 
 import pupper_analysis as pa
 
@@ -14,27 +15,39 @@ QUICK = (3, 7, 8, 12, 14, 21, 36, 39, 104)
 foot that leans in the start pose."""
 
 
-def outcome(seed: int, folder: Path) -> str:
-    """Returns ``holds``, or why not; what the files are, is told by the seed."""
+OWN = {"own-servos-let-it-fall", "own-servos-too-stiff"}
+"""What is said of a file's own servos that do not hold it, with gains or an integrator that do."""
+
+
+def outcome(seed: int, folder: Path) -> set[str]:
+    """Returns the codes of why it does not hold, and of what is noted; none if it holds."""
     drawn = random_legged.drawn(seed)
     pair = random_legged.written(drawn, folder)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     legs = {link.name for link in drawn.links if link.shape and link.joint != "wag"}
     assert len(robot.soles) == len(legs)
-    run = pa.verify_stand(robot, pa.sunk_stand(robot))
+    efforts = {link.joint: link.effort for link in drawn.links}
+    limits = dict(zip(robot.joint_names, robot.effort_limits, strict=True))
+    for name, limit in limits.items():
+        stated = efforts[name.removeprefix(drawn.prefix)]
+        assert limit == pytest.approx(stated) or not stated
+    stand = pa.sunk_stand(robot)
+    run = pa.verify_stand(robot, stand)
     if run.passed:
         assert run.torque_error < 1e-3
-        return "holds"
-    return " ".join(map(str, [*run.failures, *robot.notes]))
+        return set()
+    codes = {told.code for told in (*run.failures, *robot.notes)}
+    if not codes & OWN:  # what was tried on loading did not last as long: the time step is too long
+        assert "mode-shakes" in codes
+        step = robot.mj_model.opt.timestep / 4
+        finer = changed(robot, lambda model: setattr(model.opt, "timestep", step))
+        assert pa.verify_stand(finer, stand).passed
+    return codes
 
 
 def check(seed: int, folder: Path) -> None:
     found, drawn = outcome(seed, folder), random_legged.drawn(seed)
-    if drawn.motors == "position" and found != "holds":
-        assert "own servos" in found
-        assert "--kp" in found
-    else:
-        assert found == "holds", (seed, drawn.said)
+    assert not found or drawn.motors == "position", (seed, drawn.said, found)
 
 
 @pytest.mark.slow
@@ -46,7 +59,15 @@ def test_a_random_robot_stands_as_published_or_says_why_not(seed: int, tmp_path:
 def test_the_quick_ones_are_of_all_kinds() -> None:
     said = {word for seed in QUICK for word in random_legged.drawn(seed).said}
     kinds = {"springs", "free", "held", "fused", "motor", "position", "none", "general"}
-    legs = {"2 legs of 6", "4 legs of 3", "4 legs of 4", "4 legs of 6", "6 legs of 3"}
+    kinds |= {"limits of motors", "limits of joints"}
+    legs = {
+        "2 legs of 6",
+        "3 legs of 3",
+        "4 legs of 3",
+        "4 legs of 4",
+        "4 legs of 6",
+        "6 legs of 3",
+    }
     assert kinds | legs <= said
 
 
