@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
+import subprocess
+import sys
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -245,3 +247,33 @@ def test_what_is_no_value_moves_nothing(page: Page, capfd: pytest.CaptureFixture
     assert told[1].code == "beyond-any-slider"
     printed = capfd.readouterr()
     assert "Traceback" not in printed.out + printed.err
+
+
+MEMORY = """
+import os, threading
+from pupper_analysis.live.memory import give_back
+def used():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+kept = []
+def session():
+    blocks = [bytes(os.urandom(1000) * 60) for _ in range(400)]  # what malloc takes of its arena
+    kept.append(blocks[-1])
+threads = [threading.Thread(target=session) for _ in range(2)]
+before = used()
+for thread in threads: thread.start()
+for thread in threads: thread.join()
+left = used() - before
+give_back()
+print(left, used() - before)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc's")
+def test_what_threads_leave_is_given_back() -> None:
+    """A small block that stays holds all that lies below it: 24 MB a thread."""
+    run = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True)
+    left, after = map(float, run.stdout.split())
+    assert left > 20.0
+    assert after < left / 2

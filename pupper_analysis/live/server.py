@@ -9,7 +9,7 @@ from collections.abc import Callable, Hashable
 from typing import Any
 
 from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.live import viser_parts
+from pupper_analysis.live import memory, viser_parts
 from pupper_analysis.live.door import Door
 from pupper_analysis.live.language import NAMES, Language
 from pupper_analysis.live.model import Model
@@ -116,6 +116,7 @@ class Page:
                 self._gone[came] = (time.monotonic(), *session.asked)
         if session is not None:
             session.close()
+            memory.give_back_later()
 
     def _gone_on(self, came: Hashable) -> tuple[State, Language] | None:
         """Returns what a browser had when it left just now; None if it did not."""
