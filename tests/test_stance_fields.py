@@ -91,6 +91,16 @@ def test_each_is_in_the_task_its_json_and_its_words(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
+def test_each_comes_back_from_json_and_alone(field: Field) -> None:
+    task = task_with(field)
+    assert pa.StandTask.of(json.loads(to_json(task))) == task
+    alone = {name: value for name, value in task.values().items() if value != FIELDS[name].usual}
+    assert pa.StandTask.of(alone) == task
+    with pytest.raises(pa.ConfigurationError, match="a stance has height, roll"):
+        pa.StandTask.of({f"{field.name}s_": asked(field)})
+
+
+@pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
 def test_each_refuses_what_makes_no_sense(field: Field) -> None:
     wrong: list[Any] = [math.nan, "much", True, (1.0,), (0.0, math.inf)]
     if not (field.axes or field.choices):

@@ -95,6 +95,25 @@ class StandTask:
                 told = diagnose("foot-placed-twice", foot=foot)
                 raise ConfigurationError("feet", told)
 
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> StandTask:
+        """Returns the task of plain data, as JSON and TOML have it.
+
+        Args:
+            given: {field: value}; the ground's in a mapping of their own, or beside the others.
+
+        Raises:
+            ConfigurationError: If there is no such field, or it makes no sense.
+        """
+        ground = given.get("ground", {})
+        ground = vars(ground) if isinstance(ground, Ground) else ground
+        check_type("ground", ground, Mapping[str, Any])
+        values = {name: value for name, value in given.items() if name != "ground"} | dict(ground)
+        seed = values.pop("ik_seed", None)
+        if not FIELDS.keys() >= values.keys():
+            raise ConfigurationError("stand", diagnose("stance-field-unknown", known=(*FIELDS,)))
+        return cls(ik_seed=seed).having(values)
+
     def values(self) -> dict[str, Any]:
         """Returns {field of the table of ``stance.fields``: its value}, those of the ground too."""
         owners = {"task": self, "ground": self.ground}

@@ -257,13 +257,7 @@ class Study:
         options = dict(given)
         stand = options.pop("stand", {})
         check_type("stand", stand, Mapping[str, Any])
-        try:
-            task = StandTask(**_tuples(stand))
-        except TypeError as error:
-            told = diagnose(
-                "stance-field-unknown", known=[field.name for field in fields(StandTask)]
-            )
-            raise ConfigurationError("stand", told) from error
+        task = StandTask.of(stand)
         return cls(
             options.pop("robot"), options.pop("vary"), options.pop("measure"), stand=task, **options
         )
@@ -382,17 +376,3 @@ class Study:
             for name in names:
                 order.setdefault(name, len(order))
         return ordered(store.table(), order)
-
-
-def _tuples(stand: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns a stance's values as Python has them: points are tuples, the ground is a Ground."""
-    from pupper_analysis.robot.ground import Ground
-
-    found: dict[str, Any] = {
-        name: tuple(value) if name in ("offset", "com") and isinstance(value, list) else value
-        for name, value in stand.items()
-    }
-    ground = found.get("ground")
-    if isinstance(ground, Mapping):
-        found["ground"] = Ground(**ground)
-    return found
