@@ -172,7 +172,7 @@ def _write(path: Path, data: bytes) -> None:
             file.write(data)
         return
     if there is not None and not os.access(target, os.W_OK):
-        raise PermissionError("it may not be written to")
+        raise OutputError(path, diagnose("output-not-writable"))
     target.parent.mkdir(parents=True, exist_ok=True)
     _replace(target, there, data)
 

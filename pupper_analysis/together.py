@@ -107,14 +107,14 @@ class _File:
 
     def _check(self, there: os.stat_result) -> None:
         if not replaceable(there):
-            raise self._error("it is no regular file, or the one that standard output goes to")
+            raise self._error(diagnose("output-no-regular-file"))
         if not os.access(self.target, os.W_OK):
-            raise self._error("it may not be written to")
+            raise self._error(diagnose("output-not-writable"))
 
     def _compare(self) -> None:
         before = self.writing.before
         if before is not None and self.target.read_bytes() != before:
-            raise self._error("it was changed meanwhile; run it again")
+            raise self._error(diagnose("output-changed-meanwhile"))
 
     def keep(self) -> None:
         """Gives what is there a second name, so that no room is needed to put it back."""
@@ -140,7 +140,8 @@ class _File:
                 number += 1
             except OSError as error:
                 path.unlink(missing_ok=True)
-                raise self._error(f"its copy {path.name}: {reason(error)}") from error
+                told = diagnose("copy-not-written", file=path.name, problem=reason(error))
+                raise self._error(told) from error
             else:
                 if self.there is not None:
                     os.utime(path, ns=(self.there.st_atime_ns, self.there.st_mtime_ns))

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.analysis.robot import leg_lengths
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.report.figures.skeleton import BOX_FACES, hull_corners
 from pupper_analysis.report.figures.style import save
@@ -87,11 +88,13 @@ def render_variants(
 
 def _picture(poses: Sequence[tuple[Robot, Array]], path: Path, width: int, columns: int) -> Picture:
     if not poses:
-        raise ConfigurationError("robots_and_stands", "there is no robot to draw")
+        raise ConfigurationError("robots_and_stands", diagnose("no-robot-to-draw"))
     if not 200 <= width <= 4096:
-        raise ConfigurationError("width", f"{width} is not between 200 and 4096 pixels")
+        raise ConfigurationError(
+            "width", diagnose("pixels-out-of-range", pixels=width, least=200, most=4096)
+        )
     if columns < 1:
-        raise ConfigurationError("columns", f"{columns} is not positive")
+        raise ConfigurationError("columns", diagnose("not-positive", value=columns))
     tiles = tiles_of(poses, width, min(columns, len(poses)))
     images, method, note = rendered(tiles)
     width = max(tile.left + tile.width for tile in tiles)

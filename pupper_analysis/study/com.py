@@ -67,7 +67,8 @@ def _compiled(robot: Robot, spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()  # which numbers its bodies, too
     except ValueError as error:
-        raise ModelError(robot.description.mjcf_source, str(error)) from error
+        told = diagnose("mjcf-not-compiled", message=str(error))
+        raise ModelError(robot.description.mjcf_source, told) from error
 
 
 def _move_origin(inertial: etree._Element, offset: Array) -> None:

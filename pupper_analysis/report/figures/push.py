@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.report.documents.pushed_stance import push_plot
 from pupper_analysis.report.figures import style
@@ -28,14 +29,14 @@ def push_figure(
         OutputError: If the file cannot be written.
     """
     if not results:
-        raise ConfigurationError("results", "there is no robot to draw")
+        raise ConfigurationError("results", diagnose("no-robot-to-draw"))
     if len(results) > len(style.LOOKS):
         raise ConfigurationError(
-            "results", f"more than {len(style.LOOKS)} robots cannot be told apart"
+            "results", diagnose("too-many-to-tell-apart", most=len(style.LOOKS))
         )
     rigid = next(iter(results)) if tipping is None else tipping
     if rigid not in results:
-        raise ConfigurationError("tipping", f"{rigid!r} is not one of: {', '.join(results)}")
+        raise ConfigurationError("tipping", diagnose("none-of", value=rigid, known=results))
     plot = push_plot(results, rigid)
     title = "Largest horizontal push that the stand survives"
     figure = style.page_figure(title, 0.72 * style.WIDTH)

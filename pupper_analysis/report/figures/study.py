@@ -10,6 +10,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.report.document import Name
 from pupper_analysis.report.documents import study_plots
@@ -117,7 +118,9 @@ def pareto_figure(
         OutputError: If the file cannot be written.
     """
     if len(objectives) != 2:
-        raise ConfigurationError("objectives", f"{len(objectives)} of them; a figure shows two")
+        raise ConfigurationError(
+            "objectives", diagnose("objectives-not-two", count=len(objectives))
+        )
     check_columns(table, *((by,) if by else ()))
     groups: list[tuple[Name | None, pd.DataFrame]] = [(None, table)]
     if by is not None:

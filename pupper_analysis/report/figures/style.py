@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
 
@@ -59,7 +60,7 @@ def panels_of(
 ) -> tuple[Figure, list[Axes]]:
     """Returns a figure with one panel (of ``row_height`` inches) per robot, in rows of three."""
     if not analyses:
-        raise ConfigurationError("analyses", "there is no robot to draw")
+        raise ConfigurationError("analyses", diagnose("no-robot-to-draw"))
     columns = min(COLUMNS, len(analyses))
     rows = -(-len(analyses) // columns)
     figure = page_figure(title, rows * row_height + 0.75, layout="constrained")

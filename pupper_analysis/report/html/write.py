@@ -71,9 +71,9 @@ def write_report(
     named = _named(results)
     odd = [one for _, one in named if not isinstance(one, Result | Table)]
     if odd:
-        raise ConfigurationError("results", f"{reprlib.repr(odd[0])} is no result")
+        raise ConfigurationError("results", diagnose("no-result", given=reprlib.repr(odd[0])))
     if not named:
-        raise ConfigurationError("results", "there is no result to report")
+        raise ConfigurationError("results", diagnose("nothing-to-report"))
     shown = report(
         [(name or "", result) for name, result in named if not isinstance(result, Table)],
         robots,
