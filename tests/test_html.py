@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import base64
-import importlib
 import json
 import math
-import pkgutil
 import re
 import subprocess
 import sys
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,9 +21,8 @@ from html_page import Page, shown
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.path import PathThere
 from pupper_analysis.analysis.push import PushedStance
-from pupper_analysis.analysis.stance import Stance, study_stance
+from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.checks.audit import RULES
 from pupper_analysis.pupper import comparison as variants
 from pupper_analysis.report import words
@@ -44,12 +41,10 @@ from pupper_analysis.report.document import (
     number,
 )
 from pupper_analysis.report.documents import sources
-from pupper_analysis.report.documents.fields import chinese_meanings, meanings
 from pupper_analysis.report.html import library, plots, scene, write
 from pupper_analysis.report.html.scene import scene_of
 from pupper_analysis.report.plots import Axis, LinePlot, Series
 from pupper_analysis.report.scene import coarser, shapes_of, standing
-from pupper_analysis.results import Result
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.push import PushRecovery
 from pupper_analysis.simulation.verdict import judge
@@ -259,39 +254,6 @@ def test_the_fields_of_any_result_are_written_out() -> None:
     assert rows["ground_clearance"]["value"].startswith("distance 0.0")
 
 
-def all_results(kind: type = Result) -> set[type]:
-    """All kinds of results, which are there as their modules are."""
-    for module in pkgutil.walk_packages(pa.__path__, "pupper_analysis."):
-        if not module.name.endswith("__main__"):
-            importlib.import_module(module.name)
-    return {s for one in kind.__subclasses__() for s in (one, *all_results(one))}
-
-
-def test_each_field_of_a_result_has_a_meaning_in_both_languages() -> None:
-    known = dict(chinese_meanings())
-    shown = set()
-    apart = (pa.Analysis, Stance, PushedStance, PathThere, pa.Comparison, pa.Audit, pa.StudyOutcome)
-    for kind in sorted(all_results(), key=lambda kind: kind.__name__):
-        own = kind.__module__.startswith("pupper_analysis.")
-        if own and is_dataclass(kind) and not issubclass(kind, apart):  # others have pages
-            said = meanings(kind)
-            assert {field.name for field in fields(kind)} <= set(said), kind
-            shown |= {said[field.name] for field in fields(kind)}
-    assert shown <= set(known), shown - set(known)
-    assert set(known) <= shown, set(known) - shown
-    for english, chinese in known.items():
-        units = re.findall(r"\((N m|N|m|rad|kg|m/s|rad/s|N s|Hz|s)\)", english)
-        assert units == re.findall(r"[(（](N m|N|m|rad|kg|m/s|rad/s|N s|Hz|s)[)）]", chinese), (
-            english
-        )
-
-
-def test_a_text_that_is_not_translated_is_refused() -> None:
-    with pytest.raises(KeyError):
-        words.text("no-such-text")
-    assert words.word("leg_front_r_1") == Name("leg_front_r_1")
-
-
 # Whose numbers these are
 
 
@@ -422,7 +384,6 @@ def test_a_stance_is_told() -> None:
 
 
 def test_pushes_are_told_and_compared() -> None:
-    from pupper_analysis.analysis.push import PushedStance
 
     verdict = judge(analysis().verification, None, servos_used(load("v3")))
     one = PushedStance("v3", stand_of("v3"), pushed(), verdict)
@@ -877,13 +838,3 @@ def test_the_template_engine_is_loaded_when_a_report_is_written() -> None:
         cwd=ROOT,
     )
     assert run.stdout.strip() == "False"
-
-
-PUBLIC = [value for name in pa.__all__ if isinstance(value := getattr(pa, name), type)]
-
-
-@pytest.mark.parametrize("kind", [one for one in PUBLIC if issubclass(one, Result)])
-def test_every_field_of_a_public_result_says_what_it_means(kind: type[Result]) -> None:
-    """What it shares with other results, too: pages print it beside the value."""
-    known = meanings(kind)
-    assert [field.name for field in fields(kind) if not known.get(field.name)] == []  # type: ignore[arg-type]

@@ -46,7 +46,8 @@ def said() -> Iterator[tuple[str, str, set[str] | None]]:
 
 
 def test_files_with_a_line_per_entry_are_what_toml_reads() -> None:
-    for file, words in zip(LINED, (TERMS, TEXTS), strict=True):
+    assert LINED[:2] == ("terms.toml", "texts.toml")
+    for file, words in zip(LINED, (TERMS, TEXTS), strict=False):
         assert set(lines(file)) == set(words)
     assert list(TERMS) == sorted(TERMS), "terms are in alphabetical order"
 

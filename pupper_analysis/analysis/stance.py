@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import (
     NoEquilibriumError,
     NoStiffnessError,
@@ -52,7 +53,7 @@ class Stance(Result):
         sagging: The simulation without.
         verdict: Whether it holds, and what that rests on.
         settled: Where it settles without feed-forward; None where that is not predicted.
-        unsettled: Why ``settled`` is None.
+        unsettled: Why ``settled`` is None; None where it is not.
         loops_open: By how much MuJoCo's loops and couplings of joints are open in it (m, rad); None
             for a robot without any.
         minimum_stiffness: Of the servos that carry it without feed-forward (N m/rad), if asked
@@ -71,7 +72,7 @@ class Stance(Result):
     sagging: StandVerification
     verdict: Verdict
     settled: SteadyState | None
-    unsettled: str
+    unsettled: Diagnostic | None
     loops_open: float | None
     minimum_stiffness: float | None
 
@@ -110,12 +111,12 @@ def study_stance(
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
-    settled, unsettled, least = None, "", None
+    settled, unsettled, least = None, None, None
     held = held_stand(robot, stand)
     try:
         settled = steady_state(robot, held, kp=kp)
     except NoEquilibriumError as error:
-        unsettled = str(error)
+        unsettled = error.diagnostic
     if stiffness:
         with contextlib.suppress(NoStiffnessError):
             least = minimum_stiffness(robot, held)

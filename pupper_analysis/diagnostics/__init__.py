@@ -10,6 +10,7 @@ from pupper_analysis.diagnostics.catalogue import (
     codes,
     entry,
     is_term,
+    meaning,
     phrase,
     term,
 )
@@ -49,6 +50,7 @@ __all__ = [
     "fill",
     "grouped",
     "is_term",
+    "meaning",
     "phrase",
     "term",
 ]

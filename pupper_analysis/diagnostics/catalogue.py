@@ -13,7 +13,8 @@ A file a room: ``catalogue/statics.toml`` has what ``statics`` finds. An entry i
 all else. See ``templates`` for what may stand in braces.
 
 Other files have a line per entry, ``key = { en = "...", zh = "..." }``: ``terms.toml`` the words
-for kinds of things, such as ``joint``; ``texts.toml`` headings, labels and remarks of documents.
+for kinds of things, such as ``joint``; ``texts.toml`` headings, labels and remarks of documents;
+``meanings.toml``, by class and field, what results have.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ LANGUAGES = ("en", "zh")
 
 _TABLE = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
 _LINE = re.compile(r'^"?([^"\n]+?)"? = (\{ en = .*\})$', re.MULTILINE)
-_TERMS, _TEXTS = "terms.toml", "texts.toml"
-LINED = (_TERMS, _TEXTS)
+_TERMS, _TEXTS, _MEANINGS = "terms.toml", "texts.toml", "meanings.toml"
+LINED = (_TERMS, _TEXTS, _MEANINGS)
 """Files with a line per entry."""
 
 
@@ -86,6 +87,21 @@ def phrase(key: str, language: str) -> str:
         KeyError: If the catalogue has neither.
     """
     return _line(_TEXTS if key in lines(_TEXTS) else _TERMS, key)[language]
+
+
+def meaning(kind: type, field: str, language: str) -> str:
+    """Returns what a field of a result means, its unit included; empty if that is not said.
+
+    Args:
+        kind: The result's class.
+        field: A field of it, or of a class that it is one of.
+        language: In which language.
+    """
+    for owner in kind.__mro__:
+        key = f"{owner.__name__}.{field}"
+        if key in lines(_MEANINGS):
+            return _line(_MEANINGS, key)[language]
+    return ""
 
 
 @cache

@@ -11,6 +11,7 @@ from collections import OrderedDict
 from dataclasses import dataclass
 
 from pupper_analysis.analysis.stance import Stance, study_stance
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import (
     NoEquilibriumError,
     PupperAnalysisError,
@@ -71,11 +72,11 @@ class Sag:
 
     Attributes:
         settled: ``steady_state``'s; None where nothing is predicted.
-        unsettled: Why not.
+        unsettled: Why not; None where it is predicted.
     """
 
     settled: SteadyState | None
-    unsettled: str
+    unsettled: Diagnostic | None
 
 
 class Model:
@@ -153,13 +154,13 @@ def sag(answer: Answer) -> Sag:
     assert answer.robot is not None
     assert answer.stand is not None
     try:
-        return Sag(steady_state(answer.robot, answer.stand, kp=answer.state.kp), "")
+        return Sag(steady_state(answer.robot, answer.stand, kp=answer.state.kp), None)
     except NoEquilibriumError as error:
-        return Sag(None, str(error))
+        return Sag(None, error.diagnostic)
     except StaticsInfeasibleError:
-        return Sag(None, "it cannot be held even with feed-forward")
+        return Sag(None, diagnose("cannot-be-held"))
     except PupperAnalysisError as error:
-        return Sag(None, str(error))
+        return Sag(None, error.diagnostic)
 
 
 def expected(answer: Answer, *, closely: bool) -> Verdict | None:

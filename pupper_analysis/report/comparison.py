@@ -25,7 +25,7 @@ def by_cause(comparison: Comparison) -> tuple[tuple[Cause, ...], list[list[Diffe
 
 def first_to_mend(
     comparison: Comparison, causes: Sequence[Cause], groups: Sequence[Sequence[Difference]]
-) -> Diagnostic | str:
+) -> Diagnostic:
     """Returns what is to be mended first."""
     if causes and causes[0].leads:
         return causes[0].diagnostic
@@ -44,7 +44,7 @@ def first_to_mend(
     return diagnose("joints-not-the-same")
 
 
-def matching_notes(comparison: Comparison) -> Iterable[Diagnostic | str]:
+def matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
     """Says how joints were matched, and what was left out."""
     yield from comparison.notes
     if comparison.mount is not None:

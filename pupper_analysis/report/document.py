@@ -60,7 +60,7 @@ class Said:
         mark: As of a ``Text``.
     """
 
-    text: str | Diagnostic
+    text: Diagnostic
     mark: str = ""
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.diagnostics import diagnose, phrase
 from pupper_analysis.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import Stability
@@ -125,20 +125,30 @@ class Measure:
     Attributes:
         name: The column that it fills; with several values, ``NAME.KEY`` for each.
         function: Of a design.
-        meaning: In words.
         unit: Its unit; ``1`` of a ratio, empty of one's own functions.
         simulates: Whether it takes a simulation, or some seconds.
         better: ``min`` or ``max``, where one is better whatever the robot is for.
         fallen: Its value of a design that cannot stand so; None where it has none.
+        own: What its docstring says, of one's own function; the catalogue has the others' words.
     """
 
     name: str
     function: Callable[[Design], Value | Mapping[str, Value]]
-    meaning: str
     unit: str
     simulates: bool = False
     better: str = ""
     fallen: float | None = None
+    own: str = ""
+
+    @property
+    def meaning(self) -> str:
+        """In words."""
+        return phrase(text_key(self.name), "en") if self.name in MEASURES else self.own
+
+
+def text_key(measure: str) -> str:
+    """Returns under which key the catalogue says what a measure of the package is."""
+    return f"measure-{measure.replace('_', '-')}"
 
 
 def _stands(design: Design) -> bool:
@@ -155,90 +165,78 @@ def _least_peak(design: Design) -> float:
 
 
 _ALL = (
-    Measure("total_mass", lambda d: d.robot.total_mass, "mass with payload", "kg"),
+    Measure("total_mass", lambda d: d.robot.total_mass, "kg"),
     Measure(
         "peak_utilisation",
         lambda d: float(d.statics.motor_utilisation.max()),
-        "largest torque / effort limit of a motor, in the stand on rigid ground",
         "1",
         better="min",
     ),
     Measure(
         "peak_torque",
         lambda d: float(np.abs(d.statics.joint_torques).max()),
-        "largest torque of a motor, in the stand on rigid ground",
         "N m",
         better="min",
     ),
-    Measure("least_peak_utilisation", _least_peak, "the same with the best contact forces", "1"),
-    Measure("torque", lambda d: d.per_joint(d.statics.joint_torques), "each motor's torque", "N m"),
+    Measure("least_peak_utilisation", _least_peak, "1"),
+    Measure("torque", lambda d: d.per_joint(d.statics.joint_torques), "N m"),
     Measure(
         "utilisation",
         lambda d: d.per_joint(d.statics.motor_utilisation),
-        "each motor's torque / effort limit",
         "1",
     ),
     Measure(
         "friction_utilisation",
         lambda d: max(d.statics.friction_utilisation.values()),
-        "largest share of a foot's friction that is used",
         "1",
         better="min",
     ),
     Measure(
         "com_margin",
         lambda d: d.stand.com_margin,
-        "com to support polygon's edge",
         "m",
         better="max",
     ),
     Measure(
         "base_height",
         lambda d: d.rest.base_height,
-        "height of the base at rest on its servos, without feed-forward",
         "m",
     ),
     Measure(
         "sag",
         lambda d: d.rest.height_loss,
-        "height lost at rest on its servos and soft ground, with joints for rigid ground",
         "m",
         better="min",
     ),
     Measure(
         "servo_sag",
         lambda d: d.rest.servo_sag,
-        "the part of it lost in the servos",
         "m",
         better="min",
     ),
-    Measure("contact_sag", lambda d: d.rest.contact_sag, "the part lost in the ground", "m"),
+    Measure("contact_sag", lambda d: d.rest.contact_sag, "m"),
     Measure(
         "stiffness",
         lambda d: d.equilibrium.stiffness,
-        "least eigenvalue at rest",
         "rad^2/s^2",
         better="max",
     ),
     Measure(
         "release_margin",
         lambda d: d.equilibrium.release_margin,
-        "friction left / weight",
         "1",
         better="max",
     ),
     Measure(
         "rest_utilisation",
         lambda d: d.utilisation_at_rest(),
-        "largest torque / effort limit of a motor, at rest on its servos",
         "1",
         better="min",
     ),
-    Measure("stands", _stands, "whether it stays up on its servos", "1", fallen=0.0),
+    Measure("stands", _stands, "1", fallen=0.0),
     Measure(
         "payload_limit",
         lambda d: payload_limit(d.robot, d.stand).mass,
-        "greatest mass it can carry, beyond its payload",
         "kg",
         simulates=True,
         better="max",
@@ -246,7 +244,6 @@ _ALL = (
     Measure(
         "minimum_stiffness",
         lambda d: minimum_stiffness(d.robot, d.stand),
-        "least kp with which it stands",
         "N m/rad",
         simulates=True,
         better="min",
@@ -255,7 +252,6 @@ _ALL = (
         Measure(
             f"{direction}_range",
             lambda d, direction=direction: d.span(direction),  # type: ignore[misc]
-            f"how far the base can go in {direction}",
             unit,
             simulates=True,
         )
@@ -264,7 +260,6 @@ _ALL = (
     Measure(
         "verified",
         lambda d: d.simulated.passed,
-        "whether MuJoCo confirms the stand",
         "1",
         simulates=True,
         fallen=0.0,
@@ -272,14 +267,12 @@ _ALL = (
     Measure(
         "simulated_height",
         lambda d: d.simulated_rest.base_height,
-        "height of the base after 5 s in MuJoCo without feed-forward",
         "m",
         simulates=True,
     ),
     Measure(
         "push_recovery",
         lambda d: push_recovery(d.robot, d.stand).weakest_impulse,
-        "least push that topples it",
         "N s",
         simulates=True,
         better="max",
@@ -322,7 +315,7 @@ def measure_of(given: str | Function) -> Measure:
     if name in MEASURES:
         problem = diagnose("measure-name-taken", name=name)
         raise ConfigurationError("measure", problem)
-    return Measure(name, OfRobotAndStand(function), inspect.getdoc(function) or "", "")
+    return Measure(name, OfRobotAndStand(function), "", own=inspect.getdoc(function) or "")
 
 
 def modules_in(measures: object) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ import os
 
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.registry import build
-from pupper_analysis.report.words import joined, text
+from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.estimate import Estimate
 
@@ -48,7 +48,7 @@ def estimate_document(
             )
         )
     if expected.failures:
-        kinds = joined(map(doc.Said, expected.failures))
+        kinds = joined(map(word, expected.failures))
         told.append(text("timed-that-failed", kinds=kinds))
     return doc.Document(text("study-of-designs"), text("estimate-title"), (), told=tuple(told))
 

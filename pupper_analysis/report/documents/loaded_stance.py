@@ -11,7 +11,7 @@ from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.standing import made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.words import joined, text
+from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.payload.limit import PayloadLimit
 
@@ -42,7 +42,7 @@ def payload_document(loaded: LoadedStance, robot: Robot | None = None) -> doc.Do
 
 def payload_text(payload: PayloadLimit) -> doc.Text:
     """Returns the greatest mass, where it is, and what gives way beyond it."""
-    failure: doc.Words = doc.Said(payload.failure.value)
+    failure: doc.Words = word(payload.failure.value)
     if payload.where:
         failure = text("failure-where", failure=failure, where=", ".join(payload.where))
     return text(
@@ -134,6 +134,6 @@ def _trial(loaded: LoadedStance) -> Iterable[doc.Words]:
             mass=mass,
             seconds=seconds,
             time=f"{trial.time:.2f}",
-            failure=doc.Said(trial.failure.value),
+            failure=word(trial.failure.value),
             where=", ".join(trial.where),
         )

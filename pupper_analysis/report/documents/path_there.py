@@ -11,9 +11,10 @@ from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.standing import made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.words import text
+from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.tracking import PathTracking
+from pupper_analysis.stance.path.leg_time import Binding
 from pupper_analysis.stance.path.stance_path import StancePath
 
 
@@ -59,9 +60,17 @@ def _least_time(there: PathThere) -> Iterable[doc.Words]:
         "least-time-time",
         time=f"{there.path.time[-1]:.3g}",
         reserve=f"{there.reserve:.0%}",
-        binding=doc.Said(str(there.binding)),
+        binding=_binding(there.binding),
         bound=f"{there.lower_bound:.3g}",
     )
+
+
+def _binding(binding: Binding) -> doc.Words:
+    """Names a limit, whose it is, and when it binds."""
+    limit: doc.Words = word(binding.limit.value)
+    if binding.names:
+        limit = text("limit-of", limit=limit, names=joined(map(doc.Name, binding.names)))
+    return text("binds-after", limit=limit, progress=binding.progress, leg=binding.leg)
 
 
 def path_blocks(path: StancePath, tracking: PathTracking) -> tuple[doc.Block, ...]:

@@ -68,10 +68,9 @@ def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
 
 def _told(stance: Stance) -> Iterable[doc.Words]:
     settled = stance.settled
-    if settled is None:
-        unsettled = doc.Said(stance.unsettled)
-        yield text("no-sag-predicted", why=unsettled)
-    else:
+    if stance.unsettled is not None:
+        yield text("no-sag-predicted", why=doc.Said(stance.unsettled))
+    if settled is not None:
         settles = text(
             "settles-at",
             height=f"{settled.base_height:.5f}",

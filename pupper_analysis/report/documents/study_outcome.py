@@ -15,7 +15,8 @@ from pupper_analysis.report.documents.study_plots import LINES, front_plot, stud
 from pupper_analysis.report.words import text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.cells import labelled, standing, unit_of
-from pupper_analysis.study.outcome import StudyOutcome
+from pupper_analysis.study.measures import MEASURES, text_key
+from pupper_analysis.study.outcome import Measured, StudyOutcome
 from pupper_analysis.study.tolerance import Chance
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
             *(doc.number(value, ".5g") for value in (one.least, one.median, one.greatest)),
             doc.number(one.designs, ".0f"),
             doc.Name(one.unit),
-            doc.Said(one.meaning),
+            _meaning(one),
         )
         for one in outcome.measured
     ]
@@ -114,6 +115,12 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
         ),
         tuple(rows),
     )
+
+
+def _meaning(one: Measured) -> doc.Words:
+    """Returns what a measure is: of one's own function what its docstring says."""
+    name = one.measure.partition(".")[0]
+    return text(text_key(name)) if name in MEASURES else doc.Name(one.meaning)
 
 
 def _failures(outcome: StudyOutcome) -> list[doc.Block]:

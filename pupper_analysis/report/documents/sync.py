@@ -57,7 +57,7 @@ def sync_document(
         failures=tuple(_withheld(sync)),
         told=tuple(told),
         notes=tuple(
-            text("difference-note", difference=doc.Said(named), note=doc.Said(note))
+            text("difference-note", difference=doc.Name(named), note=doc.Said(note))
             for named, note in sync.notes.items()
         ),
     )
@@ -109,7 +109,7 @@ def _done(sync: Sync, dry_run: bool) -> Iterable[doc.Block]:
     if sync.left:
         yield doc.Lines(
             tuple(
-                text("difference-note", difference=doc.Said(left.difference),
+                text("difference-note", difference=doc.Name(left.difference),
                      note=doc.Said(left.reason))
                 for left in sync.left
             ),
