@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis import cli
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 
 hypothesis.settings.register_profile(
     "suite",
@@ -437,3 +438,8 @@ def answer(*arguments: str, folder: Path | None = None) -> Answer:
     ):
         cli.run(cli.group, list(arguments))
     return Answer(int(leaving.value.code or 0), out.getvalue(), err.getvalue())
+
+
+def problem(words: str) -> Diagnostic:
+    """A diagnostic of these words."""
+    return diagnose("problem", problem=words)

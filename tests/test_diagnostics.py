@@ -23,6 +23,7 @@ from pupper_analysis.diagnostics import (
     Severity,
     Source,
     Term,
+    Vector,
     codes,
     diagnose,
     entry,
@@ -30,6 +31,7 @@ from pupper_analysis.diagnostics import (
     term,
 )
 from pupper_analysis.diagnostics.catalogue import LINED
+from pupper_analysis.diagnostics.record import record, restored
 from pupper_analysis.diagnostics.templates import fill
 from pupper_analysis.errors import ModelError
 from pupper_analysis.results import to_json
@@ -225,6 +227,22 @@ def test_it_survives_pickling_and_can_be_compared() -> None:
     assert other != told()
     with pytest.raises(TypeError, match="cannot be changed"):
         told().values["gap"] = 3  # type: ignore[index]
+
+
+def test_what_is_recorded_can_be_said_again_in_any_language() -> None:
+    within = diagnose(
+        "name-unknown", kind=Term("joint"), unknown="joint", known=("a", "term: joint")
+    )
+    one = diagnose(
+        "com-moved-otherwise",
+        file="URDF",
+        moved=Vector((0.0, 1.5, 0.0), "m"),
+        asked=Vector((0.0, 0.0, 0.0), "m"),
+    )
+    for kept in (told(), within, one, diagnose("argument-not-valid", field="f", problem=within)):
+        again = restored(json.loads(json.dumps(record(kept))))
+        assert again == kept
+        assert (again.text("en"), again.text("zh")) == (kept.text("en"), kept.text("zh"))
 
 
 def test_in_json_it_has_its_code_values_units_sources_and_words() -> None:

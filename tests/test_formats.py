@@ -9,7 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from conftest import run_command
+from conftest import problem, run_command
 from hypothesis import given
 from hypothesis import strategies as st
 from printing import printed
@@ -21,9 +21,9 @@ from pupper_analysis.report.document import (
     Listing,
     Name,
     Place,
-    Said,
     Sides,
     Table,
+    tell,
 )
 from pupper_analysis.report.formats import Annotation, Case, github, junit, visible
 from pupper_analysis.report.terminal import SafeConsole, print_document
@@ -156,7 +156,7 @@ def test_the_console_shows_what_would_act(terminal: bool) -> None:
     blocks = (
         Table(name, (Column(name, HOSTILE),), ((name,),), (name,)),
         Lines((name,), title=name),
-        Sides(Said(HOSTILE), (place,), (name,), name),
+        Sides(tell(problem(HOSTILE)), (place,), (name,), name),
         Listing(name, HOSTILE.replace("\n", "")),
     )
     document = Document(name, name, blocks, passed=False, verdict=name, failures=(name, name))

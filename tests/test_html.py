@@ -16,7 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from conftest import ROOT, answer, load, stand_of
+from conftest import ROOT, answer, load, problem, stand_of
 from html_page import Page, shown
 from scipy.spatial import ConvexHull
 
@@ -33,12 +33,12 @@ from pupper_analysis.report.document import (
     Name,
     OverlayScene,
     Report,
-    Said,
     StandScene,
     Table,
     Text,
     View,
     number,
+    tell,
 )
 from pupper_analysis.report.documents import sources
 from pupper_analysis.report.html import library, plots, scene, write
@@ -100,7 +100,7 @@ def analysis() -> pa.Analysis:
             for joint in one.joints
         ),
         verification=run,
-        sagging=replace(one.sagging, base_height=0.099999, failures=("it sank <low>",)),
+        sagging=replace(one.sagging, base_height=0.099999, failures=(problem("it sank <low>"),)),
     )
 
 
@@ -147,12 +147,12 @@ def pushed() -> PushRecovery:
         directions=directions,
         impulses=np.array([1.11, 2.22, 3.33, 4.44]),
         velocity_steps=np.array([0.111, 0.222, 0.333, 0.444]),
-        failures=("a", "b", "c", "d"),
+        failures=(problem("a"), problem("b"), problem("c"), problem("d")),
         bisected=np.zeros(4),
         tipping_estimate=np.array([5.55, 6.66, 7.77, 8.88]),
         weakest_direction=0.0,
         weakest_impulse=1.11,
-        weakest_failure="it fell <over>",
+        weakest_failure=problem("it fell <over>"),
         unpushed=(),
         mass=3.7,
         point=np.zeros(3),
@@ -328,7 +328,7 @@ def test_forces_and_errors_are_in_their_columns() -> None:
 
 
 def test_failures_and_surprises_are_in_the_summary() -> None:
-    failed = replace(analysis(), verified=False, failures=("knees: it fell",))
+    failed = replace(analysis(), verified=False, failures=(problem("knees: it fell"),))
     page = page_of(failed)
     summary = shown(page.root.get_element_by_id("summary"))
     assert "✗ FAILED" in summary
@@ -516,7 +516,14 @@ def evil_analysis() -> pa.Analysis:
         replace(joint, name=EVIL[index % len(EVIL)]) for index, joint in enumerate(one.joints)
     )
     statics = replace(one.statics, joint_names=tuple(joint.name for joint in joints))
-    return replace(one, name=EVIL[0], joints=joints, statics=statics, notes=EVIL, failures=EVIL)
+    return replace(
+        one,
+        name=EVIL[0],
+        joints=joints,
+        statics=statics,
+        notes=tuple(map(problem, EVIL)),
+        failures=tuple(map(problem, EVIL)),
+    )
 
 
 def test_names_cannot_become_markup() -> None:
@@ -543,7 +550,7 @@ def test_names_in_a_view_cannot_end_their_script() -> None:
         joint["name"] = EVIL[index % len(EVIL)]
     drawn["bodies"][0]["name"] = EVIL[1]
     scene_of.register(Drawn, lambda one: one.data)
-    view = View(Said(EVIL[1]), Drawn(drawn))  # type: ignore[arg-type]
+    view = View(tell(problem(EVIL[1])), Drawn(drawn))  # type: ignore[arg-type]
     document = Document(Name(""), Name(EVIL[0]), (view,))
     page = Page(write.page(Report(Text(EVIL[1], EVIL[1]), (document,))))
     data = next(json.loads(text) for text in page.strict.scripts if '"joints"' in text[:200000])
@@ -562,12 +569,12 @@ def test_what_would_turn_a_line_around_is_shown_as_its_number() -> None:
 
 def test_half_a_letter_is_shown_as_its_number() -> None:
     """A name that no encoding has: the file can be written all the same."""
-    found = replace(audit(), notes=("half \ud800 letter",), file="bad\udcff.urdf")
+    found = replace(audit(), notes=(problem("half \ud800 letter"),), file="bad\udcff.urdf")
     assert "half \\ud800 letter" in Page(written(found)).shown()
 
 
 def test_templates_do_not_read_names_as_templates() -> None:
-    assert "{{ 7 * 7 }}" in Page(written(replace(audit(), notes=("{{ 7 * 7 }}",)))).shown()
+    assert "{{ 7 * 7 }}" in Page(written(replace(audit(), notes=(problem("{{ 7 * 7 }}"),)))).shown()
 
 
 # Three dimensions

@@ -420,7 +420,7 @@ def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
 def test_errors_are_in_the_units_of_the_page(words: str, said: str) -> None:
     found = model_of().answer(parse(words))
     assert said in str(found.refusal)
-    assert re.search("[\u4e00-\u9fff]", Language("zh").sentence(str(found.refusal)))
+    assert re.search("[\u4e00-\u9fff]", Language("zh").sentence(found.refusal.diagnostic))
 
 
 def test_what_is_possible_is_in_the_units_of_the_page() -> None:

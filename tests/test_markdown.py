@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 import pytest
-from conftest import ROOT, answer
+from conftest import ROOT, answer, problem
 from html_page import Page
 
 from pupper_analysis import cli
@@ -21,9 +21,9 @@ from pupper_analysis.report.document import (
     Number,
     Place,
     Report,
-    Said,
     Sides,
     Table,
+    tell,
 )
 from pupper_analysis.report.markdown import MOST_LETTERS, MOST_ROWS, markdown
 from pupper_analysis.report.words import text
@@ -37,21 +37,27 @@ TABLE = Table(
     ),
     (text("push-directions"),),
 )
+MASS, SANK = (tell(problem(one)) for one in ("mass 1 kg", "it sank"))
 PLACES = (Place(Name("a.urdf:5"), Name('<mass value="1"/>'), "models/a.urdf:5"),)
 DOCUMENT = Document(
     text("stance"),
     Name("v3"),
     (
         TABLE,
-        Sides(Said("mass 1 kg"), PLACES, (text("no-change"),), text("all-ok").marked("warn")),
-        Lines((Said("it sank"),), "bad", text("objections"), detail=True),
+        Sides(
+            tell(problem("mass 1 kg")),
+            PLACES,
+            (text("no-change"),),
+            text("all-ok").marked("warn"),
+        ),
+        Lines((tell(problem("it sank")),), "bad", text("objections"), detail=True),
         Listing(text("what-would-change"), "-a\n+```b", "diff"),
     ),
     passed=False,
     verdict=text("FAILS"),
-    failures=(Said("it fell over"),),
-    told=(Said("height 0.13 m"),),
-    notes=(Said("a floor was added"),),
+    failures=(tell(problem("it fell over")),),
+    told=(tell(problem("height 0.13 m")),),
+    notes=(tell(problem("a floor was added")),),
 )
 
 
@@ -136,7 +142,7 @@ EVIL = (
 
 @pytest.mark.parametrize("name", EVIL)
 def test_no_name_acts(name: str) -> None:
-    said, place = Said(name), Place(Name(name), Name(name), name)
+    said, place = tell(problem(name)), Place(Name(name), Name(name), name)
     blocks = (
         Table(said, (Column(said, "N"),), ((said,),), (said,)),
         Sides(said, (place,), (said,), said),

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import printing
 import pytest
+from conftest import problem
 
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.joint_drives import Drive, MadeServo
@@ -30,6 +31,8 @@ from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import judge
 from pupper_analysis.stance.optimize.best import Objective
+from pupper_analysis.stance.path.leg_time import Binding
+from pupper_analysis.stance.path.path_limits import Limit
 from pupper_analysis.stance.payload.servo_limit import Failure
 from pupper_analysis.stance.payload.sharing import Sharing
 
@@ -80,7 +83,7 @@ def run(shift: float, *, passed: bool) -> Stub:
     """A simulated stand."""
     return Stub(
         passed=passed,
-        failures=() if passed else ("it sank",),
+        failures=() if passed else (problem("it sank"),),
         integrator="Euler",
         timestep=0.002,
         duration=12.0,
@@ -148,7 +151,7 @@ ANALYSIS: Any = Stub(
     thigh_length=0.0811,
     calf_length=0.1122,
     joints=(joint("hip", 0.0), joint("knee", 0.5)),
-    notes=("a note",),
+    notes=(problem("a note"),),
     stand=Stub(
         task="height 0.1 m",
         iterations=7,
@@ -210,10 +213,10 @@ ANALYSIS: Any = Stub(
                 passed=True,
             ),
         ),
-        notes=("another note",),
+        notes=(problem("another note"),),
     ),
     verified=False,
-    failures=("it leans",),
+    failures=(problem("it leans"),),
 )
 
 
@@ -434,8 +437,8 @@ def pushes(shift: float) -> Stub:
         tipping_estimate=np.array([0.84, 0.75, 0.96]) + shift,
         weakest_direction=math.radians(240.0),
         weakest_impulse=0.43 + shift,
-        weakest_failure="it falls",
-        failures=("it rolls", "it slides", "it falls"),
+        weakest_failure=problem("it falls"),
+        failures=(problem("it rolls"), problem("it slides"), problem("it falls")),
         velocity_steps=np.array([0.237, 0.288, 0.201]) + shift,
         rollouts=77,
         duration=6.5,
@@ -529,9 +532,9 @@ def stance(**changes: Any) -> Any:
             servo_sag=0.00789,
             contact_sag=0.00421,
             release_margin=0.5,
-            failures=("foot FR slides",),
+            failures=(problem("foot FR slides"),),
         ),
-        "unsettled": "",
+        "unsettled": None,
         "minimum_stiffness": 4.567,
         "sunk": Stub(depths={"FR": 0.00311, "RL": 0.00422}, qpos=np.array([0.0, 0.0, 0.1031])),
         "passed": True,
@@ -597,7 +600,8 @@ def test_a_stance() -> None:
 
 def test_a_stance_that_fails() -> None:
     failing = stance(
-        passed=False, verification=run(0.0, passed=False), sunk=None, settled=None, unsettled="why",
+        passed=False, verification=run(0.0, passed=False), sunk=None, settled=None,
+        unsettled=problem("why"),
         verdict=judge(run(0.0, passed=False), None, SERVOS), minimum_stiffness=None,
         loops_open=None,
     )  # fmt: skip
@@ -775,11 +779,13 @@ def test_a_path() -> None:
 
 
 def test_the_fastest_path() -> None:
-    least = there(binding="friction (FR)", reserve=0.21, lower_bound=2.5)
+    least = there(
+        binding=Binding(Limit.FRICTION, ("FR",), 2, 0.37, 0.5), reserve=0.21, lower_bound=2.5
+    )
     text = " ".join(printed(path_document(least)))
     assert (
-        "least time 3 s, with 21% of every limit in reserve: bound by friction (FR); 2.5 s if the "
-        "acceleration could jump The path" in text
+        "least time 3 s, with 21% of every limit in reserve: bound by friction (FR) after 37% of "
+        "leg 2; 2.5 s if the acceleration could jump The path" in text
     )
 
 
@@ -795,14 +801,14 @@ def test_two_models() -> None:
         urdf=3.3,
         mjcf=6.9,
         message="body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF",
-        diagnostic="body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF",
+        diagnostic=problem("body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF"),
         urdf_place="a.urdf:5",
         mjcf_place="b.xml:44",
         effects={
             "gravity": Stub(share=0.45, relative=1.2e-2, deviation=9.0),
             "mass matrix": Stub(share=0.97, relative=3.4e-1, deviation=8.0),
         },
-        made_of=("in the URDF it is made of trunk 3 kg",),
+        made_of=(problem("in the URDF it is made of trunk 3 kg"),),
     )
     limit = Stub(
         kind="effort",
@@ -812,7 +818,7 @@ def test_two_models() -> None:
         urdf=1.5,
         mjcf=2.5,
         message="joint knee: effort 1.5",
-        diagnostic="joint knee: effort 1.5",
+        diagnostic=problem("joint knee: effort 1.5"),
         urdf_place="a.urdf:7",
         mjcf_place="b.xml:55",
         effects={},
@@ -834,17 +840,22 @@ def test_two_models() -> None:
         same_robot=False,
         differences=(difference, limit),
         causes=(
-            Stub(message="another unit", diagnostic="another unit", differences=(1,), leads=False),
+            Stub(
+                message="another unit",
+                diagnostic=problem("another unit"),
+                differences=(1,),
+                leads=False,
+            ),
         ),
-        parts=("a tail too many",),
-        objections=("too much is left",),
+        parts=(problem("a tail too many"),),
+        objections=(problem("too much is left"),),
         mount=None,
         left={"mass matrix": 7.7e-7, "gravity": 8.8e-8},
         explained=0.9876,
         complete=False,
-        check=Stub(configurations=23, quantities=(quantity,), notes=("noted",)),
-        engines=("gravity",),
-        notes=("assumed",),
+        check=Stub(configurations=23, quantities=(quantity,), notes=(problem("noted"),)),
+        engines=(problem("gravity"),),
+        notes=(problem("assumed"),),
         guessed={"one": "two"},
         only_urdf=("tail",),
         only_mjcf=("head",),

@@ -1,4 +1,4 @@
-"""Sentences of results, said in Chinese."""
+"""Sentences of refused stances, said in Chinese."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ import re
 from string import Formatter
 
 import pytest
-from conftest import load
 
-import pupper_analysis as pa
-from pupper_analysis.report.document import Said, Text
-from pupper_analysis.report.html.sentences import patterns, said, sentences
+from pupper_analysis.report.html.sentences import in_chinese, patterns, sentences
 
 HAN = re.compile("[\u4e00-\u9fff]")
 
@@ -32,11 +29,9 @@ def test_both_languages_have_the_same_holes() -> None:
 
 
 def test_each_pattern_is_met_and_not_hidden_by_another() -> None:
-    assert len(patterns()) == len(sentences()) > 50
+    assert len(patterns()) == len(sentences())
     for english, chinese in sentences().items():
-        spoken = said(filled(english))
-        assert isinstance(spoken, Text), english
-        assert (spoken.en, spoken.zh) == (filled(english), filled(chinese))
+        assert in_chinese(filled(english)) == filled(chinese), english
 
 
 @pytest.mark.parametrize(
@@ -52,11 +47,4 @@ def test_each_pattern_is_met_and_not_hidden_by_another() -> None:
     ],
 )
 def test_what_is_not_known_stays_english(sentence: str) -> None:
-    assert said(sentence) == Said(sentence)
-
-
-@pytest.mark.parametrize("name", ["v3", "original"])
-def test_what_is_noted_of_a_robot_is_in_both_languages(name: str) -> None:
-    notes = (*load(name).notes, *pa.cross_check(load(name), configurations=1).notes)
-    assert len(notes) > 2
-    assert all(isinstance(said(note), Text) for note in notes), notes
+    assert in_chinese(sentence) is None

@@ -56,7 +56,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
     assert len(undisturbed) == 12
     assert list(undisturbed.columns[:4]) == ["design", "leg_scale", "slope", "kp"]
-    assert list(undisturbed.columns[-3:]) == ["failure", "failed_measure", "reason"]
+    assert list(undisturbed.columns[-4:]) == ["failure", "failed_measure", "reason", "diagnostic"]
     row = undisturbed.iloc[7]  # of the product: the last variable changes first
     assert tuple(row[["leg_scale", "slope", "kp"]]) == (1.3, 0.0, 5.0)
     robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=1.3))

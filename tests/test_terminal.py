@@ -7,12 +7,12 @@ import re
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, load, run_command, stand_of
+from conftest import ROOT, load, problem, run_command, stand_of
 from printing import printed
 from rich.cells import cell_len
 
 import pupper_analysis as pa
-from pupper_analysis.report.document import Column, Document, Lines, Name, Number, Said, Table
+from pupper_analysis.report.document import Column, Document, Lines, Name, Number, Table, tell
 from pupper_analysis.report.terminal import MOST_NOTES, SafeConsole, print_document
 from pupper_analysis.report.words import text
 
@@ -61,7 +61,7 @@ def test_a_table_of_few_rows_is_turned_over() -> None:
 
 def test_sentences_are_wrapped_and_names_are_not() -> None:
     sentence, name = "it falls over " * 12, "left_shoulder_pitch_joint_of_the_robot"
-    row = (Name(name), Said(sentence.strip()), Number("1.5", 1.5))
+    row = (Name(name), tell(problem(sentence.strip())), Number("1.5", 1.5))
     columns = (Column(Name("joint")), Column(Name("why"), left=True), Column(Name("load"), "N"))
     lines = shown(Table(Name("t"), columns, (row,)))
     assert max(map(len, lines)) <= 80
@@ -86,7 +86,7 @@ def test_what_the_short_view_leaves_out_is_named() -> None:
 
 @pytest.mark.parametrize("count", [1, MOST_NOTES, MOST_NOTES + 1, 30])
 def test_notes_are_at_most_eight_lines(count: int) -> None:
-    notes = tuple(Said(f"note {index}") for index in range(count))
+    notes = tuple(tell(problem(f"note {index}")) for index in range(count))
     document = Document(Name(""), Name("robot"), (), notes=notes)
     lines = printed(document, everything=False).splitlines()[1:]
     assert len(lines) == min(count, MOST_NOTES)
@@ -96,8 +96,8 @@ def test_notes_are_at_most_eight_lines(count: int) -> None:
 
 
 def test_lines_are_wrapped_on_a_terminal_alone() -> None:
-    told = Said("a word " * 40)
-    document = Document(Name(""), Name("robot"), (), told=(Name("x"), told))
+    wrapped = tell(problem("a word " * 40))
+    document = Document(Name(""), Name("robot"), (), told=(Name("x"), wrapped))
     assert len(printed(document).splitlines()) == 2
     file = io.StringIO()
     out = SafeConsole(

@@ -49,6 +49,7 @@ def test_files_with_a_line_per_entry_are_what_toml_reads() -> None:
     assert LINED[:2] == ("terms.toml", "texts.toml")
     for file, words in zip(LINED, (TERMS, TEXTS), strict=False):
         assert set(lines(file)) == set(words)
+    assert set(TEXTS).isdisjoint(TERMS)
     assert list(TERMS) == sorted(TERMS), "terms are in alphabetical order"
 
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from pupper_analysis.analysis.robot import slides
 from pupper_analysis.analysis.stance import Stance
-from pupper_analysis.errors import PupperAnalysisError, StanceUnreachableError
+from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.errors import Problem, PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.live.controls import slider_values
 from pupper_analysis.live.door import without_folders
 from pupper_analysis.live.model import Answer, Sag
@@ -23,8 +24,9 @@ from pupper_analysis.report.documents.push_trial import trial_document
 from pupper_analysis.report.documents.simulated import SAG, run_rows, simulated_table
 from pupper_analysis.report.documents.standing import stand_table
 from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.report.html.sentences import in_chinese
 from pupper_analysis.report.verdict import clause_text, clauses
-from pupper_analysis.report.words import joined, text
+from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.simulation.push_trial import PushTrial
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 
@@ -73,7 +75,7 @@ def _judged(answer: Answer, judged: Verdict | None, blocks: Iterable[doc.Block])
     elif answer.unreachable:
         told = (text("out-of-reach"),)
     elif answer.refusal is not None:
-        told = (doc.Said(answer.refusal.diagnostic),)
+        told = (doc.tell(answer.refusal.diagnostic),)
     passed = judged is not None and (judged.passed or judged.code is VerdictCode.IN_BALANCE)
     return doc.Document(text("stance"), _title(answer), tuple(blocks), passed=passed, told=told)
 
@@ -88,9 +90,9 @@ def _sag(sag: Sag | None) -> Iterable[doc.Block]:
     title = text("predicted-sag-without-feed-forward")
     if sag is None:
         yield doc.Lines((text("being-worked-out"),), "warn", title)
-    elif sag.settled is None:
-        yield doc.Lines((doc.Said(sag.unsettled),), "bad", title)
-    else:
+    elif sag.unsettled is not None:
+        yield doc.Lines((doc.tell(sag.unsettled),), "bad", title)
+    elif sag.settled is not None:
         columns = (
             doc.Column(text("quantity"), left=True),
             doc.Column(text("value")),
@@ -98,7 +100,7 @@ def _sag(sag: Sag | None) -> Iterable[doc.Block]:
         )
         yield doc.Table(title, columns, run_rows([sag.settled], SAG))
         if sag.settled.failures:
-            yield doc.Lines(tuple(map(doc.Said, sag.settled.failures)), "bad")
+            yield doc.Lines(tuple(map(doc.tell, sag.settled.failures)), "bad")
 
 
 def refusal_document(
@@ -146,7 +148,7 @@ def _explained(answer: Answer, error: StanceUnreachableError) -> Iterable[doc.Bl
         limits = doc.Name(_at_limits(answer, error.at_limit))
         yield doc.Lines((limits,), title=text("joints-at-a-limit"))
     if error.blocked:
-        yield doc.Lines(tuple(map(doc.Said, error.blocked)))
+        yield doc.Lines(tuple(map(_problem, error.blocked)))
     if error.nearest is not None:
         title = text("the-ghost-the-nearest-stance")
         yield doc.Lines((task_text(error.nearest.task),), title=title)
@@ -154,7 +156,13 @@ def _explained(answer: Answer, error: StanceUnreachableError) -> Iterable[doc.Bl
 
 def _demands(demands: str) -> doc.Text:
     """Returns demands that a refusal joins with ``and``."""
-    return joined([doc.Said(one) for one in demands.split(" and ")], "and")
+    return joined(map(word, demands.split(" and ")), "and")
+
+
+def _problem(problem: Problem) -> doc.Text:
+    if isinstance(problem, Diagnostic):
+        return doc.tell(problem)
+    return doc.Text(problem, lambda: in_chinese(problem) or problem)
 
 
 def _possible(state: State, fields: Mapping[str, Any]) -> doc.Text:
@@ -231,7 +239,7 @@ _AS_SIMULATED = doc.Lines((text("orange-as-simulated"),))
 
 def failure_document(error: PupperAnalysisError) -> doc.Document:
     """Returns why something could not be done."""
-    told = (doc.Said(error.diagnostic),)
+    told = (doc.tell(error.diagnostic),)
     return doc.Document(text("stance"), NOWHERE, (), passed=False, failures=told)
 
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.live.door import without_folders
-from pupper_analysis.report.document import Said, Text, Words
-from pupper_analysis.report.html import sentences
+from pupper_analysis.report.document import Text, Words
 from pupper_analysis.report.words import text
 
 NAMES = {"en": "English", "zh": "中文"}
@@ -42,15 +41,9 @@ class Language:
         """
         return self._of(text(key, **values))
 
-    def sentence(self, told: Diagnostic | str) -> str:
-        """Returns what a result says; in English, where nobody has said it otherwise."""
-        if isinstance(told, Diagnostic):
-            return without_folders(told.text(self.code))
-        sentence = without_folders(told)
-        found = sentences.said(sentence)
-        if isinstance(found, Text):
-            return self._of(found)
-        return sentence
+    def sentence(self, told: Diagnostic) -> str:
+        """Returns what a diagnostic says."""
+        return without_folders(told.text(self.code))
 
     def either(self, choices: Iterable[str]) -> str:
         """Returns choices with the word for *or* between them."""
@@ -58,8 +51,6 @@ class Language:
 
     def words(self, words: Words) -> str:
         """Returns words of a document."""
-        if isinstance(words, Said):
-            return self.sentence(words.text)
         return without_folders(self._of(words) if isinstance(words, Text) else words.text)
 
     def _of(self, words: Text) -> str:

@@ -89,7 +89,7 @@ class Panels:
         gui.add_html(render.PHONE)
         self._brief = gui.add_html("")
         other = gui.add_button(say.other.name, color="gray")
-        names = (say("stance"), say("body"), "MuJoCo", say("share-title"))
+        names = (say("stance"), say("body-title"), "MuJoCo", say("share-title"))
         kept = None if before is None else before.tabs
         self.tabs: Any
         self.tabs, (stance, body, simulated, share) = named_tabs(gui, names, other, kept)

@@ -51,17 +51,14 @@ class Text:
         return Text(self.en, self.chinese, mark)
 
 
-@dataclass(frozen=True)
-class Said:
-    """What a result says; whoever shows a sentence in Chinese has it translated.
+def tell(diagnostic: Diagnostic, mark: str = "") -> Text:
+    """Returns what a diagnostic says, in both languages.
 
-    Attributes:
-        text: A diagnostic, or a sentence in English.
+    Args:
+        diagnostic: What was found.
         mark: As of a ``Text``.
     """
-
-    text: Diagnostic
-    mark: str = ""
+    return Text(diagnostic.text("en"), lambda: diagnostic.text("zh"), mark)
 
 
 @dataclass(frozen=True)
@@ -94,10 +91,10 @@ class Number:
     share: float | None = None
 
 
-Words = Text | Said | Name
+Words = Text | Name
 """What may stand in a line."""
 
-Cell = Text | Said | Name | Number
+Cell = Text | Name | Number
 
 
 @dataclass(frozen=True)

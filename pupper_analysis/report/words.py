@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from pupper_analysis.diagnostics import fill, is_term, phrase
-from pupper_analysis.report.document import Name, Said, Text, Words
-from pupper_analysis.report.html import sentences
+from pupper_analysis.report.document import Name, Text, Words
 
 
 def text(key: str, **values: object) -> Text:
@@ -41,12 +40,7 @@ def joined(parts: Iterable[Words], comma: str = "comma") -> Text:
 
 def english(words: Words) -> str:
     """Returns words in English."""
-    return words.en if isinstance(words, Text) else str(words.text)
-
-
-def spoken(words: Words) -> Words:
-    """Returns words with what a result says in both languages, where somebody has translated it."""
-    return sentences.said(words.text) if isinstance(words, Said) else words
+    return words.en if isinstance(words, Text) else words.text
 
 
 def _filled(key: str, values: dict[str, object], language: str) -> str:
@@ -58,7 +52,4 @@ def _filled(key: str, values: dict[str, object], language: str) -> str:
 def _in(value: object, language: str) -> object:
     if isinstance(value, Text):
         return getattr(value, language)
-    if isinstance(value, Said) and language == "zh":
-        translated = sentences.said(value.text)
-        return translated.zh if isinstance(translated, Text) else str(value.text)
-    return value.text if isinstance(value, Name | Said) else value
+    return value.text if isinstance(value, Name) else value

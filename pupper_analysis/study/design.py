@@ -8,7 +8,10 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from pupper_analysis.diagnostics import diagnose
+import orjson
+
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.diagnostics.record import record
 from pupper_analysis.errors import (
     ConfigurationError,
     ModelError,
@@ -247,7 +250,7 @@ def row_of(maker: Maker, numbers: Mapping[str, float], measures: tuple[Measure, 
         design = maker.design(numbers)
     except Exception as error:
         fallen = {one.name: one.fallen for one in measures if one.fallen is not None}
-        told = {**row, "failure": failure(error), "reason": _reason(error)}
+        told = {**row, **ended(failure(error), reason_of(error))}
         return {**told, **fallen} if isinstance(error, FALLS) else told
     for measure in measures:
         try:
@@ -257,15 +260,22 @@ def row_of(maker: Maker, numbers: Mapping[str, float], measures: tuple[Measure, 
             if isinstance(error, FALLS) and measure.fallen is not None:
                 row[measure.name] = measure.fallen
             if row["failure"] is None:
-                row["failure"], row["reason"] = failure(error), _reason(error)
+                row |= ended(failure(error), reason_of(error))
                 row["failed_measure"] = measure.name
     return row
 
 
 Row = dict[str, Any]
 
-ENDS = ("failure", "failed_measure", "reason")
-"""Columns that tell what failed: of which kind, in measuring what (None: in making it), and why."""
+ENDS = ("failure", "failed_measure", "reason", "diagnostic")
+"""Columns that tell what failed: of which kind, in measuring what (None: in making it), and why: in
+English, and as the record of a diagnostic."""
+
+
+def ended(kind: str, reason: Diagnostic) -> Row:
+    """Returns a row's columns of what failed."""
+    kept = orjson.dumps(record(reason)).decode()
+    return {"failure": kind, "reason": str(reason), "diagnostic": kept}
 
 
 def _columns(name: str, found: Any) -> Row:
@@ -283,7 +293,8 @@ def _value(name: str, value: Any) -> float:
         raise ConfigurationError(name, told) from error
 
 
-def _reason(error: BaseException) -> str:
+def reason_of(error: BaseException) -> Diagnostic:
+    """Returns why a design failed; of an error that is not this package's, what it says."""
     if isinstance(error, PupperAnalysisError):
-        return str(error)
-    return f"{type(error).__name__}: {error}"
+        return error.diagnostic
+    return diagnose("other-error", error=type(error).__name__, message=str(error))

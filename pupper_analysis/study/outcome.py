@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import orjson
 
 from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.diagnostics.record import restored
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.results import Result
 from pupper_analysis.study.cells import Cells, measures_in, span, spread_in, standing
@@ -39,6 +41,7 @@ class Failures(Result):
         designs: How many.
         share: Of all designs.
         reason: What the first of them says.
+        diagnostic: The same as data; None in a folder of an older version.
     """
 
     kind: str
@@ -46,6 +49,7 @@ class Failures(Result):
     designs: int
     share: float
     reason: str
+    diagnostic: Diagnostic | None
 
 
 @dataclass(frozen=True)
@@ -241,8 +245,17 @@ def _failures(table: pd.DataFrame) -> tuple[Failures, ...]:
         first = table[table["failure"] == kind].iloc[0]
         measure = first["failed_measure"] if isinstance(first["failed_measure"], str) else None
         share = float(count) / len(table)
-        found.append(Failures(str(kind), measure, int(count), share, str(first["reason"])))
+        reason, told = str(first["reason"]), _told(first.get("diagnostic"))
+        found.append(Failures(str(kind), measure, int(count), share, reason, told))
     return tuple(found)
+
+
+def _told(kept: object) -> Diagnostic | None:
+    """Returns the diagnostic of a cell; None where it has none, or one whose code is gone."""
+    try:
+        return restored(orjson.loads(kept)) if isinstance(kept, str) else None
+    except (KeyError, ValueError):
+        return None
 
 
 def _better(measures: Sequence[str]) -> dict[str, str]:

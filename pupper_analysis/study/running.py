@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import PupperAnalysisError, StudyError
-from pupper_analysis.study.design import Row, servo_number
+from pupper_analysis.study.design import Row, ended, servo_number
 from pupper_analysis.study.store import Store, keys
 from pupper_analysis.study.worker import Chunk, Measured, begin, chunks, measured, ready
 
@@ -358,12 +358,10 @@ class Run:
             self._suspects.append(chunk)
             return
         values = dict(zip(self.settings.variables, chunk.numbers[0], strict=True))
-        reason = (
-            f"it took longer than {limit:g} s"
-            if slow
-            else "it ended its worker's process, or took longer than its time limit"
-        )
-        failed = {"failure": "timed out" if slow else "crashed", "reason": reason}
+        if slow:
+            failed = ended("timed out", diagnose("design-took-longer", limit=limit))
+        else:
+            failed = ended("crashed", diagnose("design-ended-its-worker"))
         self._keep(({"design": name, **values, **failed},))
 
     def _keep(self, rows: Iterable[Row]) -> None:

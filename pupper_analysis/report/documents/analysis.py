@@ -50,9 +50,9 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         tuple(blocks),
         passed=analysis.verified,
         verdict=text("VERIFIED") if analysis.verified else text("FAILED"),
-        failures=tuple(map(doc.Said, analysis.failures)),
+        failures=tuple(map(doc.tell, analysis.failures)),
         told=(*_key_figures(analysis), *verdict_lines(analysis.verdict), *_surprises(analysis)),
-        notes=tuple(map(doc.Said, analysis.notes)),
+        notes=tuple(map(doc.tell, analysis.notes)),
     )
 
 
@@ -112,7 +112,7 @@ def _surprises(analysis: Analysis) -> Iterable[doc.Words]:
         )
     else:
         yield text("does-not-stand-without-feed-forward")
-        yield from map(doc.Said, without.failures)
+        yield from map(doc.tell, without.failures)
 
 
 def _millimetre_digits(length: float) -> str:
@@ -299,7 +299,7 @@ def _check(analysis: Analysis) -> doc.Block:
             doc.Column(text("verdict"), left=True),
         ),
         tuple(rows),
-        tuple(map(doc.Said, check.notes)),
+        tuple(map(doc.tell, check.notes)),
         (
             text("source-cross-check"),
             page("physics.md", "The cross-check"),

@@ -42,7 +42,7 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
         verdict=passed if audit.passed else text("unsound"),
         warned=audit.passed and suspect,
         told=(joined([*counts, rules]),),
-        notes=tuple(map(doc.Said, audit.notes)),
+        notes=tuple(map(doc.tell, audit.notes)),
     )
 
 
@@ -72,7 +72,7 @@ def _groups(audit: Audit) -> Iterable[doc.Sides]:
 def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]) -> doc.Sides:
     """Returns findings of which only the element is another."""
     first, *others = group
-    told = doc.Said(first.diagnostic)
+    told = doc.tell(first.diagnostic)
     said = text("element-message", element=element(first.diagnostic), message=told)
     if others:
         names = joined(element(other.diagnostic) for other in others)
@@ -113,7 +113,7 @@ def _findings(audit: Audit) -> doc.Table:
             word(str(one.severity)),
             doc.Name(_place(one)[0]),
             element(one.diagnostic),
-            doc.Said(one.diagnostic),
+            doc.tell(one.diagnostic),
             doc.Name(one.rule),
             rule_words(one.rule, "title"),
         )

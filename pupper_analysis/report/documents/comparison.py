@@ -55,9 +55,9 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
     causes, groups = by_cause(comparison)
     agree, same = comparison.agree, comparison.same_robot
     said = (*matching_notes(comparison), *comparison.check.notes)
-    notes: list[doc.Words] = list(map(doc.Said, said))
+    notes: list[doc.Words] = list(map(doc.tell, said))
     notes += [
-        text("the-engines-differ-on-one", engine=doc.Said(engine)) for engine in comparison.engines
+        text("the-engines-differ-on-one", engine=doc.tell(engine)) for engine in comparison.engines
     ]
     differ = text("one-robot-other-coordinates") if same else text("disagree")
     return doc.Document(
@@ -68,7 +68,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
         verdict=text("agree") if agree else differ,
         warned=same and not agree,
         told=(
-            doc.Said(first_to_mend(comparison, causes, groups)),
+            doc.tell(first_to_mend(comparison, causes, groups)),
             text("1-difference")
             if len(comparison.differences) == 1
             else text("count-differences", count=len(comparison.differences)),
@@ -90,15 +90,15 @@ def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
     yield doc.Lines(named, detail=True)
     yield doc.View(text("overlay-title"), doc.OverlayScene(comparison), text(_OVERLAY))
     for part in comparison.parts:
-        off = text("part-it-was-taken-off", part=doc.Said(part))
+        off = text("part-it-was-taken-off", part=doc.tell(part))
         yield doc.Lines((off,), "bad", text("only-in-one-file"))
     for cause in causes:
         first = comparison.differences[cause.differences[0]]
         made = text("this-alone-makes-count-differences", count=len(cause.differences))
         such = text("the-kind-of-element", kind=word(first.kind), element=first.element)
-        yield _sides(comparison, first, doc.Said(cause.diagnostic), made, such)
+        yield _sides(comparison, first, doc.tell(cause.diagnostic), made, such)
     for place, group in enumerate(groups[:SHOWN]):
-        sides = _sides(comparison, group[0], doc.Said(group[0].diagnostic), *_likewise(group))
+        sides = _sides(comparison, group[0], doc.tell(group[0].diagnostic), *_likewise(group))
         yield replace(sides, detail=place >= SHORT)
     if len(groups) > SHOWN:
         more = text("count-more-are-in-the-table", count=len(groups) - SHOWN)
@@ -106,7 +106,7 @@ def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
     if comparison.differences:
         yield _differences(comparison)
     if comparison.objections:
-        yield doc.Lines(tuple(map(doc.Said, comparison.objections)), "bad", text("objections"))
+        yield doc.Lines(tuple(map(doc.tell, comparison.objections)), "bad", text("objections"))
     yield _quantities(comparison)
 
 
@@ -133,13 +133,13 @@ def _sides(
         shown = doc.Name(line) if line else doc.Name(f"{short(value)} {difference.unit}")
         named = doc.Name(_short(place)) if place else text("not-in-the-file")
         columns.append(doc.Place(named, shown, place or ""))
-    made_of = map(doc.Said, difference.made_of)
+    made_of = map(doc.tell, difference.made_of)
     return doc.Sides(title, tuple(columns), (*notes, *made_of, _effects(difference)))
 
 
-def _effects(difference: Difference) -> doc.Said:
+def _effects(difference: Difference) -> doc.Text:
     """Returns what a difference does."""
-    return doc.Said(effects_told(difference), "" if difference.effects else "quiet")
+    return doc.tell(effects_told(difference), "" if difference.effects else "quiet")
 
 
 def _differences(comparison: Comparison) -> doc.Table:

@@ -17,7 +17,7 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
     """Returns what became of a conversion; see ``build``."""
     blocks = []
     if conversion.left:
-        left = tuple(map(doc.Said, conversion.left))
+        left = tuple(map(doc.tell, conversion.left))
         blocks.append(doc.Lines(left, "warn", text("what-is-left")))
     return doc.Document(
         text("conversion"),
@@ -25,9 +25,9 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
         tuple(blocks),
         passed=conversion.passed,
         verdict=text(_verdict(conversion)),
-        failures=tuple(map(doc.Said, conversion.failures)),
+        failures=tuple(map(doc.tell, conversion.failures)),
         told=tuple(_proof(conversion)),
-        notes=tuple(map(doc.Said, conversion.notes)),
+        notes=tuple(map(doc.tell, conversion.notes)),
     )
 
 

@@ -29,7 +29,7 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
         passed=diff.same,
         verdict=text("same") if diff.same else text("different"),
         told=(text("no-change") if diff.same else changes, *_mass(diff)),
-        notes=tuple(map(doc.Said, diff.notes)),
+        notes=tuple(map(doc.tell, diff.notes)),
     )
 
 
@@ -45,7 +45,7 @@ def _mass(diff: ModelDiff) -> Iterable[doc.Words]:
 def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
     for change in diff.changes:
         yield doc.Sides(
-            doc.Said(change.diagnostic),
+            doc.tell(change.diagnostic),
             (
                 _place(diff.old, change.old_place, change.old, change.unit),
                 _place(diff.new, change.new_place, change.new, change.unit),

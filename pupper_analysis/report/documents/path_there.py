@@ -29,7 +29,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
         (view_block(robot, there.stand, None, [motion]), *path_blocks(path, tracking)),
         passed=there.passed,
         verdict=text("tracked") if there.passed else text("FAILED"),
-        failures=tuple(map(doc.Said, tracking.failures)),
+        failures=tuple(map(doc.tell, tracking.failures)),
         told=(task_text(there.stand.task), *_least_time(there), *made_up(there.servos)),
         notes=robot_notes(robot),
     )
@@ -49,7 +49,7 @@ def tracking_document(name: str, path: StancePath, tracking: PathTracking) -> do
         path_blocks(path, tracking),
         passed=tracking.passed,
         verdict=text("tracked") if tracking.passed else text("FAILED"),
-        failures=tuple(map(doc.Said, tracking.failures)),
+        failures=tuple(map(doc.tell, tracking.failures)),
     )
 
 

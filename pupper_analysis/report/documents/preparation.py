@@ -33,14 +33,14 @@ def preparation_document(
         doc.Name(loading.name),
         (_passes(loading),) if explained and loading.passes else (),
         told=(robot, *ready),
-        notes=tuple(map(doc.Said, grouped([note for note in loading.notes if note not in shown]))),
+        notes=tuple(map(doc.tell, grouped([note for note in loading.notes if note not in shown]))),
     )
 
 
 def _passes(loading: Preparation) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = []
     for run in loading.passes:
-        done = tuple(map(doc.Said, run.done)) or (text("nothing-to-do"),)
+        done = tuple(map(doc.tell, run.done)) or (text("nothing-to-do"),)
         rows += [(doc.Name(run.name), word(run.does), done[0])]
         rows += [(doc.Name(""), doc.Name(""), more) for more in done[1:]]
     columns = tuple(

@@ -30,5 +30,5 @@ def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
         (doc.Table(text("push"), columns, rows),),
         passed=trial.failure is None,
         verdict=text("it-recovers") if trial.failure is None else text("FAILS"),
-        failures=() if trial.failure is None else (doc.Said(trial.failure),),
+        failures=() if trial.failure is None else (doc.tell(trial.failure),),
     )

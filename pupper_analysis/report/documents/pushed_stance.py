@@ -66,7 +66,7 @@ def _weakest(pushed: PushedStance) -> Iterable[doc.Words]:
         impulse=f"{recovery.weakest_impulse:.2f}",
         speed=f"{recovery.weakest_impulse / recovery.mass:.2f}",
         mass=f"{recovery.mass:.2f}",
-        failure=doc.Said(recovery.weakest_failure),
+        failure=doc.tell(recovery.weakest_failure),
         tipping=f"{float(min(recovery.tipping_estimate)):.2f}",
     )
 
@@ -79,7 +79,7 @@ def _table(pushed: PushedStance) -> doc.Table:
             doc.number(recovery.impulses[index], ".2f"),
             doc.number(recovery.velocity_steps[index], ".3f"),
             doc.number(recovery.tipping_estimate[index], ".2f"),
-            doc.Said(recovery.failures[index]),
+            doc.tell(recovery.failures[index]),
         )
         for index, angle in enumerate(recovery.directions)
     ]

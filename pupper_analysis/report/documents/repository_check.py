@@ -36,7 +36,7 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
         blocks.append(doc.Lines((outdated(check),), "warn", text("notes-title")))
     blocks.append(_pairs(check.pairs))
     notes = tuple(
-        text("name-note", name=doc.Name(pair.name), note=doc.Said(note))
+        text("name-note", name=doc.Name(pair.name), note=doc.tell(note))
         for pair in check.pairs
         for note in pair.notes
     )
@@ -86,7 +86,7 @@ def _group(group: list[Remark]) -> doc.Sides:
         )
         for place in places
     )
-    told: doc.Words = doc.Said(first.diagnostic)
+    told: doc.Words = doc.tell(first.diagnostic)
     if first.check == "audit" and first.kind in RULES:
         told = text("element-message", element=element(first.diagnostic), message=told)
         notes.append(rule_words(first.kind, "todo"))

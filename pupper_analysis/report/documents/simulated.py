@@ -47,7 +47,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
         both, ("with-feed-forward-it-fails", "without-feed-forward-it-fails"), strict=True
     ):
         if one.failures:
-            yield doc.Lines(tuple(map(doc.Said, one.failures)), "warn", text(title))
+            yield doc.Lines(tuple(map(doc.tell, one.failures)), "warn", text(title))
     yield height_plot(both, float(analysis.stand.qpos[2]))
 
 

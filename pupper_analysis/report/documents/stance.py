@@ -69,7 +69,7 @@ def _disagreement(run: StandVerification) -> Iterable[doc.Words]:
 def _told(stance: Stance) -> Iterable[doc.Words]:
     settled = stance.settled
     if stance.unsettled is not None:
-        yield text("no-sag-predicted", why=doc.Said(stance.unsettled))
+        yield text("no-sag-predicted", why=doc.tell(stance.unsettled))
     if settled is not None:
         settles = text(
             "settles-at",
@@ -78,7 +78,7 @@ def _told(stance: Stance) -> Iterable[doc.Words]:
             contact=f"{1e3 * settled.contact_sag:.2f}",
         )
         if settled.failures:
-            why = joined(map(doc.Said, settled.failures), "semicolon")
+            why = joined(map(doc.tell, settled.failures), "semicolon")
             settles = text("settles-but", settles=settles, why=why)
         elif settled.release_margin < RELEASE_MARGIN:
             settles = text(

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from pupper_analysis.diagnostics import grouped
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.document import Said, Text, Words
+from pupper_analysis.report.document import Text, Words, tell
 from pupper_analysis.report.documents.sources import files
 from pupper_analysis.report.verdict import clause_text, of_the_file, on_servos
 from pupper_analysis.report.words import text
@@ -23,7 +23,7 @@ def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
 
 def assumptions(robot: Robot) -> tuple[Words, ...]:
     """Returns what was assumed when a robot was loaded, and what its MJCF does by itself."""
-    return (*map(clause_text, of_the_file(robot)), *map(Said, grouped(robot.notes)))
+    return (*map(clause_text, of_the_file(robot)), *map(tell, grouped(robot.notes)))
 
 
 def ground_text(depths: Iterable[float]) -> Text:

@@ -132,7 +132,7 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
             doc.Name(one.measure or ""),
             doc.number(one.designs, ".0f"),
             doc.Number(f"{one.share:.1%}", 100 * one.share, share=one.share),
-            doc.Said(one.reason),
+            doc.Name(one.reason) if one.diagnostic is None else doc.tell(one.diagnostic),
         )
         for one in outcome.failures
     ]

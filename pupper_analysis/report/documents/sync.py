@@ -57,7 +57,7 @@ def sync_document(
         failures=tuple(_withheld(sync)),
         told=tuple(told),
         notes=tuple(
-            text("difference-note", difference=doc.Name(named), note=doc.Said(note))
+            text("difference-note", difference=doc.Name(named), note=doc.tell(note))
             for named, note in sync.notes.items()
         ),
     )
@@ -79,7 +79,7 @@ def _choices(sync: Sync) -> Iterable[doc.Block]:
         columns = tuple(
             doc.Place(doc.Name(place), doc.Name(line_at(place)), place) for place in places if place
         )
-        yield doc.Sides(doc.Said(difference.diagnostic), columns)
+        yield doc.Sides(doc.tell(difference.diagnostic), columns)
     first, kind = label(sync.differences[0]), sync.differences[0].kind
     kind = f'"{kind}"' if " " in kind else kind
     yield doc.Lines(
@@ -110,7 +110,7 @@ def _done(sync: Sync, dry_run: bool) -> Iterable[doc.Block]:
         yield doc.Lines(
             tuple(
                 text("difference-note", difference=doc.Name(left.difference),
-                     note=doc.Said(left.reason))
+                     note=doc.tell(left.reason))
                 for left in sync.left
             ),
             "bad",

@@ -14,9 +14,8 @@ from functools import cache, lru_cache
 from importlib.resources import files
 from types import MappingProxyType
 
-from pupper_analysis.diagnostics import Diagnostic, phrase
+from pupper_analysis.diagnostics import phrase
 from pupper_analysis.diagnostics.catalogue import LINED, lines
-from pupper_analysis.report.document import Said, Text
 
 _HOLE = re.compile(r"\{(\w+)\}")
 
@@ -51,7 +50,7 @@ class Pattern:
 @cache
 def catalogue() -> Mapping[str, str]:
     """Returns {English: Simplified Chinese} of the catalogue's texts and terms."""
-    keys = {key: None for file in LINED for key in lines(file)}
+    keys = {key: None for file in LINED[:2] for key in lines(file)}
     return MappingProxyType({phrase(key, "en"): phrase(key, "zh") for key in keys})
 
 
@@ -69,20 +68,9 @@ def sentences() -> Mapping[str, str]:
     return MappingProxyType(tomllib.loads(file.read_text(encoding="utf-8")))
 
 
-def said(sentence: str | Diagnostic) -> Text | Said:
-    """Returns what a result says in both languages, or a text as it is where no pattern fits.
-
-    Args:
-        sentence: A diagnostic, or a sentence; several may be joined by semicolons.
-    """
-    if isinstance(sentence, Diagnostic):
-        return Text(sentence.text("en"), sentence.text("zh"))
-    chinese = _chinese(sentence)
-    return Said(sentence) if chinese is None else Text(sentence, chinese)
-
-
 @lru_cache(maxsize=_REMEMBERED)
-def _chinese(sentence: str) -> str | None:
+def in_chinese(sentence: str) -> str | None:
+    """Returns a sentence in Chinese, or several that semicolons join; None if no pattern fits."""
     if len(sentence) > _LONGEST:
         return None
     if sentence in catalogue():
@@ -101,7 +89,7 @@ def _filled(name: str, value: str) -> str:
     """Returns what stands in a hole; in Chinese, if the hole is for words."""
     if not name.isupper():
         return value
-    return _chinese(value) or _all_of(value, ", ", "、") or value
+    return in_chinese(value) or _all_of(value, ", ", "、") or value
 
 
 def _all_of(text: str, comma: str, chinese: str) -> str | None:
@@ -109,7 +97,7 @@ def _all_of(text: str, comma: str, chinese: str) -> str | None:
     parts = text.split(comma)
     if len(parts) == 1:
         return None
-    said = [_chinese(part) for part in parts]
+    said = [in_chinese(part) for part in parts]
     return None if None in said else chinese.join(part for part in said if part is not None)
 
 

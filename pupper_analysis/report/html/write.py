@@ -24,7 +24,7 @@ from pupper_analysis.report.html.library import installed_library
 from pupper_analysis.report.html.plots import draw
 from pupper_analysis.report.html.scene import scene_of, shared
 from pupper_analysis.report.plots import Plot
-from pupper_analysis.report.words import spoken, text
+from pupper_analysis.report.words import text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -191,7 +191,6 @@ def _interface() -> dict[str, Any]:
         "theme": "light-or-dark",
         "sections": "sections",
         "summary": "summary",
-        "english_only": "english-only",
         "made_by": "made-by",
         "failed": "what-failed",
         "notes": "notes-title",
@@ -239,7 +238,6 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     # What is not a number becomes null, which JSON has a word for.
-    environment.globals["spoken"] = spoken
     environment.policies["json.dumps_function"] = lambda value, **_: orjson.dumps(value).decode()
     return environment
 
