@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_options import files_given
+from pupper_analysis.cli.stance_options import AS_IS, FOUND, files_given, options
 
 
 @click.command(
@@ -15,20 +15,9 @@ from pupper_analysis.cli.stance_options import files_given
 )
 @click.argument("urdf", type=shared.MODEL_FILE)
 @click.argument("mjcf", type=shared.MODEL_FILE)
-@click.option(
-    "--foot",
-    "feet",
-    multiple=True,
-    metavar="[NAME=]FRAME",
-    help="A foot: a link, geom, site or body, or LINK:FRAME. Repeatable; else they are found.",
-)
-@click.option(
-    "--map", "pairs", multiple=True, metavar="URDF=MJCF", help="A joint's names. Repeatable."
-)
-@click.option("--keyframe", metavar="NAME", help="The MJCF's keyframe to start from.")
-@shared.package_option
+@options(FOUND)
 @click.option("--fixed-base", is_flag=True, help="Fix the base where the MJCF has it.")
-@click.option("--as-is", is_flag=True, help="Add no servos to the MJCF, and alter no shapes.")
+@AS_IS
 @click.option("--explain", is_flag=True, help="Print each pass that was run, and what it did.")
 @shared.look_option
 @shared.verbose_option

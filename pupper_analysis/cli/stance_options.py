@@ -33,9 +33,7 @@ VARIANT = (
     ),
     click.option("--torso-mass-scale", type=float, metavar="T", help="Its torso's mass, times T."),
 )
-OWN = (
-    shared.file_option("--urdf", help="A robot of your own: its URDF,"),
-    shared.file_option("--mjcf", help="and its MJCF."),
+FOUND = (
     click.option(
         "--foot",
         "feet",
@@ -53,8 +51,18 @@ OWN = (
     click.option("--keyframe", metavar="NAME", help="The MJCF's keyframe to start from."),
     shared.package_option,
 )
+"""What is found in two files, unless it is said."""
+
+OWN = (
+    shared.file_option("--urdf", help="A robot of your own: its URDF,"),
+    shared.file_option("--mjcf", help="and its MJCF."),
+    *FOUND,
+)
+AS_IS = click.option(
+    "--as-is", is_flag=True, help="Add no servos to the MJCF, and alter no shapes."
+)
 AS_PUBLISHED = (
-    click.option("--as-is", is_flag=True, help="Add no servos to the MJCF, and alter no shapes."),
+    AS_IS,
     click.option(
         "--self-check/--no-self-check",
         default=True,
