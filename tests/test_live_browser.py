@@ -167,7 +167,7 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     yellow = (before[..., 0] > 150) & (before[..., 2] < 110)  # the torso
     assert yellow.mean() > 0.005
     settled = pa.steady_state(load("v3"), pa.sunk_stand(load("v3")))
-    opened.says(f"{1e3 * settled.height_loss:.2f} mm")
+    opened.says(f"{1e3 * settled.height_loss:.3f}\tmm")
 
     opened.set("roll (°)", 8)
     opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(8.0))))
@@ -176,7 +176,7 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     opened.set("height (mm)", 120)
     task = pa.StandTask(roll=np.radians(8.0), height=0.12)
     opened.takes(pa.sunk_stand(load("v3"), task))
-    assert "120.0 mm" in opened.words()
+    assert "120.0\tmm" in opened.words()
     opened.button("Reset all")
     opened.takes(pa.sunk_stand(load("v3")))
 
@@ -251,7 +251,7 @@ def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
     opened.tab("MuJoCo")
     opened.button("Simulate")
     opened.says("HOLDS")
-    opened.says("base at, simulated")
+    opened.says("base height")
     wait_for(twin, "no robot is played")
     opened.set("impulse (N s)", 6)
     opened.button("Push it")
