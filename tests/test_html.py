@@ -24,7 +24,6 @@ import pupper_analysis as pa
 from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.checks.audit import RULES
-from pupper_analysis.pupper import comparison as variants
 from pupper_analysis.report import words
 from pupper_analysis.report.document import (
     Column,
@@ -257,20 +256,6 @@ def test_the_fields_of_any_result_are_written_out() -> None:
 # Whose numbers these are
 
 
-def test_torques_are_in_their_columns() -> None:
-    rows = page_of(analysis()).tables()["Motor torques"]
-    assert [row["joint"] for row in rows] == list(load("v3").joint_names)
-    assert rows[1] == {
-        "joint": "leg_front_r_2",
-        "torque (N m)": "-0.2000",
-        "limit (N m)": "3.3",
-        "utilisation (%)": "18.2",
-        "simulated (N m)": "+0.4000",
-        "minimum peak (N m)": "+0.6000",
-        "hanging (N m)": "+0.8000",
-    }
-
-
 def test_joints_have_their_limits_and_lines() -> None:
     row = page_of(analysis()).tables()["Joints, in actuator order"][0]
     assert row.pop("axis (\N{EN DASH})") == "+0 -1 +0"
@@ -292,41 +277,6 @@ def test_joints_have_their_limits_and_lines() -> None:
         assert '<joint name="leg_front_r_1"' in standing
 
 
-def test_the_simulation_s_numbers_are_in_their_units() -> None:
-    tables = page_of(analysis()).tables()
-    title = next(title for title in tables if title.startswith("MuJoCo, 12 s on the floating"))
-    rows = {row["quantity"]: (row["with feed-forward"], row["unit"]) for row in tables[title]}
-    assert rows == {
-        "base height": ("0.11111", "m"),
-        "loss of height": ("22.222", "mm"),
-        "of it servo sag": ("3.333", "mm"),
-        "of it contact softness": ("4.444", "mm"),
-        "deviation of height, last second (< 5 mm = stable)": ("0.05600", "mm"),
-        "drift of height, last second": ("-0.0666", "mm/s"),
-        "tilt against the task": ("7.7777", "°"),
-        "foot slip": ("8.8888", "mm"),
-        "joint error": ("9.9e-05", "rad"),
-        "torque off prediction, of the largest": ("1.010", "%"),
-        "vertical foot force off prediction": ("2.020", "%"),
-        "verdict": ("stands", ""),
-    }
-    assert tables[title][0]["without"] == "0.10000"
-
-
-def test_forces_and_errors_are_in_their_columns() -> None:
-    tables = page_of(analysis()).tables()
-    row = tables["Contact forces on the feet, in world axes"][0]
-    force = analysis().statics.foot_loads["FR"].force
-    assert (row["force x (N)"], row["force z (N)"]) == tuple(
-        f"{value + 0.0:+.3f}" for value in np.round(force[[0, 2]], 3)
-    )
-    assert [row[f"simulated {axis} (N)"] for axis in "xyz"] == ["+1.000", "+2.000", "+30.000"]
-    iterations = analysis().stand.iterations
-    errors = tables[f"Errors of the solved stand (PlaCo, {iterations} iterations)"]
-    assert errors[1]["value"] == "1.2e-13"
-    assert "mass 12.345 kg" in page_of(analysis()).shown()
-
-
 def test_failures_and_surprises_are_in_the_summary() -> None:
     failed = replace(analysis(), verified=False, failures=(problem("knees: it fell"),))
     page = page_of(failed)
@@ -338,34 +288,6 @@ def test_failures_and_surprises_are_in_the_summary() -> None:
     assert "leg_*_1 turns about y" in shown(page.root.get_element_by_id("n1"))
     both = page_of(failed, replace(analysis(), name="other"))
     assert "1 of 2 passed." in shown(both.root.get_element_by_id("summary"))
-
-
-def test_variants_are_compared() -> None:
-    row = variants.ComparisonRow(
-        name="one",
-        base="v3",
-        total_mass=1.1,
-        mass_ratio=1.2,
-        thigh_ratio=None,
-        thigh_shape_ratio=1.4,
-        height=0.15,
-        peak_torque=1.6,
-        peak_utilisation=0.17,
-        servo_sag=0.0018,
-        stands_without=False,
-        contact_sag=0.0019,
-        torque_error=0.02,
-        force_error=0.021,
-        cross_check=2.4e-16,
-        verified=True,
-    )
-    page = page_of(analysis(), variants.comparison_table([row]))
-    (found,) = page.tables()["Comparison (ratios to the unscaled base model)"]
-    assert list(found.values()) == [
-        *("one", "VERIFIED with feed-forward", "FAILS"),
-        *("1.100", "1.200", "-", "1.400", "0.1500", "1.600", "17.0", "1.800", "1.900"),
-        *("2.000", "2.100", "2.4e-16"),
-    ]
 
 
 @cache
