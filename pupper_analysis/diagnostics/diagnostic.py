@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from os import PathLike
 from typing import Any, TypeAlias
@@ -133,6 +133,20 @@ class Diagnostic:
     def __str__(self) -> str:
         return self.text()
 
+    def with_names(self, change: Callable[[str], str]) -> Diagnostic:
+        """Returns it with other names: of files that are shown under the name that is known.
+
+        Args:
+            change: Returns the name, or the text, that is shown for one; terms stay.
+        """
+        subject = self.subject
+        return replace(
+            self,
+            subject=None if subject is None else Subject(subject.kind, change(subject.name)),
+            values=FrozenDict({name: _named(one, change) for name, one in self.values.items()}),
+            sources=tuple(replace(one, file=change(one.file)) for one in self.sources),
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Returns it as JSON has it: its fields, and its English words as ``message``."""
         return {
@@ -200,6 +214,14 @@ def grouped(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
             key=lambda one: (order.index(one.group), one.severity.rank),
         )
     )
+
+
+def _named(value: Value, change: Callable[[str], str]) -> Value:
+    if isinstance(value, tuple):
+        return tuple(_named(one, change) for one in value)
+    if isinstance(value, Diagnostic):
+        return value.with_names(change)
+    return change(value) if isinstance(value, str) and not isinstance(value, Term) else value
 
 
 def _plain(value: Any) -> Any:

@@ -43,7 +43,7 @@ class Language:
 
     def sentence(self, told: Diagnostic) -> str:
         """Returns what a diagnostic says."""
-        return without_folders(told.text(self.code))
+        return told.with_names(without_folders).text(self.code)
 
     def either(self, choices: Iterable[str]) -> str:
         """Returns choices with the word for *or* between them."""

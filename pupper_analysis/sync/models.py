@@ -191,7 +191,7 @@ def _tried(
         except ModelError as error:
             new = _refused(files, tolerances, [key for key in keys if key not in plan.left], keys)
             refused |= new or {
-                key: diagnose("file-refused-with-it", problem=as_given(error.problem))
+                key: diagnose("file-refused-with-it", problem=error.cause.with_names(as_given))
                 for key in keys
                 if key not in plan.left
             }
@@ -224,7 +224,7 @@ def _refused(
                 read_mjcf(mjcf)
         except ModelError as error:
             refused |= dict.fromkeys(
-                members, diagnose("file-refused-with-it", problem=as_given(error.problem))
+                members, diagnose("file-refused-with-it", problem=error.cause.with_names(as_given))
             )
     return refused
 

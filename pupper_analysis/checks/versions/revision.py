@@ -48,7 +48,8 @@ class Source:
         except ModelError as error:
             if self.root is None:
                 raise
-            raise ModelError(self._known(error.source), self._known(error.problem)) from error
+            cause = error.cause.with_names(self._known)
+            raise ModelError(self._known(error.source), cause) from error
 
     def _known(self, text: str) -> str:
         if self.root is None:
