@@ -202,7 +202,9 @@ def test_remarks_stand_at_the_path_that_was_given(
     write_parts(tmp_path / "models", quadruped(), mjcf)
     monkeypatch.chdir(tmp_path)
     comparison = compared(Files(Path("models/robot.urdf"), Path("models/robot.xml")))
-    assert github(remarks(comparison)).startswith("::error file=models/robot.urdf,line=5,title=")
+    shown = github(remarks(comparison)).splitlines()[0]
+    assert shown.startswith("::error file=models/robot.urdf,line=5,title=")
+    assert shown.endswith(" [mass-differs]")
 
 
 def test_no_remarks_where_the_models_agree(tmp_path: Path) -> None:
@@ -247,8 +249,11 @@ def test_failed_cases_tell_what_and_where(files: Files) -> None:
 
 def test_a_joint_left_over_fails_its_case(tmp_path: Path) -> None:
     still = changed(quadruped(), "shank3", kind="fixed")
-    failed = failures(compared(write_parts(tmp_path, still, quadruped())))
-    assert failed["the same joints"] == "in one file only: knee3"
+    comparison = compared(write_parts(tmp_path, still, quadruped()))
+    assert failures(comparison)["the same joints"].startswith("joint knee3 is not in ")
+    (joints, *_) = cases(comparison)
+    assert [one.code for one in joints.diagnostics] == ["joint-not-in-file"]
+    assert all(remark.diagnostic is not None for remark in remarks(comparison))
 
 
 @pytest.mark.parametrize("case", ["mass", "limit"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from printing import printed
 
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.report.document import (
     Column,
     Document,
@@ -115,6 +117,19 @@ def test_junit_counts() -> None:
     assert [len(case) for case in suite] == [0, 1, 1]
     assert suite[1][0].text == "0.9 rad\nand 1.1 rad"
     assert suite[2][0].get("message") == "5 % > 4 %"
+
+
+def test_junit_has_codes_and_values() -> None:
+    differs = diagnose("foot-misses-target", subject=("foot", "FL"), gap=Quantity(0.002, "m"))
+    root = ElementTree.fromstring(junit("s", [Case("feet", "off", (differs, problem("<a>")))]))
+    (case,) = root.iter("testcase")
+    assert [(one.tag, one.get("type")) for one in case][1] == (
+        "failure",
+        "foot-misses-target, problem",
+    )
+    found = {one.get("name"): json.loads(one.get("value", "")) for one in case.iter("property")}
+    assert found["foot-misses-target"] == {"gap": {"value": 0.002, "unit": "m"}}
+    assert found["problem"] == {"problem": "<a>"}
 
 
 def test_junit_without_cases() -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.diagnostics import Diagnostic, fill, phrase
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
@@ -259,3 +259,22 @@ class Judge:
                 share = relative / total if 1e-9 < total < math.inf else math.inf
                 found[name] = Effect(relative * self.scale(name), relative, share)
         return found
+
+
+def about_kind(kind: str) -> str:
+    """Returns what remarks of a kind are about, in a few words; by default that files differ."""
+    key = _ABOUT.get(kind, "about-difference")
+    return fill(phrase(key, "en"), {"kind": kind}, "en")
+
+
+_ABOUT = {
+    "part": "about-part",
+    "cause": "about-cause",
+    "joint": "about-joint",
+    "agreement": "about-agreement",
+    "guess": "about-guess",
+    "base": "about-base",
+    "refused": "about-refused",
+    "stale": "about-stale",
+    "outdated": "about-outdated",
+}

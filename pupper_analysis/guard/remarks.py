@@ -13,6 +13,7 @@ import numpy as np
 
 from pupper_analysis.checks.audit import RULES, Audit
 from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.checks.differences import about_kind
 from pupper_analysis.diagnostics import (
     Diagnostic,
     Quantity,
@@ -120,7 +121,7 @@ def of_comparison(comparison: Comparison, pair: Pair, folder: Path) -> Iterator[
             {side: plain(value) for side, value in values.items() if value is not None},
             Severity.ERROR,
             difference.diagnostic,
-            f"{difference.kind}: the URDF and the MJCF differ",
+            about_kind(difference.kind),
             difference.urdf_place,
             difference.mjcf_place,
         )
@@ -149,18 +150,9 @@ def of_comparison(comparison: Comparison, pair: Pair, folder: Path) -> Iterator[
             remembered(diagnostic),
             Severity.ERROR,
             diagnostic,
-            _ABOUT[kind],
+            about_kind(kind),
             place,
         )
-
-
-_ABOUT = {
-    "part": "one file has a part that the other lacks",
-    "joint": "one file has a joint that the other lacks",
-    "agreement": "the files do not agree, apart from single differences",
-    "base": "the base is not the one that the configuration names",
-    REFUSED: "a model cannot be read or compared",
-}
 
 
 def of_audit(audit: Audit, folder: Path) -> Iterator[Remark]:
@@ -196,7 +188,7 @@ def of_error(
         remembered(error.diagnostic),
         Severity.ERROR,
         error.diagnostic,
-        _ABOUT["refused"],
+        about_kind("refused"),
         place if known else str(path),
     )
 

@@ -31,15 +31,16 @@ def remarks(audit: Audit) -> list[Annotation]:
 
 def cases(audit: Audit) -> list[Case]:
     """Returns one case per rule; errors and warnings are its failures."""
-    failures: dict[str, list[str]] = {}
+    failures: dict[str, list[Finding]] = {}
     for finding in audit.findings:
         if finding.severity is not Severity.NOTE:
-            text = f"{_place(finding)}: {finding.element}: {finding.message}"
-            failures.setdefault(finding.rule, []).append(text)
-    return [
-        Case(rule, "\n".join(failures[rule]) if rule in failures else None)
-        for rule in audit.rules_run
-    ]
+            failures.setdefault(finding.rule, []).append(finding)
+    return [_case(rule, failures.get(rule, [])) for rule in audit.rules_run]
+
+
+def _case(rule: str, found: list[Finding]) -> Case:
+    lines = [f"{_place(one)}: {one.element}: {one.message}" for one in found]
+    return Case(rule, "\n".join(lines) or None, tuple(one.diagnostic for one in found))
 
 
 def rank(severity: str) -> int:

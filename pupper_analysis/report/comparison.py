@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.checks.differences import Difference
+from pupper_analysis.checks.differences import Difference, about_kind
 from pupper_analysis.checks.patterns import Cause
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.report.formats import Annotation, Case
@@ -50,8 +51,7 @@ def matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
     if comparison.mount is not None:
         yield diagnose("tilt-is-no-difference", tilt=comparison.mount.diagnostic)
     if comparison.guessed:
-        pairs = [f"{one}={two}" for one, two in comparison.guessed.items()]
-        yield diagnose("joints-matched-otherwise", pairs=pairs)
+        yield _guessed(comparison)
     for joints, file in (
         (comparison.only_urdf, comparison.urdf),
         (comparison.only_mjcf, comparison.mjcf),
@@ -89,73 +89,78 @@ def effects_told(difference: Difference) -> Diagnostic:
 
 def remarks(comparison: Comparison) -> list[Annotation]:
     """Returns a remark per difference, at its place in the URDF, and one per joint left over."""
-    urdf = comparison.urdf
-    found = [_remark("part", "part", str(part), urdf) for part in comparison.parts]
+    urdf, mjcf = comparison.urdf, comparison.mjcf
+    found = [_remark("part", "part", part, urdf) for part in comparison.parts]
     for cause in comparison.causes:
-        place = comparison.differences[cause.differences[0]]
-        text = f"{cause.message} [{place.mjcf_place}]"
-        found.append(_remark("cause", "cause", text, place.urdf_place))
-    found += [
-        _remark(
-            difference.kind,
-            f"{difference.kind} of {difference.element}",
-            f"{difference.message} [{difference.mjcf_place}]",
-            difference.urdf_place,
+        first = comparison.differences[cause.differences[0]]
+        found.append(
+            _remark("cause", "cause", cause.diagnostic, first.urdf_place, first.mjcf_place)
         )
-        for difference in comparison.differences
-    ]
-    for joints, file, other in (
-        (comparison.only_urdf, urdf, comparison.mjcf),
-        (comparison.only_mjcf, comparison.mjcf, urdf),
-    ):
-        found += [
-            _remark("joint", f"joint {name}", f"joint {name} is not in {other}", file)
-            for name in joints
-        ]
+    for one in comparison.differences:
+        title = f"{one.kind} of {one.element}"
+        found.append(_remark(one.kind, title, one.diagnostic, one.urdf_place, one.mjcf_place))
     found += [
-        _remark("agreement", "agreement", str(objection), comparison.mjcf)
-        for objection in comparison.objections
+        _remark("joint", f"joint {name}", told, file) for name, told, file in _left_over(comparison)
     ]
+    found += [_remark("agreement", "agreement", one, mjcf) for one in comparison.objections]
     if comparison.guessed:
-        pairs = ", ".join(f"{one}={two}" for one, two in comparison.guessed.items())
-        message = f"matched otherwise than by the whole name: {pairs}"
-        found.append(_remark("guess", "guessed joints", message, urdf, level="warning"))
+        guess = _remark("guess", "guessed joints", _guessed(comparison), urdf)
+        found.append(replace(guess, level="warning"))
     return found
 
 
-_ABOUT = {
-    "part": "one file has a part that the other lacks",
-    "cause": "one slip makes several differences",
-    "joint": "one file has a joint that the other lacks",
-    "agreement": "the files do not agree, apart from single differences",
-    "guess": "joints were matched otherwise than by their whole names",
-}
+def _left_over(comparison: Comparison) -> Iterable[tuple[str, Diagnostic, str]]:
+    """Yields joints that one of the files has: name, what is to be said, and that file."""
+    urdf, mjcf = comparison.urdf, comparison.mjcf
+    for joints, file, other in (
+        (comparison.only_urdf, urdf, mjcf),
+        (comparison.only_mjcf, mjcf, urdf),
+    ):
+        for name in joints:
+            subject = ("joint", name)
+            yield name, diagnose("joint-not-in-file", subject=subject, lacks=other), file
+
+
+def _guessed(comparison: Comparison) -> Diagnostic:
+    pairs = [f"{one}={two}" for one, two in comparison.guessed.items()]
+    return diagnose("joints-matched-otherwise", pairs=pairs)
 
 
 def _remark(
-    kind: str, title: str, message: str, place: str | None, *, level: str = "error"
+    kind: str, title: str, told: Diagnostic, place: str | None, other: str | None = None
 ) -> Annotation:
-    about = _ABOUT.get(kind, f"{kind}: the URDF and the MJCF differ")
-    return Annotation(level, title, message, place, rule=f"crosscheck/{kind}", about=about)
+    message = str(told) if other is None else f"{told} [{other}]"
+    rule = f"crosscheck/{kind}"
+    about = about_kind(kind)
+    return Annotation("error", title, message, place, rule=rule, about=about, diagnostic=told)
 
 
 def cases(comparison: Comparison) -> list[Case]:
     """Returns one case per kind of number of each joint and body, and one per quantity."""
-    failures: dict[str, list[str]] = {}
+    missing = [told for _, told, _ in _left_over(comparison)]
+    result = [_case("the same joints", missing)]
+    by_element: dict[str, list[Difference]] = {}
     for difference in comparison.differences:
-        place = f" [{difference.urdf_place}, {difference.mjcf_place}]"
-        failures.setdefault(difference.element, []).append(difference.message + place)
-    unmatched = [*comparison.only_urdf, *comparison.only_mjcf]
-    missing = f"in one file only: {', '.join(unmatched)}" if unmatched else None
-    result = [Case("the same joints", missing)]
-    for element in dict.fromkeys([comparison.base, *comparison.joints, *failures]):
-        found = failures.get(element)
-        result.append(Case(f"parameters of {element}", "\n".join(found) if found else None))
+        by_element.setdefault(difference.element, []).append(difference)
+    for element in dict.fromkeys([comparison.base, *comparison.joints, *by_element]):
+        own = by_element.get(element, [])
+        places = [f" [{one.urdf_place}, {one.mjcf_place}]" for one in own]
+        told = [one.diagnostic for one in own]
+        result.append(_case(f"parameters of {element}", told, places))
     for quantity in comparison.check.quantities:
-        failure = None
-        if not (quantity.passed or comparison.agree):
-            failure = f"{quantity.relative:.1e} ({quantity.whose}; {quantity.where})"
-        result.append(Case(f"{quantity.name} agree", failure))
-    incomplete = "\n".join(map(str, comparison.objections)) or None
-    result.append(Case("the differences explain the deviations", incomplete))
+        deviation = diagnose(
+            "quantity-deviates",
+            relative=quantity.relative,
+            whose=Term(quantity.whose),
+            where=quantity.where,
+        )
+        fails = not (quantity.passed or comparison.agree)
+        result.append(_case(f"{quantity.name} agree", [deviation] * fails))
+    result.append(_case("the differences explain the deviations", comparison.objections))
     return result
+
+
+def _case(name: str, told: Sequence[Diagnostic], places: Sequence[str] = ()) -> Case:
+    """Returns a case with a line per diagnostic, each with its places."""
+    lines = map("".join, zip(map(str, told), places or [""] * len(told), strict=True))
+    return Case(name, "\n".join(lines) or None, tuple(told))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.report.sarif import Result, Rule, from_root, sarif
+from pupper_analysis.diagnostics import Diagnostic, fill, phrase
+from pupper_analysis.report.sarif import Result, Rule, code_and_values, from_root, sarif
 
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode's categories of what is not seen but acts: controls, directions, ends of lines."""
@@ -42,6 +43,7 @@ class Annotation:
         rule: What kind of thing it is about, the same for all such; the title, if empty.
         about: The rule in a few words.
         known: Whether a baseline has it; None where there is no baseline.
+        diagnostic: It as a code and values.
     """
 
     level: str
@@ -81,9 +83,9 @@ def grouped(annotations: Iterable[Annotation], most: int = SHOWN) -> list[Annota
             groups: dict[tuple[str, str], list[Annotation]] = {}
             for one in here:
                 groups.setdefault((one.rule or one.title, one.file_and_line[0]), []).append(one)
-            here = [_together(group, "of this kind in the file") for group in groups.values()]
+            here = [_together(group, "and-more-of-this-kind") for group in groups.values()]
         if len(here) > most:
-            here = [*here[: most - 1], _together(here[most - 1 :], "of other kinds")]
+            here = [*here[: most - 1], _together(here[most - 1 :], "and-more-of-other-kinds")]
         result += here
     return result
 
@@ -95,7 +97,8 @@ def _together(group: Sequence[Annotation], how: str) -> Annotation:
     named = ", ".join(
         other.title if other.place is None else f"{other.title} ({other.place})" for other in others
     )
-    return replace(first, message=f"{first.message}; and {len(others)} more {how}: {named}")
+    told = {"message": first.message, "count": len(others), "names": named}
+    return replace(first, message=fill(phrase(how, "en"), told, "en"))
 
 
 def github(annotations: Iterable[Annotation]) -> str:
@@ -109,7 +112,10 @@ def github(annotations: Iterable[Annotation]) -> str:
         parameters = [f"file={_property(from_root(file))}"] if file else []
         parameters += [f"line={line}"] if line is not None else []
         parameters.append(f"title={_property(annotation.title)}")
-        lines.append(f"::{annotation.level} {','.join(parameters)}::{_data(annotation.message)}")
+        told = annotation.message
+        if annotation.diagnostic is not None:
+            told += f" [{annotation.diagnostic.code}]"
+        lines.append(f"::{annotation.level} {','.join(parameters)}::{_data(told)}")
     return "\n".join(lines)
 
 
@@ -130,10 +136,12 @@ class Case:
     Attributes:
         name: What.
         failure: Why it failed; None if it did not.
+        diagnostics: The same as codes and values.
     """
 
     name: str
     failure: str | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
 
 
 def junit(suite: str, cases: Iterable[Case]) -> str:
@@ -151,11 +159,24 @@ def junit(suite: str, cases: Iterable[Case]) -> str:
     for case in cases:
         node = ElementTree.SubElement(element, "testcase", name=case.name, classname=suite)
         if case.failure is not None:
+            if case.diagnostics:
+                _properties(node, case.diagnostics)
             failure = ElementTree.SubElement(node, "failure", message=case.failure)
             failure.text = case.failure
+            if case.diagnostics:
+                codes = dict.fromkeys(one.code for one in case.diagnostics)
+                failure.set("type", ", ".join(codes))
     ElementTree.indent(root)
     declaration = '<?xml version="1.0" encoding="utf-8"?>\n'
     return declaration + ElementTree.tostring(root, encoding="unicode")
+
+
+def _properties(case: ElementTree.Element, diagnostics: Iterable[Diagnostic]) -> None:
+    """Adds codes with their values, as JSON."""
+    properties = ElementTree.SubElement(case, "properties")
+    for one in diagnostics:
+        values = json.dumps(code_and_values(one)["values"], ensure_ascii=False)
+        ElementTree.SubElement(properties, "property", name=one.code, value=values)
 
 
 def for_machines(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from pupper_analysis.checks.differences import about_kind
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.guard.check import RepositoryCheck
 from pupper_analysis.guard.remarks import Remark, State
 from pupper_analysis.report.audit import LEVELS
@@ -45,10 +47,6 @@ def before_in_words(remark: Remark) -> Text:
     return text("the-baseline-has-values", values=values or before.get("code", ""))
 
 
-def _what_of_stale(check: RepositoryCheck) -> str:
-    return "; it was taken out" if check.updated else "; --update-baseline takes it out"
-
-
 def from_the_root(place: str | None) -> str:
     """Returns ``file:line`` with the file as CI services find it."""
     file, line = Annotation("", "", "", place).file_and_line
@@ -71,39 +69,36 @@ def remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[Annota
         for remark in check.remarks
         for place in (_places(remark) if in_a_change else [remark.place])
     ]
-    found += [
-        Annotation(
-            "notice",
-            "stale baseline",
-            f"{entry}: it does not occur any more{_what_of_stale(check)}",
-            check.baseline,
-            rule="check/stale",
-            about="an entry of the baseline does not occur any more",
-            known=False,
-        )
-        for entry in check.stale
-    ]
+    found += [_of_baseline("stale", told, check) for told in stale(check)]
     if check.outdated:
-        found.append(
-            Annotation(
-                "notice",
-                "outdated baseline",
-                outdated(check).en,
-                check.baseline,
-                rule="check/outdated",
-                about="a baseline keeps sentences of an older version",
-                known=False,
-            )
-        )
+        found.append(_of_baseline("outdated", outdated(check), check))
     return found
 
 
-def outdated(check: RepositoryCheck) -> Text:
-    """Returns how to renew a baseline that an older version wrote."""
-    return text(
-        "count-entries-of-the-baseline",
-        count=check.outdated,
+def _of_baseline(kind: str, told: Diagnostic, check: RepositoryCheck) -> Annotation:
+    return Annotation(
+        "notice",
+        f"{kind} baseline",
+        str(told),
+        check.baseline,
+        rule=f"check/{kind}",
+        about=about_kind(kind),
+        known=False,
+        diagnostic=told,
     )
+
+
+def stale(check: RepositoryCheck) -> list[Diagnostic]:
+    """Returns the entries of the baseline that do not occur any more."""
+    return [
+        diagnose("baseline-entry-stale", entry=str(entry), out=check.updated)
+        for entry in check.stale
+    ]
+
+
+def outdated(check: RepositoryCheck) -> Diagnostic:
+    """Returns how to renew a baseline that an older version wrote."""
+    return diagnose("baseline-outdated", count=check.outdated)
 
 
 def _places(remark: Remark) -> list[str | None]:
@@ -143,14 +138,15 @@ def cases(check: RepositoryCheck) -> Iterator[Case]:
     for pair in check.pairs:
         if len(pair.files) > 1:
             own = [r for r in check.remarks if r.check == "crosscheck" and r.pair == pair.name]
-            yield Case(f"{pair.name}: crosscheck", _failure(own))
+            yield _case(f"{pair.name}: crosscheck", own)
     files = [file for pair in check.pairs for file in pair.files]
     files += [remark.file for remark in check.remarks if remark.check == "audit"]
     for file in dict.fromkeys(files):
         own = [r for r in check.remarks if r.check == "audit" and r.file == file]
-        yield Case(f"{file}: audit", _failure(own))
+        yield _case(f"{file}: audit", own)
 
 
-def _failure(remarks: list[Remark]) -> str | None:
-    lines = [f"{from_the_root(r.place)}: {r.message}" for r in remarks if r.fails]
-    return "\n".join(lines) or None
+def _case(name: str, remarks: list[Remark]) -> Case:
+    failing = [remark for remark in remarks if remark.fails]
+    lines = [f"{from_the_root(one.place)}: {one.message}" for one in failing]
+    return Case(name, "\n".join(lines) or None, tuple(one.diagnostic for one in failing))

@@ -120,9 +120,14 @@ def _results(results: Iterable[Result], numbers: dict[str, int]) -> Iterator[dic
         if result.known is not None:
             entry["baselineState"] = "unchanged" if result.known else "new"
         if result.diagnostic is not None:
-            told = json.loads(to_json(result.diagnostic))
-            entry["properties"] = {name: told[name] for name in ("code", "values")}
+            entry["properties"] = code_and_values(result.diagnostic)
         yield entry
+
+
+def code_and_values(diagnostic: Diagnostic) -> dict[str, Any]:
+    """Returns what a program wants to know of a diagnostic, as JSON has it."""
+    told = json.loads(to_json(diagnostic))
+    return {name: told[name] for name in ("code", "values")}
 
 
 def _plain(text: str) -> str:

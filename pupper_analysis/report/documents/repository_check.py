@@ -13,7 +13,7 @@ from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.audit import MARKS, element, rule_words
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.sources import quoted
-from pupper_analysis.report.guard import before_in_words, from_the_root, outdated, summary
+from pupper_analysis.report.guard import before_in_words, from_the_root, outdated, stale, summary
 from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.robot.robot import Robot
 
@@ -23,17 +23,9 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
     """Returns what fails, with its place, and how much is known; see ``build``."""
     blocks: list[doc.Block] = [_group(group) for group in _groups(check.remarks)]
     if check.stale:
-        after = "update-baseline-takes-it-out"
-        if check.updated:
-            after = "it-was-taken-out"
-        stale = (
-            text("entry-it-does-not-occur", entry=doc.Name(str(entry)),
-                 after=text(after))
-            for entry in check.stale
-        )  # fmt: skip
-        blocks.append(doc.Lines(tuple(stale), "warn", text("stale")))
+        blocks.append(doc.Lines(tuple(map(doc.tell, stale(check))), "warn", text("stale")))
     if check.outdated:
-        blocks.append(doc.Lines((outdated(check),), "warn", text("notes-title")))
+        blocks.append(doc.Lines((doc.tell(outdated(check)),), "warn", text("notes-title")))
     blocks.append(_pairs(check.pairs))
     notes = tuple(
         text("name-note", name=doc.Name(pair.name), note=doc.tell(note))
