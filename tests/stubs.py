@@ -424,7 +424,9 @@ def files() -> Any:
         left={"mass matrix": 7.7e-7, "gravity": 8.8e-8},
         explained=0.9876,
         complete=False,
-        check=Stub(configurations=23, quantities=(quantity,), notes=(problem("noted"),)),
+        check=Stub(
+            configurations=23, tolerance=1e-9, quantities=(quantity,), notes=(problem("noted"),)
+        ),
         engines=(problem("gravity"),),
         notes=(problem("assumed"),),
         guessed={"one": "two"},

@@ -10,13 +10,14 @@ import numpy as np
 import printing
 import pytest
 from conftest import problem
-from stubs import ANALYSIS, SERVOS, best, loaded, pushed, run, stance, there
+from stubs import ANALYSIS, SERVOS, best, files, loaded, pushed, run, stance, there
 
 from pupper_analysis.models.joint_drives import Drive, MadeServo
 from pupper_analysis.pupper import comparison
 from pupper_analysis.report.document import Document, Table
 from pupper_analysis.report.documents.analysis import analysis_document
 from pupper_analysis.report.documents.best_study import best_document
+from pupper_analysis.report.documents.comparison import comparison_document
 from pupper_analysis.report.documents.loaded_stance import payload_document
 from pupper_analysis.report.documents.path_there import path_document
 from pupper_analysis.report.documents.pushed_stance import push_document
@@ -172,3 +173,15 @@ def test_the_rest_of_a_best_stance_is_the_stance_s_own() -> None:
               for document in (shown, alone)]  # fmt: skip
     assert set(titles[1]) < set(titles[0])
     assert shown.told[1:] == alone.told
+
+
+def test_what_engines_make_of_one_file_is_seen_where_they_differ() -> None:
+    """Columns of one file are in a short view only if something in them is more than tolerated."""
+    found = files()
+    short = printing.printed(comparison_document(found), width=240, everything=False)
+    assert "(URDF)" not in short.partition("Deviation")[2]
+    assert "On each file alone, engines and readers agree within 3.3e-13." in short
+    found.check.quantities[0].edges["engines (URDF)"] = 1.7e-3
+    odd = printing.printed(comparison_document(found), width=240, everything=False)
+    assert "1.7e-03" in odd.partition("Deviation")[2]
+    assert "agree within 4.4e-14." in odd

@@ -205,6 +205,12 @@ def _explained(comparison: Comparison) -> Iterable[doc.Words]:
     yield explained
 
 
+def _deviation(relative: float | None, tolerance: float) -> doc.Number:
+    """Returns a deviation as a cell, marked where it is more than is tolerated."""
+    beyond = relative is not None and relative > tolerance
+    return doc.number(relative, ".1e", "bad" if beyond else "")
+
+
 def _quantities(comparison: Comparison) -> doc.Table:
     check = comparison.check
     every = dict.fromkeys(EDGES.values())
@@ -214,22 +220,25 @@ def _quantities(comparison: Comparison) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = [
         (
             word(quantity.name),
-            *(doc.number(quantity.edges.get(side), ".1e") for side in sides),
+            *(_deviation(quantity.edges.get(side), check.tolerance) for side in sides),
             doc.Name("" if quantity.passed else quantity.where),
         )
         for quantity in check.quantities
     ]
+    worst = {
+        side: max(quantity.edges.get(side, 0.0) for quantity in check.quantities) for side in sides
+    }
+    # What engines make of one file is left out of a short view where they agree on it.
+    hidden = [side for side in sides if side in _ONE_FILE and worst[side] <= check.tolerance]
+    agree = f"{max((worst[side] for side in hidden), default=0.0):.1e}"
     return doc.Table(
-        text(
-            "deviation-title",
-            count=check.configurations,
-        ),
+        text("deviation-title", count=check.configurations),
         (
             doc.Column(text("quantity"), left=True),
-            *(doc.Column(word(side), "1", detail=side in _ONE_FILE) for side in sides),
+            *(doc.Column(word(side), "1", detail=side in hidden) for side in sides),
             doc.Column(text("worst-at"), left=True),
         ),
         tuple(rows),
-        (),
+        (text("engines-agree-on-each-file", worst=agree),) if hidden else (),
         (page("disagreement.md", "Why the list is complete"),),
     )
