@@ -21,6 +21,7 @@ from pupper_analysis.live.state import State
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.loads import contact_table, torque_table
 from pupper_analysis.report.documents.push_trial import trial_document
+from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.simulated import SAG, run_rows, simulated_table
 from pupper_analysis.report.documents.standing import stand_table
 from pupper_analysis.report.documents.tasks import task_text
@@ -93,11 +94,7 @@ def _sag(sag: Sag | None) -> Iterable[doc.Block]:
     elif sag.unsettled is not None:
         yield doc.Lines((doc.tell(sag.unsettled),), "bad", title)
     elif sag.settled is not None:
-        columns = (
-            doc.Column(text("quantity"), left=True),
-            doc.Column(text("value")),
-            doc.Column(text("unit"), left=True),
-        )
+        columns = quantity_columns()
         yield doc.Table(title, columns, run_rows([sag.settled], SAG))
         if sag.settled.failures:
             yield doc.Lines(tuple(map(doc.tell, sag.settled.failures)), "bad")
@@ -138,11 +135,7 @@ def _explained(answer: Answer, error: StanceUnreachableError) -> Iterable[doc.Bl
         if gap > 0
     )
     if missing:
-        columns = (
-            doc.Column(text("foot"), left=True),
-            doc.Column(text("value")),
-            doc.Column(text("unit"), left=True),
-        )
+        columns = quantity_columns(of="foot")
         yield doc.Table(text("feet-miss-their-places"), columns, missing)
     if error.at_limit:
         limits = doc.Name(_at_limits(answer, error.at_limit))

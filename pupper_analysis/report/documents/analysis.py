@@ -9,6 +9,7 @@ import numpy as np
 from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.loads import load_blocks, origins_text, view_block
+from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.simulated import (
     motions_of,
@@ -224,11 +225,7 @@ def _stand(analysis: Analysis) -> doc.Block:
     )
     return doc.Table(
         text("errors-of-the-solved-stand", count=stand.iterations),
-        (
-            doc.Column(text("deviation"), left=True),
-            doc.Column(text("value")),
-            doc.Column(text("unit"), left=True),
-        ),
+        quantity_columns(of="deviation"),
         tuple((text(name), doc.number(value, ".1e"), doc.Name(unit)) for name, unit, value in rows),
         (task_text(stand.task),),
         (

@@ -6,6 +6,7 @@ import math
 
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.loads import view_block
+from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.standing import robot_notes
 from pupper_analysis.report.documents.tasks import task_text
@@ -25,12 +26,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         rows.append((text(direction), *ends, doc.Name("°" if angle else "mm")))
     table = doc.Table(
         text("how-far-the-base"),
-        (
-            doc.Column(text("direction"), left=True),
-            doc.Column(text("from")),
-            doc.Column(text("to")),
-            doc.Column(text("unit"), left=True),
-        ),
+        quantity_columns(text("from"), text("to"), of="direction"),
         tuple(rows),
         (text("of-reach-and-balance-alone"),),
     )

@@ -12,6 +12,7 @@ from pupper_analysis.report.documents.loaded_stance import (
     payload_document,
     payload_table,
 )
+from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.report.words import text
@@ -77,11 +78,7 @@ def _coordinates(best: BestStance) -> doc.Table:
         notes = (text("at-its-limit-names", names=doc.Name(", ".join(best.active))),)
     return doc.Table(
         text("where-the-best-stance"),
-        (
-            doc.Column(text("coordinate"), left=True),
-            doc.Column(text("value")),
-            doc.Column(text("unit"), left=True),
-        ),
+        quantity_columns(of="coordinate"),
         tuple(rows),
         notes,
     )

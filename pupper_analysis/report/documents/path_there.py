@@ -8,6 +8,7 @@ from pupper_analysis.analysis.path import PathThere
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.loads import view_block
+from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.documents.standing import made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
@@ -150,11 +151,7 @@ def _facts(
     """Returns a table of quantities: name, unit, value, and how that is written."""
     return doc.Table(
         title,
-        (
-            doc.Column(text("quantity"), left=True),
-            doc.Column(text("value")),
-            doc.Column(text("unit"), left=True),
-        ),
+        quantity_columns(),
         tuple(
             (name, doc.number(value, form), doc.Name("" if unit == "1" else unit))
             for name, unit, value, form in facts

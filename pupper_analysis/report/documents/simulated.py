@@ -12,6 +12,7 @@ from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.loads import proof
+from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.sources import page
 from pupper_analysis.report.words import text
 from pupper_analysis.simulation.gain_sweep import GainSweep
@@ -32,12 +33,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
             kp=_interval(run.kp),
             kd=_interval(run.kd),
         ),
-        (
-            doc.Column(text("quantity"), left=True),
-            doc.Column(text("with-feed-forward")),
-            doc.Column(text("without")),
-            doc.Column(text("unit"), left=True),
-        ),
+        quantity_columns(text("with-feed-forward"), text("without")),
         (*run_rows(both), (text("verdict"), *verdicts, doc.Name(""))),
         (),
         (page("physics.md", "Position servos sag"), proof(run)),
@@ -224,11 +220,7 @@ def simulated_table(run: StandVerification) -> doc.Table:
     """Returns what one simulation made of a stand."""
     return doc.Table(
         text("simulation", seconds=f"{run.duration:g}"),
-        (
-            doc.Column(text("quantity"), left=True),
-            doc.Column(text("with-feed-forward") if run.feedforward else text("without")),
-            doc.Column(text("unit"), left=True),
-        ),
+        quantity_columns(text("with-feed-forward") if run.feedforward else text("without")),
         run_rows([run]),
         (),
         (page("stances.md", "What the simulation says"), proof(run)),

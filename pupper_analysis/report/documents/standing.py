@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pupper_analysis.diagnostics import grouped
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.document import Text, Words, tell
+from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.sources import files
 from pupper_analysis.report.verdict import clause_text, of_the_file, on_servos
 from pupper_analysis.report.words import text
@@ -59,11 +60,7 @@ def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
         for name, value, unit, scale, form in known
         if value is not None
     )
-    columns = (
-        doc.Column(text("quantity"), left=True),
-        doc.Column(text("value")),
-        doc.Column(text("unit"), left=True),
-    )
+    columns = quantity_columns()
     return doc.Table(text("stance"), columns, rows, detail=True)
 
 
