@@ -12,7 +12,7 @@ from typing import Any
 from pupper_analysis.diagnostics import term
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.sliders import CONTROLS, Control, Range, ranges_of
-from pupper_analysis.live.state import State, in_si, on_page
+from pupper_analysis.live.state import State, on_page
 from pupper_analysis.live.viser_parts import mark
 from pupper_analysis.report.formats import visible
 from pupper_analysis.robot.robot import Robot
@@ -258,19 +258,15 @@ def slider_values(
         foot: The foot that the sliders of a foot are about.
     """
     found: dict[str, float] = {}
+    asked = state.task()
     for name, control in CONTROLS.items():
         field = control.field
-        if (
-            field.name not in FIELDS
-            or {"task": field.name}.get(field.part, field.part) not in fields
-        ):
+        if field.name not in FIELDS or field.attribute not in fields:
             continue
         value = task.values()[field.name]
         if field.per_foot:
             value = value.get(foot)
-        elif field.part == "ground" and math.isclose(
-            in_si(field, getattr(state, field.name)), value
-        ):
+        elif field.part == "ground" and math.isclose(asked.values()[field.name], value):
             continue  # the ground gives way in other numbers
         if value is not None:
             found[name] = control.of(on_page(field, value))

@@ -125,6 +125,11 @@ class Field:
         return _AXES.get(self.kind, "")
 
     @property
+    def attribute(self) -> str:
+        """The attribute of the task in which it is: its own, or the ``ground``."""
+        return self.name if self.part == "task" else self.part
+
+    @property
     def usual(self) -> Any:
         """Its value where nothing is asked."""
         if self.per_foot:
