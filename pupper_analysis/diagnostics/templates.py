@@ -6,8 +6,8 @@ In a template may stand
   unit, and ``{gap:mm:.1f}`` shows it in another one (mm, deg, g, ms, %), ``{gap::.1f}`` in none;
 - ``{name!r}``: a text in quotes;
 - ``{names}``: several, with commas between them, at most eight; ``{names:3}`` at most three. What
-  is left out is counted: "a, b, c and 2 more". ``{parts:;}`` has semicolons, ``{ways:or}`` " or ";
-  ``{masses:3|.2f}`` gives the format of each;
+  is left out is counted: "a, b, c and 2 more". ``{parts:;}`` has semicolons, ``{ways:or}`` " or ",
+  ``{both:and}`` " and "; ``{masses:3|.2f}`` gives the format of each;
 - ``{subject}``: "joint FL_knee", ``{subject!r}``: "joint 'FL_knee'"; ``{name}``: its name alone;
 - ``{count|foot|feet}``: a word that depends on a number: the first for 1;
 - ``[limit? beyond {limit}]``: words that stand only where a value is (not None, empty or false);
@@ -27,14 +27,14 @@ from pupper_analysis.diagnostics.catalogue import term
 from pupper_analysis.diagnostics.values import Term
 
 _OPTIONAL = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
-_LIST = re.compile(r"(,or|or|,|;|)(\d*)(?:\|(.*))?$")
+_LIST = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
 
 _MOST = 8
 """Names in a list: a page of names hides what is said of them."""
 
 _BETWEEN = {
-    "en": {",": ", ", ";": "; ", "or": " or ", ",or": ", or "},
-    "zh": {",": "、", ";": "；", "or": "或", ",or": "，或 "},  # noqa: RUF001
+    "en": {",": ", ", ";": "; ", "or": " or ", ",or": ", or ", "and": " and "},
+    "zh": {",": "、", ";": "；", "or": "或", ",or": "，或 ", "and": "和"},  # noqa: RUF001
 }
 _MORE = {"en": "{listed} and {left} more", "zh": "{listed}，另有 {left} 个"}  # noqa: RUF001
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -149,8 +150,8 @@ def _objective(value: str) -> Objective:
     try:
         return Objective(value)
     except ValueError as error:
-        known = ", ".join(Objective)
-        raise ConfigurationError("objective", f"{value!r} is none of {known}") from error
+        told = diagnose("none-of", value=value, known=Objective)
+        raise ConfigurationError("objective", told) from error
 
 
 def _active(space: StanceSpace, best: EvaluatedStance) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import (
     ConfigurationError,
     NoEquilibriumError,
@@ -108,14 +109,12 @@ class StanceSearch:
     def _check_limits(self) -> None:
         robot = self.robot
         if not self.bears.any():
-            raise ConfigurationError("objective", f"no motor of {robot.name} has an effort limit")
+            told = diagnose("no-effort-limits", robot=robot.name)
+            raise ConfigurationError("objective", told)
         none = np.flatnonzero(self.limits <= 0)
         if len(none):
-            raise ConfigurationError(
-                "objective",
-                f"the effort limit of {robot.joint_names[none[0]]} is 0 N m, no part of which can "
-                "be used; give the URDF limits > 0",
-            )
+            told = diagnose("effort-limit-is-zero", joint=robot.joint_names[none[0]])
+            raise ConfigurationError("objective", told)
 
     def value(self, stand: Stand) -> float:
         """Returns the utilisation, or the margin (m), of a stand."""
@@ -174,7 +173,7 @@ class StanceSearch:
         """Returns the same for a payload, of mass -scale * level."""
         first = FirstOrder.of(self.robot, self.loaded, stand, self.kp)
         if first is None:
-            raise NoEquilibriumError(None, "the servos are too soft for the stand without payload")
+            raise NoEquilibriumError(None, diagnose("servos-too-soft-unloaded"))
         loads, limits = first.loads, self.limits[self.bears]
         torque, rate = loads.torques[self.bears] / limits, loads.torque_rates[self.bears] / limits
         weight = self.mass * float(np.linalg.norm(self.robot.gravity))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.compliance import GroundLaw
@@ -123,12 +124,9 @@ def fastest_path(
         UnknownNameError: If a task names a foot that the robot does not have.
     """
     robot.check_tree("a path")
-    left = _number("reserve", reserve, 0.0, 1.0, "from 0 to below 1")
-    _number("rate", rate, 1e-9, math.inf, "a finite number above 0")
-    if rise is None:
-        rise = RISE * ground_lag(robot)
-    else:
-        rise = _number("rise", rise, 1e-4, 10.0, "from 0.0001 to below 10 s")
+    left = _number("reserve", reserve, 0.0, 1.0)
+    _number("rate", rate, 1e-9, math.inf)
+    rise = RISE * ground_lag(robot) if rise is None else _number("rise", rise, 1e-4, 10.0, "s")
     checked_stances(stances)
     geometry = path_geometry(robot, stances, SAMPLES, rolling=rolling)
     limits = PathLimits(robot, left)
@@ -136,12 +134,12 @@ def fastest_path(
     bindings = [leg.binding for leg in legs]
     binding = max(filter(None, bindings), key=lambda found: found.price, default=None)
     if binding is None:
-        raise ConfigurationError("stances", "nothing moves: they are all the same")
+        raise ConfigurationError("stances", diagnose("stances-all-alike"))
     finest = max(leg.longest_step for leg in legs) * rate
     if finest > 1:
         per_leg = math.ceil(SAMPLES * finest)
         if per_leg * len(legs) > MAX_SAMPLES:
-            raise ConfigurationError("rate", f"that is more than {MAX_SAMPLES} samples")
+            raise ConfigurationError("rate", diagnose("too-many-samples", most=MAX_SAMPLES))
         geometry, limits = (
             path_geometry(robot, stances, per_leg, rolling=rolling),
             PathLimits(robot, left),
@@ -161,10 +159,14 @@ def fastest_path(
     )
 
 
-def _number(name: str, value: object, low: float, high: float, wanted: str) -> float:
+def _number(name: str, value: object, low: float, high: float, unit: str = "") -> float:
     number = float(value) if isinstance(value, Real) else math.nan
     if isinstance(value, bool) or not low <= number < high:
-        raise ConfigurationError(name, f"{value!r} is not {wanted}")
+        given = repr(value)
+        if high == math.inf:
+            raise ConfigurationError(name, diagnose("not-finite-above-0", value=given))
+        told = diagnose("not-in-interval", value=given, low=low, high=high, unit=unit)
+        raise ConfigurationError(name, told)
     return number
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import (
     ConfigurationError,
     NoEquilibriumError,
@@ -79,7 +80,7 @@ class Geometry:
     places: list[Place]
     per_leg: int
 
-    def where(self, index: int, moment: float | None = None) -> str:
+    def where(self, index: int, moment: float | None = None) -> Diagnostic:
         """Says where a sample is, and when (s), if that is given."""
         return _where(index, self.per_leg, moment)
 
@@ -143,23 +144,26 @@ def path_geometry(
             stand.qpos[3:7] *= -1  # the same rotation, without a jump
         jumps = np.abs(stand.joint_positions(robot) - ik_seed)
         if jumps.max() > MAX_JUMP:
-            raise ConfigurationError(
-                "stances",
-                f"joint {robot.joint_names[int(jumps.argmax())]} jumps by {jumps.max():.2f} rad "
-                f"{where}; bring them nearer to each other, or raise the rate",
+            told = diagnose(
+                "joint-jumps",
+                subject=("joint", robot.joint_names[int(jumps.argmax())]),
+                jump=Quantity(jumps.max(), "rad"),
+                where=where,
             )
+            raise ConfigurationError("stances", told)
         ik_seed = stand.joint_positions(robot)
         tangent, curvature = _derivatives(robot, leg, share, stand.qpos, rolling=rolling)
         places.append(Place(leg, number, progress, share, stand, tangent, curvature))
     return Geometry(solved, legs, places, per_leg)
 
 
-def _where(index: int, per_leg: int, moment: float | None) -> str:
+def _where(index: int, per_leg: int, moment: float | None) -> Diagnostic:
     number = max(0, (index - 1) // per_leg)
-    between = f"between stances {number + 1} and {number + 2}"
+    one, two = number + 1, number + 2
     if moment is None:
-        return f"after {minimum_jerk(index / per_leg - number)[0]:.0%} of the way {between}"
-    return f"at {moment:.2f} s, {between}"
+        share = minimum_jerk(index / per_leg - number)[0]
+        return diagnose("on-the-way", share=share, one=one, two=two)
+    return diagnose("at-the-time", time=moment, one=one, two=two)
 
 
 class _Roll:
@@ -199,8 +203,7 @@ class _Roll:
         change = max(np.abs(away[foot] - last[foot]).max() for foot in away)
         raise NoEquilibriumError(
             0.0,
-            f"how far the feet roll does not settle, by {1e3 * change:.3g} mm; bring the stances "
-            "nearer to each other, or let the feet's centres stay (rolling=False)",
+            diagnose("feet-roll-without-end", change=Quantity(change, "m")),
         )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import Infeasibility, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.stance.path.geometry import Geometry, Place, minimum_jerk
@@ -139,7 +140,12 @@ class LegTime:
             except StaticsInfeasibleError as error:
                 raise StaticsInfeasibleError(
                     error.reason,
-                    f"{error} after {place.share:.0%} of leg {place.number + 1}, however slow",
+                    diagnose(
+                        "not-held-however-slow",
+                        problem=error.diagnostic,
+                        share=place.share,
+                        leg=place.number + 1,
+                    ),
                     margin=place.leg.start.margin(place.stand.stance_feet),
                     friction_needed=error.friction_needed,
                     feet=error.feet,
@@ -191,7 +197,7 @@ class LegTime:
             if settled:
                 break
         if best is None:
-            detail = f"no speed is found at which leg {self._number + 1} keeps to the limits"
+            detail = diagnose("no-speed-within-limits", leg=self._number + 1)
             leg = self._places[-1].leg
             margin = leg.start.margin(leg.stance_feet)
             raise StaticsInfeasibleError(Infeasibility.PULL, detail, margin=margin)

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import (
     ConfigurationError,
     Infeasibility,
@@ -76,10 +77,10 @@ def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tupl
         UnknownNameError: If a task names a foot that the robot does not have.
     """
     if any(task.ground != stances[0].ground for task in stances):
-        raise ConfigurationError("stances", "they are on different grounds; a path is on one")
+        raise ConfigurationError("stances", diagnose("grounds-differ"))
     fixed = any(task.offset is not None or not isinstance(task.com, str | None) for task in stances)
     if fixed and any(task.com == "inside" for task in stances):
-        raise ConfigurationError("stances", "com 'inside' cannot be mixed with points or offsets")
+        raise ConfigurationError("stances", diagnose("com-inside-mixed"))
     solved: list[Stand] = []
     keys = []
     for number, task in enumerate(stances, 1):
@@ -88,7 +89,7 @@ def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tupl
         try:
             solved.append(solve_stand(robot, task))
         except StanceUnreachableError as error:
-            raise error.at(f"stance {number}") from None
+            raise error.at(diagnose("of-stance", number=number)) from None
         com = Configuration(robot, solved[-1].qpos).center_of_mass()
         keys.append(Key(solved[-1].task, solved[-1].qpos[:3], com, solved[-1].foot_targets))
     sets = []
@@ -96,17 +97,17 @@ def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tupl
         swinging = one.task.swing.keys() | two.task.swing.keys()
         idle = {point for foot in swinging for point in robot.soles[foot]}
         sets.append(tuple(foot for foot in robot.feet if foot not in idle))
-        where = f"between stances {number} and {number + 1}"
+        where = diagnose("between-stances", one=number, two=number + 1)
         if len(sets[-1]) < 3:
-            problem = f"only {len(sets[-1])} feet carry {where}; put one down before the next lifts"
+            problem = diagnose("too-few-feet-carry", count=len(sets[-1]), where=where)
             raise ConfigurationError("stances", problem)
         for foot in sets[-1]:
             if np.abs(one.feet[foot] - two.feet[foot]).max() > 1e-9:
-                problem = f"foot {foot} carries {where}, and cannot move; lift it in a stance"
+                problem = diagnose("carrying-foot-moves", subject=("foot", foot), where=where)
                 raise ConfigurationError("stances", problem)
         if number > 1 and not (set(sets[-1]) <= set(sets[-2]) or set(sets[-1]) >= set(sets[-2])):
-            problem = f"one foot lands and another lifts in stance {number}; give it twice"
-            raise ConfigurationError("stances", f"{problem}, the load needs time to shift")
+            problem = diagnose("lands-as-another-lifts", number=number)
+            raise ConfigurationError("stances", problem)
     sets = [sets[0], *sets, sets[-1]]
     legs = [
         Leg(one, two, sets[number], sets[number - 1], sets[number + 1])
@@ -163,8 +164,12 @@ def task_between(
     if not by_base and margin < needed:
         raise StaticsInfeasibleError(
             Infeasibility.COM_OUTSIDE,
-            f"its projection is {1e3 * margin:.1f} mm inside that of {', '.join(contacts)}, and "
-            f"must be {1e3 * needed:.1f} mm; insert a stance with the com over these feet",
+            diagnose(
+                "com-off-the-feet",
+                margin=Quantity(margin, "m"),
+                feet=contacts,
+                needed=Quantity(needed, "m"),
+            ),
             margin=margin,
             feet=contacts,
         )

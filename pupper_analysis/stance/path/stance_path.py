@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.files import whole_file
 from pupper_analysis.results import Tabular
@@ -329,10 +330,10 @@ def checked_stances(stances: Sequence[StandTask]) -> None:
         ConfigurationError: If they are not.
     """
     if isinstance(stances, StandTask) or len(stances) < 2:
-        raise ConfigurationError("stances", "a path goes through at least 2")
+        raise ConfigurationError("stances", diagnose("path-of-one-stance"))
     for task in stances:
         if not isinstance(task, StandTask):
-            raise ConfigurationError("stances", f"{task!r} is not a StandTask")
+            raise ConfigurationError("stances", diagnose("no-stand-task", given=repr(task)))
 
 
 SHORTEST = 1e-3
@@ -346,9 +347,11 @@ def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
     for name, value in given.items():
         number = float(value) if isinstance(value, Real) else math.nan
         if isinstance(value, bool) or not 0 < number < math.inf:
-            raise ConfigurationError(name, f"{value!r} is not a finite number above 0")
+            raise ConfigurationError(name, diagnose("not-finite-above-0", value=repr(value)))
     if seconds < SHORTEST:
-        raise ConfigurationError("seconds", f"{seconds:g} s is less than {SHORTEST:g} s")
+        told = diagnose("shorter-than-least", seconds=seconds, least=SHORTEST)
+        raise ConfigurationError("seconds", told)
     if max(seconds * rate, LEAST_PER_LEG * len(stances)) > MAX_SAMPLES:
-        raise ConfigurationError("seconds, rate", f"that is more than {MAX_SAMPLES} samples")
+        told = diagnose("too-many-samples", most=MAX_SAMPLES)
+        raise ConfigurationError("seconds, rate", told)
     return max(LEAST_PER_LEG, math.ceil(seconds * rate / (len(stances) - 1) - 1e-9))

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -135,8 +136,8 @@ def payload_limit(
     try:
         command = Command(command)
     except ValueError as error:
-        known = ", ".join(Command)
-        raise ConfigurationError("command", f"{command!r} is none of {known}") from error
+        told = diagnose("none-of", value=command, known=Command)
+        raise ConfigurationError("command", told) from error
     stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     contacts = contact_limit(robot, stand, place)
     motors = motor_limit(robot, stand, place, most=contacts.mass)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.robot.servos import lead
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
@@ -68,9 +69,7 @@ class Way:
         qpos = stand.qpos.copy()
         qpos[2] -= np.mean(sunk) - np.mean(list(stand.depths.values()))
         self._command(0.0)
-        self.solution = self._settled(
-            Solution(qpos, forces), "as it stands, with feed-forward,", exact
-        )
+        self.solution = self._settled(Solution(qpos, forces), diagnose("as-it-stands-fed"), exact)
 
     def follow(self, goal: float) -> None:
         """Takes away the share ``goal`` of the feed-forward, in one step or in smaller ones.
@@ -96,9 +95,13 @@ class Way:
             if step < _LEAST_STEP:
                 raise NoEquilibriumError(
                     self.share,
-                    f"with {self.system.feet} feet and kp = {self._softest():.3g} N m/rad it "
-                    f"ends where {self.share:.0%} of the feed-forward is taken away"
-                    f"{self._about_to_slide()}",
+                    diagnose(
+                        "feed-forward-needed",
+                        feet=Term(self.system.feet),
+                        kp=Quantity(self._softest(), "N m/rad"),
+                        share=self.share,
+                        sliding=self._about_to_slide(),
+                    ),
                 )
 
     def look(self, solution: Solution) -> tuple[Array, float]:
@@ -136,7 +139,9 @@ class Way:
             before = self.solution, dict(self.system.anchors), self.system.creeping()
             self.system.begin_creep(self.solution, step)
             try:
-                self.solution = self._settled(self.solution, f"after {self.crept:.1f} s of creep")
+                self.solution = self._settled(
+                    self.solution, diagnose("after-creep", time=self.crept)
+                )
             except NoEquilibriumError:
                 self.solution, self.system.anchors, creeping = before
                 self.system.crept, self.system.yielding = creeping
@@ -160,7 +165,7 @@ class Way:
             joints = system.joint_friction
             system.lift = system.lift + step if abs(goal - system.lift) > abs(step) else goal
             try:
-                self.solution = self._settled(self.solution, "with friction")
+                self.solution = self._settled(self.solution, diagnose("with-friction"))
                 stable = self.look(self.solution)[1] > 0
             except NoEquilibriumError:
                 stable = False
@@ -177,7 +182,7 @@ class Way:
         kp = self.system.kp
         return float(kp[kp > 0].min(initial=np.inf))
 
-    def _about_to_slide(self) -> str:
+    def _about_to_slide(self) -> list[str]:
         mu = self.system.friction.sliding
         feet = [
             foot
@@ -185,7 +190,7 @@ class Way:
             if np.linalg.norm(force[:2]) > _NEARLY * mu[foot] * force[2]
         ]
         pinned = self.system.feet == "pinned"
-        return f": there {' and '.join(feet)} begin to slide" if feet and pinned else ""
+        return feet if pinned else []
 
     def _command(self, share: float) -> None:
         system = self.system
@@ -250,26 +255,25 @@ class Way:
         self._events += 1
         if self._events > max(_MAX_EVENTS, 4 * len(self.system.robot.feet)):
             raise NoEquilibriumError(
-                self.share, f"foot {foot} neither carries nor clears the ground"
+                self.share, diagnose("foot-neither-carries-nor-clears", subject=("foot", foot))
             )
         self.solution = self.system.switch(foot, found)
 
-    def _settled(self, guess: Solution, when: str, exact: bool = True) -> Solution:
+    def _settled(self, guess: Solution, when: Diagnostic, exact: bool = True) -> Solution:
         """Returns the equilibrium with the feet that touch in it, beginning with those that do."""
         self.solution = guess
         while True:
             found = self.system.solve(self.solution, exact=exact)
             if found is None:
-                raise NoEquilibriumError(self.share, f"{when} it ends{self._or_not_found()}")
+                told = diagnose("equilibrium-ends", when=when, loops=self._begun_closed())
+                raise NoEquilibriumError(self.share, told)
             self.iterations += len(found.residuals) - 1
             wrong = self.system.against(found)
             if not wrong:
                 return found
             self._switch(next(iter(wrong)), found)
 
-    def _or_not_found(self) -> str:
-        """Says so where loops begin closed, and far softer than they are when they have opened."""
+    def _begun_closed(self) -> bool:
+        """Tells whether loops begin closed, and far softer than they are when they have opened."""
         stand, closure = self.system.stand, self.system.robot.closure
-        if closure is None or any(stand.depths.values()):
-            return ""
-        return ", or is not found from loops that are closed: sunk_stand's are open"
+        return closure is not None and not any(stand.depths.values())
