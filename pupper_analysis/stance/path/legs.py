@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,15 @@ from pupper_analysis.errors import (
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]
+
+_PLACES = ("base-height", "base-place", "com-place", "support-margin", "footholds")
+"""Constraints whose numbers a path works out itself; all others' are between its stances'."""
 
 TOUCHING = 1e-12
 """The height of a foot that does not carry, but is on the ground (m)."""
@@ -173,26 +178,24 @@ def task_between(
             margin=margin,
             feet=contacts,
         )
-    apart = None
-    if one.self_clearance is not None and two.self_clearance is not None:
-        apart = between(one.self_clearance, two.self_clearance)
+    last = two.values()
+    others: dict[str, Any] = {
+        name: None if None in (first, last[name]) else between(first, last[name])
+        for name, first in one.values().items()
+        if FIELDS[name].constraint not in _PLACES
+    }
     heights = {
         foot: between(one.swing.get(foot, 0.0), two.swing.get(foot, 0.0)) for foot in robot.soles
     }
     carrying = robot.feet_with(stance_feet)
     return StandTask(
         height=float(base[2] - centre[2]),
-        roll=between(one.roll, two.roll),
-        pitch=between(one.pitch, two.pitch),
-        yaw=between(one.yaw, two.yaw),
         offset=(float(base[0] - centre[0]), float(base[1] - centre[1])) if by_base else None,
         feet=feet,
         swing={f: max(TOUCHING, h) for f, h in heights.items() if f not in carrying},
         ground=ground,
         com="centre" if by_base else (float(com[0]), float(com[1])),
         com_margin=max(0.0, between(one.com_margin, two.com_margin) - 1e-9) if by_base else 0.0,
-        joint_margin=between(one.joint_margin, two.joint_margin),
-        ground_clearance=between(one.ground_clearance, two.ground_clearance),
-        self_clearance=apart,
         ik_seed=tuple(ik_seed),
+        **others,
     )
