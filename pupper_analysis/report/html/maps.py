@@ -18,6 +18,8 @@ from pupper_analysis.report.html.plots import (
     Drawing,
     Mark,
     draw,
+    frame,
+    grid,
     straight,
     ticks,
     word_at,
@@ -84,10 +86,10 @@ def _means(plot: MeansPlot) -> Drawing:
         of = f" ({found.counts[row, column]:.0f} / {found.designs[row, column]:.0f})"
         return f"{mean:.4g}{of if several else ''}"
 
-    grid = _Grid(found.x, found.y)
-    marks = [*grid.cells(filled), *grid.crossed(found.partial), *grid.axes(x, y)]
+    cells = _Grid(found.x, found.y)
+    marks = [*cells.cells(filled), *cells.crossed(found.partial), *cells.axes(x, y)]
     marks += _bar(low, high)
-    marks.append(grid.labels(Name(labelled(plot.measure)), x, y, told))
+    marks.append(cells.labels(Name(labelled(plot.measure)), x, y, told))
     return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks))
 
 
@@ -105,8 +107,8 @@ def _ends(plot: EndsPlot) -> Drawing:
         share = float(found.counts[kind, row, column] / total[row, column])
         return shade[kind], 0.25 + 0.75 * share
 
-    grid = _Grid(found.x, found.y)
-    marks = [*grid.cells(filled), *grid.axes(x, y)]
+    cells = _Grid(found.x, found.y)
+    marks = [*cells.cells(filled), *cells.axes(x, y)]
     named = [text("all-measured") if not kind else word(kind) for kind in found.kinds]
     for kind, name in enumerate(
         named
@@ -117,7 +119,7 @@ def _ends(plot: EndsPlot) -> Drawing:
 
         chosen = (most == kind) & (total > 0)
         if chosen.any():
-            marks.append(grid.labels(name, x, y, told, chosen))
+            marks.append(cells.labels(name, x, y, told, chosen))
     counts = found.counts.sum(axis=(1, 2))
     legend = tuple((name, shade[kind]) for kind, name in enumerate(named) if counts[kind])
     return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks), legend)
@@ -181,17 +183,14 @@ def _front(plot: FrontPlot) -> Drawing:
         points = np.array([LEFT, TOP + tall]) + share * np.array([wide, -tall])
         return np.asarray(np.round(points, 1))
 
-    marks: list[Mark] = []
-    for axis, (least, most) in enumerate(zip(low, high, strict=True)):
-        for value in ticks(least, most, 6):
-            at = place(np.array([value, value]))[axis]
-            if axis == 0:
-                marks.append(straight(at, TOP, at, TOP + tall, "grid"))
-                marks.append(word_at(at, TOP + tall + 16, Name(f"{value:g}"), "middle"))
-            else:
-                marks.append(straight(LEFT, at, LEFT + wide, at, "grid"))
-                marks.append(word_at(LEFT - 6, at + 4, Name(f"{value:g}"), "end"))
-    marks += _frame(*plot.axes, wide, tall)
+    across, up = (
+        {value: place(np.array([value, value]))[axis] for value in ticks(least, most, 6)}
+        for axis, (least, most) in enumerate(zip(low, high, strict=True))
+    )
+    marks = [
+        *grid(across, up, wide, tall),
+        *frame(Name(plot.axes[0]), Name(plot.axes[1]), wide, tall),
+    ]
     cloud = _evenly(known, MOST_DOTS)
     for part, style, name in (
         (cloud, "s0", text("designs")),
@@ -271,7 +270,7 @@ class _Grid:
 
     def axes(self, x: str, y: str) -> list[Mark]:
         """Returns the axes, with the values of some cells."""
-        marks = _frame(labelled(x), labelled(y), self.wide, self.tall)
+        marks = frame(Name(labelled(x)), Name(labelled(y)), self.wide, self.tall)
         for index in _some(len(self.x.centres)):
             at = LEFT + (index + 0.5) * self.across
             words = Name(f"{self.x.centres[index]:.4g}")
@@ -285,16 +284,6 @@ class _Grid:
 def _some(count: int) -> range:
     """Returns which of some cells have their value written beside them."""
     return range(0, count, -(-count // FEW_LABELS))
-
-
-def _frame(x: str, y: str, wide: float, tall: float) -> list[Mark]:
-    up = word_at(14, TOP + tall / 2, Name(y), "middle")
-    return [
-        straight(LEFT, TOP + tall, LEFT + wide, TOP + tall, "axis"),
-        straight(LEFT, TOP, LEFT, TOP + tall, "axis"),
-        word_at(LEFT + wide / 2, TOP + tall + 36, Name(x), "middle"),
-        {**up, "transform": f"rotate(-90 14 {TOP + tall / 2:g})"},
-    ]
 
 
 def _bar(low: float, high: float) -> list[Mark]:

@@ -117,16 +117,11 @@ def _lines(plot: LinePlot) -> Drawing:
         up = TOP + tall * (high - scaled(y, values[:, 1])) / (high - low)
         return np.column_stack([across, up])
 
-    marks: list[Mark] = []
-    for value in _values(x, left, right, points[:, 0]):
-        at = place(np.array([[value, points[0, 1]]]))[0, 0]
-        marks.append(straight(at, TOP, at, TOP + tall, "grid"))
-        marks.append(word_at(at, TOP + tall + 16, Name(f"{value:g}"), "middle"))
-    for value in _values(y, low, high, points[:, 1]):
-        at = place(np.array([[points[0, 0], value]]))[0, 1]
-        marks.append(straight(LEFT, at, LEFT + wide, at, "grid"))
-        marks.append(word_at(LEFT - 6, at + 4, Name(f"{value:g}"), "end"))
-    marks += _axes(x, y, wide, tall)
+    columns = {v: place(np.array([[v, points[0, 1]]]))[0, 0]
+              for v in _values(x, left, right, points[:, 0])}  # fmt: skip
+    rows = {v: place(np.array([[points[0, 0], v]]))[0, 1]
+          for v in _values(y, low, high, points[:, 1])}  # fmt: skip
+    marks = [*grid(columns, rows, wide, tall), *frame(x.name, y.name, wide, tall, (x.unit, y.unit))]
     for index, (one, line) in enumerate(zip(series, lines, strict=True)):
         labels = [f"{label(x, across)}, {label(y, up)}" for across, up in line]
         marks += _series(place(line), labels, one, index)
@@ -258,12 +253,29 @@ def _round(axis: Axis, low: float, high: float) -> list[float]:
     return [value for value in every if low <= math.log10(value) <= high]
 
 
-def _axes(x: Axis, y: Axis, wide: float, tall: float) -> list[Mark]:
-    up = word_at(14, TOP + tall / 2, y.name, "middle", y.unit)
+def grid(
+    across: Mapping[float, float], up: Mapping[float, float], wide: float, tall: float
+) -> list[Mark]:
+    """Returns lines at values of both axes, {value: where}, with the values beside them."""
+    marks: list[Mark] = []
+    for value, at in across.items():
+        marks.append(straight(at, TOP, at, TOP + tall, "grid"))
+        marks.append(word_at(at, TOP + tall + 16, Name(f"{value:g}"), "middle"))
+    for value, at in up.items():
+        marks.append(straight(LEFT, at, LEFT + wide, at, "grid"))
+        marks.append(word_at(LEFT - 6, at + 4, Name(f"{value:g}"), "end"))
+    return marks
+
+
+def frame(
+    x: Words, y: Words, wide: float, tall: float, units: tuple[str, str] = ("", "")
+) -> list[Mark]:
+    """Returns both axes, with what they say."""
+    up = word_at(14, TOP + tall / 2, y, "middle", units[1])
     return [
         straight(LEFT, TOP + tall, LEFT + wide, TOP + tall, "axis"),
         straight(LEFT, TOP, LEFT, TOP + tall, "axis"),
-        word_at(LEFT + wide / 2, TOP + tall + 36, x.name, "middle", x.unit),
+        word_at(LEFT + wide / 2, TOP + tall + 36, x, "middle", units[0]),
         {**up, "transform": f"rotate(-90 14 {TOP + tall / 2:g})"},
     ]
 
