@@ -80,6 +80,7 @@ def is_term(name: str) -> bool:
     return name in lines(_TERMS)
 
 
+@cache
 def phrase(key: str, language: str) -> str:
     """Returns the template of a text of documents and pages, or a term.
 
