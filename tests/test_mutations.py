@@ -220,6 +220,11 @@ def swapped_legs(files: Files) -> Expected:
     return {"position"}, {one.get("name"), two.get("name")}
 
 
+def _weight(link: Element) -> float:
+    mass = link.find("inertial/mass")
+    return 0.0 if mass is None else float(mass.get("value"))
+
+
 @mutation
 def dropped_link(files: Files) -> Expected | None:
     """A foot, or another link on a fixed joint, is missing with its mass."""
@@ -227,8 +232,7 @@ def dropped_link(files: Files) -> Expected | None:
     feet = [
         joint
         for joint in files.urdf.iter("joint")
-        if joint.get("type") == "fixed"
-        and links[joint.find("child").get("link")].find("inertial") is not None
+        if joint.get("type") == "fixed" and _weight(links[joint.find("child").get("link")]) > 0
     ]
     if not feet:
         return None
