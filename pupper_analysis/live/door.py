@@ -58,8 +58,8 @@ class Door:
         self._host = host
         self.token = "" if is_loopback(host) else secrets.token_urlsafe(16)
 
-    def refusal(self, path: str, headers: Mapping[str, str]) -> str:
-        """Says why a request is refused; empty if it is not.
+    def refusal(self, path: str, headers: Mapping[str, str]) -> Diagnostic | None:
+        """Says why a request is refused; None if it is not.
 
         Args:
             path: What is asked for, with its query.
@@ -67,14 +67,14 @@ class Door:
         """
         host = headers.get("Host", "")
         if not self.token and _name(host) not in {*_LOOPBACK, self._host}:
-            return "This server is not called so. Open the address that the program printed."
+            return diagnose("server-called-otherwise")
         origin = headers.get("Origin", "")
         if origin and urlsplit(origin).netloc != host:
-            return "Another page asks for it. Open the address that the program printed."
+            return diagnose("another-page-asks")
         asset = headers.get("Upgrade", "").lower() != "websocket" and urlsplit(path).path != "/"
         if self.token and not asset and not self._knows(path, headers):
-            return "The token is missing. Open the address that the program printed."
-        return ""
+            return diagnose("token-missing")
+        return None
 
     def _knows(self, path: str, headers: Mapping[str, str]) -> bool:
         given = parse_qs(urlsplit(path).query).get("token", [])

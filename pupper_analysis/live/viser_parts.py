@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.diagnostics import LANGUAGES, diagnose
 from pupper_analysis.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.live.door import HEADERS, MOST_BYTES, Door, problem_of
 
@@ -93,7 +93,8 @@ def _behind(door: Door) -> Iterator[None]:
         def answered(connection: Any, request: Any) -> Any:
             headers = {name: ", ".join(request.headers.get_all(name)) for name in HEADERS}
             if refusal := door.refusal(request.path, headers):
-                return connection.respond(HTTPStatus.FORBIDDEN, f"{refusal}\n")
+                told = "".join(f"{refusal.text(language)}\n" for language in LANGUAGES)
+                return connection.respond(HTTPStatus.FORBIDDEN, told)
             response = answer(connection, request)
             if door.token and response is not None and urlsplit(request.path).path == "/":
                 response.headers["Set-Cookie"] = door.cookie
