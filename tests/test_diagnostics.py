@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis
+from pupper_analysis import errors
 from pupper_analysis.diagnostics import (
     LANGUAGES,
     Diagnostic,
@@ -28,6 +29,7 @@ from pupper_analysis.diagnostics import (
     diagnose,
     entry,
     grouped,
+    is_term,
     term,
 )
 from pupper_analysis.diagnostics.catalogue import LINED
@@ -144,6 +146,36 @@ def test_no_program_reads_its_own_prose() -> None:
         if any(map(reads.search, path.read_text(encoding="utf-8").splitlines()))
     }
     assert found == STILL_READ
+
+
+SENTENCE = re.compile("[a-z]+ [a-z]+ [a-z]+")
+
+STILL_BARE = {
+    "stance/branches.py",
+    "stance/judge.py",
+    "stance/problem.py",
+    "stance/sunk.py",
+}
+"""Modules whose refusals are sentences still; none is to be added."""
+
+
+def test_refusals_are_diagnostics_and_no_sentences() -> None:
+    """No error of the package's is made of words that stand in the code."""
+    made = {name for name, one in vars(errors).items() if name.endswith("Error")}
+    found, kinds = set(), set()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = getattr(getattr(node, "func", None), "id", None)
+            if not isinstance(node, ast.Call) or name not in made:
+                continue
+            if name == "UnknownNameError":
+                kinds |= {one.value for one in node.args[1:2] if isinstance(one, ast.Constant)}
+            words = [one.value for given in node.args for one in ast.walk(given)
+                     if isinstance(one, ast.Constant)]  # fmt: skip
+            if name != "UnknownNameError" and any(map(SENTENCE.search, map(str, words))):
+                found.add(str(path.relative_to(PACKAGE)))
+    assert found == STILL_BARE
+    assert all(map(is_term, kinds - {None})), kinds
 
 
 # --- templates

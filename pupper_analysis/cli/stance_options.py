@@ -273,7 +273,8 @@ def _gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None
     for pattern, value in values:
         chosen = [fnmatchcase(name, pattern) for name in robot.joint_names]
         if not any(chosen):
-            raise UnknownNameError(robot.name, f"joint (of --{option})", pattern, robot.joint_names)
+            unknown = UnknownNameError(robot.name, "joint", pattern, robot.joint_names)
+            raise unknown.at(f"--{option}")
         if gains is None:
             gains = [value] * robot.nu if all(chosen) else list(getattr(servos(robot), option))
         gains = [value if this else gain for this, gain in zip(chosen, gains, strict=True)]

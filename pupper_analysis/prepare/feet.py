@@ -206,12 +206,13 @@ def _by_link(robot: Robot, name: str, frames: tuple[str, str], joints: Array) ->
         sites = [robot.mj_model.site(i).name for i in range(robot.mj_model.nsite)]
         bodies = [robot.mj_model.body(i).name for i in range(1, robot.mj_model.nbody)]
         links = [known.name for known in model.frames]
-        raise UnknownNameError(
+        unknown = UnknownNameError(
             f"{robot.description.urdf_source}, {robot.description.mjcf_source}",
-            f"link, geom, site or body (for foot {name!r})",
+            "link, geom, site or body",
             frame,
             list(dict.fromkeys([*links, *sites, *bodies])),
         )
+        raise unknown.at(diagnose("of-foot", subject=("foot", name)))
     joint = model.names[model.frames[number].parentJoint]
     if joint in robot.joint_names:
         body = int(robot.mj_model.jnt_bodyid[robot.mj_model.joint(joint).id])
